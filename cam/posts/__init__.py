@@ -1,0 +1,1 @@
+"""Moves to the blocks of one control dialect each."""

@@ -1,0 +1,1 @@
+"""Mills: what each can do (profiles)."""

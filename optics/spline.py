@@ -1,0 +1,166 @@
+"""The C2 bicubic spline through a uniform grid: coefficients, values and derivatives.
+
+B-spline form on a uniform knot grid. A grid of (ny, nx) nodes has (ny + 2, nx + 2) coefficients; coefficient
+[j + 1, i + 1] belongs to node [j, i]. The end condition is not-a-knot, so scipy's RectBivariateSpline(y, x, z)
+through the same nodes is the same surface.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+
+@njit(cache=True, nogil=True)
+def _fit_columns(nodes: Array) -> Array:
+    """Coefficients (n + 2, m) of cubic splines down the columns of nodes (n, m), n >= 4, not-a-knot.
+
+    The third-derivative continuity at the second node, together with (c[i-1] + 4 c[i] + c[i+1]) / 6 = f[i], gives
+    c[1] = f[1] - (f[0] - 2 f[1] + f[2]) / 6 in closed form; what is left is one tridiagonal system (Thomas).
+    """
+    n, m = nodes.shape
+    coefs = np.empty((n + 2, m))
+    coefs[2] = nodes[1] - (nodes[0] - 2.0 * nodes[1] + nodes[2]) / 6.0
+    coefs[n - 1] = nodes[n - 2] - (nodes[n - 1] - 2.0 * nodes[n - 2] + nodes[n - 3]) / 6.0
+    ratio = np.zeros(n)  # elimination factors; row 1 is known
+    for i in range(2, n - 2):
+        pivot = 4.0 - ratio[i - 1]
+        ratio[i] = 1.0 / pivot
+        coefs[i + 1] = (6.0 * nodes[i] - coefs[i]) / pivot
+    for i in range(n - 3, 1, -1):
+        coefs[i + 1] -= ratio[i] * coefs[i + 2]
+    coefs[1] = 6.0 * nodes[1] - 4.0 * coefs[2] - coefs[3]
+    coefs[0] = 6.0 * nodes[0] - 4.0 * coefs[1] - coefs[2]
+    coefs[n] = 6.0 * nodes[n - 2] - 4.0 * coefs[n - 1] - coefs[n - 2]
+    coefs[n + 1] = 6.0 * nodes[n - 1] - 4.0 * coefs[n] - coefs[n - 1]
+    return coefs
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _weights(f: float) -> tuple[float, float, float, float]:
+    """Uniform cubic B-spline weights of the four coefficients around a point at fraction f of its cell."""
+    g = 1.0 - f
+    return g * g * g / 6.0, (4.0 - 6.0 * f * f + 3.0 * f**3) / 6.0, (4.0 - 6.0 * g * g + 3.0 * g**3) / 6.0, f**3 / 6.0
+
+
+@njit(cache=True, nogil=True)
+def spline_jet(
+    coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: float, y: float
+) -> tuple[float, float, float, float, float, float]:
+    """Value and derivatives (z, zx, zy, zxx, zxy, zyy) at (x, y); beyond the grid the outermost cell's cubic goes on."""
+    ny, nx = coefs.shape
+    u = (x - x0) * inv_dx
+    v = (y - y0) * inv_dy
+    i = min(max(int(math.floor(u)), 0), nx - 4)
+    j = min(max(int(math.floor(v)), 0), ny - 4)
+    f = u - i
+    g = v - j
+    f1 = 1.0 - f
+    g1 = 1.0 - g
+    wx = _weights(f)
+    dx = (-0.5 * f1 * f1, 1.5 * f * f - 2.0 * f, -1.5 * f1 * f1 + 2.0 * f1, 0.5 * f * f)
+    ddx = (f1, 3.0 * f - 2.0, 3.0 * f1 - 2.0, f)
+    wy = _weights(g)
+    dy = (-0.5 * g1 * g1, 1.5 * g * g - 2.0 * g, -1.5 * g1 * g1 + 2.0 * g1, 0.5 * g * g)
+    ddy = (g1, 3.0 * g - 2.0, 3.0 * g1 - 2.0, g)
+    z = zx = zy = zxx = zxy = zyy = 0.0
+    for b in range(4):
+        c0 = coefs[j + b, i]
+        c1 = coefs[j + b, i + 1]
+        c2 = coefs[j + b, i + 2]
+        c3 = coefs[j + b, i + 3]
+        r = wx[0] * c0 + wx[1] * c1 + wx[2] * c2 + wx[3] * c3
+        rx = dx[0] * c0 + dx[1] * c1 + dx[2] * c2 + dx[3] * c3
+        rxx = ddx[0] * c0 + ddx[1] * c1 + ddx[2] * c2 + ddx[3] * c3
+        z += wy[b] * r
+        zx += wy[b] * rx
+        zxx += wy[b] * rxx
+        zy += dy[b] * r
+        zxy += dy[b] * rx
+        zyy += ddy[b] * r
+    return (
+        z,
+        zx * inv_dx,
+        zy * inv_dy,
+        zxx * inv_dx * inv_dx,
+        zxy * inv_dx * inv_dy,
+        zyy * inv_dy * inv_dy,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _jets(
+    coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array
+) -> None:
+    for k in range(x.size):
+        jet = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k])
+        for d in range(6):
+            out[d, k] = jet[d]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BicubicSpline:
+    """A C2 surface z(x, y). `coefs` is (ny + 2, nx + 2); node [0, 0] stands at (x0_mm, y0_mm)."""
+
+    coefs: Array
+    x0_mm: float
+    y0_mm: float
+    dx_mm: float
+    dy_mm: float
+
+    @classmethod
+    def through(cls, z_mm: Array, *, x0_mm: float, y0_mm: float, dx_mm: float, dy_mm: float) -> BicubicSpline:
+        """The interpolating not-a-knot spline through nodes z_mm (ny, nx), both at least 4."""
+        if min(z_mm.shape) < 4:
+            raise ValueError(f"a bicubic spline needs at least 4 x 4 nodes, not {z_mm.shape[1]} x {z_mm.shape[0]}")
+        down = _fit_columns(np.ascontiguousarray(z_mm, dtype=np.float64))
+        coefs = np.ascontiguousarray(_fit_columns(np.ascontiguousarray(down.T)).T)
+        coefs.setflags(write=False)
+        return cls(coefs=coefs, x0_mm=x0_mm, y0_mm=y0_mm, dx_mm=dx_mm, dy_mm=dy_mm)
+
+    @property
+    def kernel_arguments(self) -> tuple[Array, float, float, float, float]:
+        """What `spline_jet` takes before the point: coefficients, origin, inverse spacings."""
+        return self.coefs, self.x0_mm, self.y0_mm, 1.0 / self.dx_mm, 1.0 / self.dy_mm
+
+    def jets(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
+        """(6, ...) values and derivatives z, zx, zy, zxx, zxy, zyy at the broadcast points."""
+        x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
+        out = np.empty((6, x.size))
+        _jets(*self.kernel_arguments, np.ascontiguousarray(x).ravel(), np.ascontiguousarray(y).ravel(), out)
+        return out.reshape((6, *x.shape))
+
+    def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
+        return self.jets(x_mm, y_mm)[0]
+
+    def extended(self, by_mm: float, *, fade_mm: float = 1.0) -> BicubicSpline:
+        """The same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.
+
+        New coefficients continue the outermost difference, shrunk by exp(-d / fade_mm): the slope across the rim dies
+        out instead of running up or down without bound.
+        """
+        pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
+        coefs = _continued(self.coefs, pad_y, math.exp(-self.dy_mm / fade_mm))
+        coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, math.exp(-self.dx_mm / fade_mm)).T)
+        coefs.setflags(write=False)
+        return BicubicSpline(
+            coefs=coefs,
+            x0_mm=self.x0_mm - pad_x * self.dx_mm,
+            y0_mm=self.y0_mm - pad_y * self.dy_mm,
+            dx_mm=self.dx_mm,
+            dy_mm=self.dy_mm,
+        )
+
+
+def _continued(coefs: Array, rows: int, ratio: float) -> Array:
+    """`rows` more rows before the first and after the last, their differences shrinking by `ratio` each."""
+    reach = np.cumsum(ratio ** np.arange(1, rows + 1))[:, None]
+    before = coefs[0] + reach[::-1] * (coefs[0] - coefs[1])
+    after = coefs[-1] + reach * (coefs[-1] - coefs[-2])
+    return np.concatenate([before, coefs, after])

@@ -1,0 +1,1 @@
+"""The shell: command line, job specification, files and reports around the pure packages."""
