@@ -1,0 +1,154 @@
+"""From a target irradiance to a lens: the map, the surface, and corrections against its own simulated caustic."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from optics.caustic import simulate_caustic
+from optics.heightfield import Heightfield
+from optics.map_inversion import screen_positions
+from optics.metrics import score_caustic
+from optics.optical_path import Bench, heights_mm
+from optics.screen import Screen
+from optics.spline import Array
+from optics.transport import OpticalPath, solve_transport
+from optics.transport_map import TransportMap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LensSettings:
+    """The optical task. Lengths in mm; the aperture's lower left corner is the origin, the screen is centred on it."""
+
+    width_mm: float
+    height_mm: float
+    throw_mm: float
+    refractive_index: float
+    screen_width_mm: float
+    screen_height_mm: float
+    skim_mm: float
+    method: Literal["transport", "paper"] = "transport"
+    corrections: int = 2
+    min_radius_mm: float = 0.0
+    vertices_per_pixel: int = 2
+
+    @property
+    def screen(self) -> Screen:
+        return Screen(
+            width_mm=self.screen_width_mm,
+            height_mm=self.screen_height_mm,
+            centre_x_mm=self.width_mm / 2,
+            centre_y_mm=self.height_mm / 2,
+        )
+
+    @property
+    def bench(self) -> Bench:
+        return Bench(
+            width_mm=self.width_mm,
+            height_mm=self.height_mm,
+            throw_mm=self.throw_mm,
+            refractive_index=self.refractive_index,
+            screen=self.screen,
+        )
+
+    def vertices(self, pixels: int) -> int:
+        """Heightfield vertices along a side of that many pixels."""
+        return self.vertices_per_pixel * pixels + 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensDesign:
+    """A lens and how it came about. `converged` False: `message` says how far it got; the lens is usable all the same."""
+
+    heightfield: Heightfield
+    transport_map: TransportMap
+    converged: bool
+    history: list[dict[str, Any]]
+    message: str
+    seconds: float
+    extras: dict[str, Any] = field(default_factory=dict)
+
+
+Progress = Callable[[str, float], None]
+
+
+def design_lens(target: Array, settings: LensSettings, *, on_progress: Progress | None = None) -> LensDesign:
+    """The lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method."""
+    started = time.perf_counter()
+    report = on_progress or (lambda stage, share: None)
+    if settings.method == "paper":
+        raise NotImplementedError
+    return _by_transport(target, settings, report, started)
+
+
+def _by_transport(target: Array, settings: LensSettings, report: Progress, started: float) -> LensDesign:
+    report("transport map", 0.0)
+    path = solve_transport(
+        target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)
+    )
+    lens = _surface(path, settings)
+    history = [_pass_record(0, path)]
+    corrected = target
+    for number in range(1, settings.corrections + 1):
+        report("corrections", (number - 1) / settings.corrections)
+        caustic = simulate_caustic(
+            lens,
+            throw_mm=settings.throw_mm,
+            refractive_index=settings.refractive_index,
+            screen=settings.screen,
+            pixels=target.shape,  # type: ignore[arg-type]
+            tubes_per_cell=2,
+        ).irradiance
+        history[-1] |= _scores(caustic, target)
+        corrected = np.maximum(corrected + target - caustic, 0.0)
+        path = solve_transport(corrected, settings.bench, skim_mm=settings.skim_mm, start=path)
+        lens = _surface(path, settings)
+        history.append(_pass_record(number, path))
+    report("corrections", 1.0)
+    return LensDesign(
+        heightfield=lens,
+        transport_map=path.transport_map(),
+        converged=path.converged,
+        history=history,
+        message=_message(path),
+        seconds=time.perf_counter() - started,
+    )
+
+
+def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
+    """Heights at the lens vertices: invert the map, then the closed form of optical_path.heights_mm."""
+    ny, nx = path.path_mm.shape
+    x_mm = np.linspace(0.0, settings.width_mm, settings.vertices(nx))
+    y_mm = np.linspace(0.0, settings.height_mm, settings.vertices(ny))
+    corners = path.transport_map().lens_mm
+    u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
+    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench)
+    return Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=t - t.max() - settings.skim_mm)
+
+
+def _pass_record(number: int, path: OpticalPath) -> dict[str, Any]:
+    return {
+        "pass": number,
+        "iterations": {str(level.pixels): level.iterations for level in path.levels},
+        "rms": path.levels[-1].rms,
+    }
+
+
+def _scores(caustic: Array, target: Array) -> dict[str, float]:
+    score = score_caustic(caustic, target)
+    return {"psnr_db": score.psnr_db, "ssim": score.ssim, "misplaced_light": score.misplaced_light}
+
+
+def _message(path: OpticalPath) -> str:
+    last = path.levels[-1]
+    if path.converged:
+        return f"converged: rms {last.rms:.1e} of the mean irradiance after {last.iterations} steps at full size"
+    return (
+        f"stopped after {last.iterations} steps at full size with rms {last.rms:.1e} of the mean irradiance "
+        f"(wanted 1e-3); the lens is usable, its contrast may be lower than the picture's"
+    )

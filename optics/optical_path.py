@@ -1,0 +1,267 @@
+"""The optical path to the screen as the unknown: near-field Snell refraction in closed form, with nothing to integrate.
+
+c(q) is the optical length from the plane z = 0 inside the block, through the refracting surface, to the point q of the
+screen at z = H. All light through one surface point p = (x, y) at height t obeys n t + |q - (p, t)| = c(q), and c is
+stationary in p, so grad c = s is the direction of the light that arrives at q. Hence, exactly:
+
+    s_z = sqrt(1 - |s|^2),   R = (n H - c) / (n s_z - 1),   p(q) = q - R s,   t = H - R s_z
+
+Where c is constant the surface is flat: c = H + (n - 1) t.
+c is kept as base + delta: base = c0 + (alpha / 2) |q - centre|^2 scales the aperture onto a screen of another size,
+delta has zero normal derivative on the frame (up to small slopes kept per border pixel), so cosines fit it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from optics.screen import Screen
+from optics.spline import Array, BicubicSpline
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Bench:
+    """The fixed geometry: aperture (lower left corner at the origin), screen, distance and glass. Lengths in mm."""
+
+    width_mm: float
+    height_mm: float
+    throw_mm: float
+    refractive_index: float
+    screen: Screen
+
+    @property
+    def base_curvature_per_mm(self) -> tuple[float, float]:
+        """alpha along x and y: the parabola of optical path that spreads the aperture evenly over the screen."""
+        s = self.screen
+        return (
+            (1 - self.width_mm / s.width_mm) / self.throw_mm,
+            (1 - self.height_mm / s.height_mm) / self.throw_mm,
+        )
+
+    def base_path_mm(self, qx_mm: Array, qy_mm: Array) -> Array:
+        """The parabola without its constant, at screen points (broadcast)."""
+        ax, ay = self.base_curvature_per_mm
+        s = self.screen
+        return np.asarray(0.5 * (ax * (qx_mm - s.centre_x_mm) ** 2 + ay * (qy_mm - s.centre_y_mm) ** 2))
+
+    def pixel_centres_mm(self, nx: int, ny: int) -> tuple[Array, Array]:
+        s = self.screen
+        return (
+            s.left_mm + (np.arange(nx) + 0.5) * s.width_mm / nx,
+            s.bottom_mm + (np.arange(ny) + 0.5) * s.height_mm / ny,
+        )
+
+    def kernel_arguments(self, nx: int, ny: int) -> tuple[float, ...]:
+        """throw, index, screen left and bottom, pixel size, aperture size: what the kernels below take."""
+        s = self.screen
+        return (
+            self.throw_mm,
+            self.refractive_index,
+            s.left_mm,
+            s.bottom_mm,
+            s.width_mm / nx,
+            s.height_mm / ny,
+            self.width_mm,
+            self.height_mm,
+        )
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[float, float]:
+    """(R, s_z): length of the ray in air and the cosine it leaves with. NaN where light would be totally reflected."""
+    sz2 = 1.0 - sx * sx - sy * sy
+    if sz2 * index * index <= 1.0:
+        return math.nan, math.nan
+    sz = math.sqrt(sz2)
+    return (index * throw - c) / (index * sz - 1.0), sz
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
+    """c with one ghost row and column outside, which continue it by the slope on the frame."""
+    ny, nx = c.shape
+    value = 0.0
+    if k < 0:
+        value -= rim_x[0, min(max(r, 0), ny - 1)] * dx
+        k = 0
+    elif k >= nx:
+        value += rim_x[1, min(max(r, 0), ny - 1)] * dx
+        k = nx - 1
+    if r < 0:
+        value -= rim_y[0, k] * dy
+        r = 0
+    elif r >= ny:
+        value += rim_y[1, k] * dy
+        r = ny - 1
+    return value + c[r, k]
+
+
+@njit(cache=True, nogil=True)
+def preimage_areas(
+    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array, throw: float, index: float, left: float, bottom: float,
+    dx: float, dy: float, width: float, height: float, across: Array, along: Array, mixed: Array, top: Array,
+) -> None:  # fmt: skip
+    """What the pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens, in units of the aperture's share of one pixel.
+
+    With p at the midpoints of the pixel's four edges, (pE - pW) x (pN - pS) is the exact area of the quad:
+    across[r, k] = x extent of pE - pW, along = y extent of pN - pS, mixed = the product of the other two; area =
+    across * along - mixed. A compact stencil: normal derivatives from 2 points, tangential ones from 4.
+    rim_x (2, ny), rim_y (2, nx) : normal slope of c on the left/right and bottom/top frame
+    top (ny,)                    : greatest height t met in each row of pixels
+    """
+    ny, nx = c.shape
+    unit_x, unit_y = nx / width, ny / height
+    for r in range(row_lo, row_hi):
+        qy = bottom + (r + 0.5) * dy
+        highest = -math.inf
+        west_x = west_y = 0.0
+        for k in range(nx + 1):
+            if k == 0:
+                sx = rim_x[0, r]
+            elif k == nx:
+                sx = rim_x[1, r]
+            else:
+                sx = (c[r, k] - c[r, k - 1]) / dx
+            if 0 < r < ny - 1 and 0 < k < nx:
+                sy = (c[r + 1, k] + c[r + 1, k - 1] - c[r - 1, k] - c[r - 1, k - 1]) / (4.0 * dy)
+                mid = 0.5 * (c[r, k] + c[r, k - 1])
+            else:
+                sy = (
+                    _bordered(c, r + 1, k, rim_x, rim_y, dx, dy)
+                    + _bordered(c, r + 1, k - 1, rim_x, rim_y, dx, dy)
+                    - _bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
+                    - _bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
+                ) / (4.0 * dy)
+                mid = 0.5 * (
+                    _bordered(c, r, k, rim_x, rim_y, dx, dy) + _bordered(c, r, k - 1, rim_x, rim_y, dx, dy)
+                )
+            ray, sz = _reach(mid, sx, sy, throw, index)
+            highest = max(highest, throw - ray * sz)
+            px = left + k * dx - ray * sx
+            if k == 0:
+                px = 0.0
+            elif k == nx:
+                px = width
+            py = qy - ray * sy
+            if k > 0:
+                across[r, k - 1] = (px - west_x) * unit_x
+                mixed[r, k - 1] = (py - west_y) * unit_y
+            west_x, west_y = px, py
+        for k in range(nx):
+            qx = left + (k + 0.5) * dx
+            south_x = south_y = 0.0
+            for side in range(2):
+                e = r + side
+                if e == 0:
+                    sy = rim_y[0, k]
+                elif e == ny:
+                    sy = rim_y[1, k]
+                else:
+                    sy = (c[e, k] - c[e - 1, k]) / dy
+                if 0 < k < nx - 1 and 0 < e < ny:
+                    sx = (c[e, k + 1] + c[e - 1, k + 1] - c[e, k - 1] - c[e - 1, k - 1]) / (4.0 * dx)
+                    mid = 0.5 * (c[e, k] + c[e - 1, k])
+                else:
+                    sx = (
+                        _bordered(c, e, k + 1, rim_x, rim_y, dx, dy)
+                        + _bordered(c, e - 1, k + 1, rim_x, rim_y, dx, dy)
+                        - _bordered(c, e, k - 1, rim_x, rim_y, dx, dy)
+                        - _bordered(c, e - 1, k - 1, rim_x, rim_y, dx, dy)
+                    ) / (4.0 * dx)
+                    mid = 0.5 * (
+                        _bordered(c, e, k, rim_x, rim_y, dx, dy) + _bordered(c, e - 1, k, rim_x, rim_y, dx, dy)
+                    )
+                ray, sz = _reach(mid, sx, sy, throw, index)
+                px = qx - ray * sx
+                py = bottom + e * dy - ray * sy
+                if e == 0:
+                    py = 0.0
+                elif e == ny:
+                    py = height
+                if side == 0:
+                    south_x, south_y = px, py
+                else:
+                    along[r, k] = (py - south_y) * unit_y
+                    mixed[r, k] *= (px - south_x) * unit_x
+        top[r] = highest
+
+
+@njit(cache=True, nogil=True)
+def preimages_of_corners(
+    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array, throw: float, index: float, left: float, bottom: float,
+    dx: float, dy: float, width: float, height: float, px: Array, py: Array,
+) -> None:  # fmt: skip
+    """Lens points px, py (ny + 1, nx + 1) that light rows row_lo..row_hi - 1 of pixel corners; the frame stays on the frame."""
+    ny, nx = c.shape
+    for r in range(row_lo, row_hi):
+        for k in range(nx + 1):
+            sw = _bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
+            se = _bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
+            nw = _bordered(c, r, k - 1, rim_x, rim_y, dx, dy)
+            ne = _bordered(c, r, k, rim_x, rim_y, dx, dy)
+            sx = (se + ne - sw - nw) / (2.0 * dx)
+            sy = (nw + ne - sw - se) / (2.0 * dy)
+            ray, _ = _reach(0.25 * (sw + se + nw + ne), sx, sy, throw, index)
+            px[r, k] = left + k * dx - ray * sx
+            py[r, k] = bottom + r * dy - ray * sy
+            if k == 0:
+                px[r, k] = 0.0
+            elif k == nx:
+                px[r, k] = width
+            if r == 0:
+                py[r, k] = 0.0
+            elif r == ny:
+                py[r, k] = height
+
+
+def rim_slopes(c: Array, bench: Bench, rim_x: Array, rim_y: Array) -> tuple[Array, Array]:
+    """Normal slopes of c that put the frame of the aperture onto the frame of the screen: s = (q - p) / R there."""
+    ny, nx = c.shape
+    s, index = bench.screen, bench.refractive_index
+    out_x, out_y = np.empty((2, ny)), np.empty((2, nx))
+    for side in (0, 1):
+        shift_x = s.left_mm + side * s.width_mm - side * bench.width_mm
+        shift_y = s.bottom_mm + side * s.height_mm - side * bench.height_mm
+        for out, rim, edge, shift, step in (
+            (out_x, rim_x, c[:, -side], shift_x, s.height_mm / ny),
+            (out_y, rim_y, c[-side, :], shift_y, s.width_mm / nx),
+        ):
+            tangential = np.gradient(edge, step) if edge.size > 1 else np.zeros_like(edge)
+            sz = np.sqrt(np.maximum(1 - rim[side] ** 2 - tangential**2, 1 / index**2 + 1e-6))
+            out[side] = shift * (index * sz - 1) / (index * bench.throw_mm - edge)
+    return out_x, out_y
+
+
+def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Bench) -> Array:
+    """Heights t of the surface at the lens points (x_mm[i], y_mm[j]) that light the screen at grid indices u, v.
+
+    c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
+    From (c - n t)^2 = |q - p|^2 + (H - t)^2:
+        t = (b - sqrt(b^2 - (n^2 - 1)(c^2 - |q - p|^2 - H^2))) / (n^2 - 1),   b = n c - H
+    t is stationary in q, so the error of q enters squared.
+    """
+    ny, nx = c.shape
+    s, n, throw = bench.screen, bench.refractive_index, bench.throw_mm
+    dx, dy = s.width_mm / nx, s.height_mm / ny
+    qx_c, qy_c = bench.pixel_centres_mm(nx, ny)
+    delta = c - bench.base_path_mm(qx_c[None, :], qy_c[:, None])
+    pad = 3  # mirror images beyond the frame: the normal derivative is zero there
+    spline = BicubicSpline.through(
+        np.pad(delta, pad, mode="symmetric"),
+        x0_mm=s.left_mm + (0.5 - pad) * dx,
+        y0_mm=s.bottom_mm + (0.5 - pad) * dy,
+        dx_mm=dx,
+        dy_mm=dy,
+    )
+    t = np.empty_like(u)
+    for rows in np.array_split(np.arange(u.shape[0]), max(1, u.shape[0] // 128)):  # bounds the temporaries
+        qx, qy = s.left_mm + u[rows] * dx, s.bottom_mm + v[rows] * dy
+        path = spline.heights_mm(qx, qy) + bench.base_path_mm(qx, qy)
+        shift2 = (qx - x_mm[None, :]) ** 2 + (qy - y_mm[rows, None]) ** 2
+        b = n * path - throw
+        t[rows] = (b - np.sqrt(b**2 - (n**2 - 1) * (path**2 - shift2 - throw**2))) / (n**2 - 1)
+    return t

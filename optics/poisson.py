@@ -1,0 +1,144 @@
+"""First-order Galerkin finite elements on triangles: P1 matrices and Poisson's equation with a natural boundary.
+
+The pattern of the matrices belongs to the triangles, so it is built once and filled anew whenever the points move. The
+Neumann problem fixes the unknown up to a constant: the mean is taken out of load and solution, and conjugate gradients
+run on what is left, preconditioned by one classical (Ruge-Stueben) multigrid V-cycle built for the matrix at hand. On
+stretched meshes such a hierarchy needs 5-12 cycles for five digits and costs less to build than an old one loses.
+Nothing in it is random: the same mesh and load give the same bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pyamg
+import scipy.sparse as sparse
+from numba import njit
+from numpy.typing import NDArray
+from scipy.sparse.linalg import cg
+
+from optics.mesh import TriangleMesh, Triangles
+from optics.spline import Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PoissonSolution:
+    """values (n,) of mean 0 over the vertices; `residual` is relative to the load, in the Euclidean norm."""
+
+    values: Array
+    iterations: int
+    residual: float
+
+
+class NeumannPoisson:
+    """Solves  int grad(phi) . grad(v) = load(v)  for every P1 test function v, on meshes that share their triangles."""
+
+    def __init__(self, mesh: TriangleMesh) -> None:
+        self._pattern, self._slots = _pattern(mesh.triangles, mesh.points_mm.shape[0])
+
+    def stiffness(self, mesh: TriangleMesh) -> sparse.csr_matrix:
+        """(n, n) integrals of grad(v_i) . grad(v_j) over the mesh [1]."""
+        return self._filled(_stiffness(mesh.points_mm, mesh.triangles, self._slots, self._pattern.nnz))
+
+    def mass(self, mesh: TriangleMesh) -> sparse.csr_matrix:
+        """(n, n) integrals of v_i v_j over the mesh [mm^2]; its row sums are the median dual areas."""
+        return self._filled(_mass(mesh.areas(), self._slots, self._pattern.nnz))
+
+    def factor(self, mesh: TriangleMesh) -> FactoredPoisson:
+        """The problem on `mesh`, ready for one or more loads."""
+        return FactoredPoisson(self.stiffness(mesh))
+
+    def solve(self, mesh: TriangleMesh, load: Array, *, tolerance: float = 1e-6) -> PoissonSolution:
+        return self.factor(mesh).solve(load, tolerance=tolerance)
+
+    def _filled(self, data: Array) -> sparse.csr_matrix:
+        return sparse.csr_matrix((data, self._pattern.indices, self._pattern.indptr), shape=self._pattern.shape)
+
+
+class FactoredPoisson:
+    """One stiffness matrix with its multigrid hierarchy."""
+
+    def __init__(self, stiffness: sparse.csr_matrix) -> None:
+        self._stiffness = stiffness
+        self._cycle = pyamg.ruge_stuben_solver(stiffness, max_coarse=100).aspreconditioner(cycle="V")
+
+    def solve(self, load: Array, *, guess: Array | None = None, tolerance: float = 1e-6) -> PoissonSolution:
+        """load (n,): its mean is removed (the solvability condition), and the mean of the solution too."""
+        balanced = load - load.mean()
+        scale = float(np.linalg.norm(balanced))
+        if scale <= 1e-14 * float(np.abs(load).sum()) or scale == 0.0:
+            return PoissonSolution(values=np.zeros_like(load), iterations=0, residual=0.0)
+        count = 0
+
+        def counted(_: Array) -> None:
+            nonlocal count
+            count += 1
+
+        values, _ = cg(
+            self._stiffness, balanced, x0=guess, rtol=tolerance, maxiter=300, M=self._cycle, callback=counted
+        )
+        residual = float(np.linalg.norm(balanced - self._stiffness @ values)) / scale
+        return PoissonSolution(values=values - values.mean(), iterations=count, residual=residual)
+
+
+def divergence_load(mesh: TriangleMesh, field: Array) -> Array:
+    """(n,) integrals of field . grad(v_i): the weak form of -div(field) with the natural condition d(phi)/dn = field . n.
+
+    field (n, 2) is P1, so the midpoint of each triangle integrates the product exactly.
+    """
+    return _divergence_load(mesh.points_mm, mesh.triangles, np.ascontiguousarray(field))
+
+
+def _pattern(triangles: Triangles, vertices: int) -> tuple[sparse.csr_matrix, NDArray[np.int32]]:
+    """The sparsity pattern, and for entry (a, b) of each triangle's 3 x 3 matrix its place in the CSR data (m, 3, 3)."""
+    rows = np.repeat(triangles[:, :, None], 3, axis=2)
+    columns = np.repeat(triangles[:, None, :], 3, axis=1)
+    keys, slots = np.unique(rows.astype(np.int64) * vertices + columns, return_inverse=True)
+    starts = np.searchsorted(keys, np.arange(vertices + 1, dtype=np.int64) * vertices).astype(np.int32)
+    indices = (keys % vertices).astype(np.int32)
+    pattern = sparse.csr_matrix((np.ones(keys.size), indices, starts), shape=(vertices, vertices))
+    return pattern, slots.reshape(rows.shape).astype(np.int32)
+
+
+@njit(cache=True, nogil=True)
+def _stiffness(points: Array, triangles: Triangles, slots: NDArray[np.int32], nnz: int) -> Array:
+    """Per triangle e_a . e_b / (4 area), e_k the edge opposite to corner k."""
+    data = np.zeros(nnz)
+    ex, ey = np.empty(3), np.empty(3)
+    for t in range(triangles.shape[0]):
+        for k in range(3):
+            b, c = triangles[t, (k + 1) % 3], triangles[t, (k + 2) % 3]
+            ex[k] = points[c, 0] - points[b, 0]
+            ey[k] = points[c, 1] - points[b, 1]
+        scale = 0.5 / (ex[0] * ey[1] - ex[1] * ey[0])
+        for p in range(3):
+            for q in range(3):
+                data[slots[t, p, q]] += scale * (ex[p] * ex[q] + ey[p] * ey[q])
+    return data
+
+
+@njit(cache=True, nogil=True)
+def _mass(areas: Array, slots: NDArray[np.int32], nnz: int) -> Array:
+    data = np.zeros(nnz)
+    for t in range(areas.size):
+        for p in range(3):
+            for q in range(3):
+                data[slots[t, p, q]] += areas[t] * (2.0 if p == q else 1.0) / 12.0
+    return data
+
+
+@njit(cache=True, nogil=True)
+def _divergence_load(points: Array, triangles: Triangles, field: Array) -> Array:
+    """area grad(v_k) = 1/2 rot90(opposite edge); the mean of a P1 field over a triangle is the mean of its corners."""
+    load = np.zeros(points.shape[0])
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t]
+        fx = (field[a, 0] + field[b, 0] + field[c, 0]) / 3.0
+        fy = (field[a, 1] + field[b, 1] + field[c, 1]) / 3.0
+        for k in range(3):
+            b, c = triangles[t, (k + 1) % 3], triangles[t, (k + 2) % 3]
+            load[triangles[t, k]] += 0.5 * (
+                fx * (points[b, 1] - points[c, 1]) + fy * (points[c, 0] - points[b, 0])
+            )
+    return load

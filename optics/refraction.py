@@ -1,0 +1,38 @@
+"""Exact Snell refraction of light that travels +Z inside the block and leaves it through z = h(x, y)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from optics.spline import Array
+
+
+@njit(cache=True, nogil=True, inline="always")
+def refracted_tangent(slope_squared: float, refractive_index: float) -> float:
+    """Sideways way per unit of height and per unit of slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
+
+    With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law).
+    """
+    cos2 = 1.0 / (1.0 + slope_squared)
+    transmitted = 1.0 - refractive_index * refractive_index * (1.0 - cos2)
+    if transmitted <= 0.0:
+        return math.nan
+    k = refractive_index - math.sqrt(transmitted / cos2)
+    return k * cos2 / (refractive_index - k * cos2)
+
+
+def slope_for_shift(shift_mm: Array, drop_mm: Array, *, refractive_index: float) -> Array:
+    """Surface gradient (..., 2) that sends vertical light sideways by shift_mm (..., 2) over a drop of drop_mm (...).
+
+    grad h = shift / k,  k = eta sqrt(|shift|^2 + drop^2) - drop   (paper, eqs. 8-9)
+    """
+    path_mm = np.sqrt((shift_mm**2).sum(axis=-1) + drop_mm**2)
+    return np.asarray(shift_mm / (refractive_index * path_mm - drop_mm)[..., None])
+
+
+def critical_slope(refractive_index: float) -> float:
+    """Steepest slope that still lets vertical light out: tan of the angle of total reflection."""
+    return 1.0 / math.sqrt(refractive_index**2 - 1.0)

@@ -1,0 +1,34 @@
+"""Row-parallel kernels: nogil numba functions on strips of rows in plain threads.
+
+Not numba's own `parallel=True`: its default threading layer aborts the process when two Python threads use it at once.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from typing import Any
+
+_MOST_THREADS = 8
+
+
+@cache
+def _pool() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max_workers=thread_count(), thread_name_prefix="optics")
+
+
+@cache
+def thread_count() -> int:
+    return min(len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1, _MOST_THREADS)
+
+
+def over_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[Any]:
+    """kernel(row_lo, row_hi, *arguments) on strips that together are 0..rows; their results in order."""
+    strips = min(thread_count(), rows)
+    bounds = [rows * s // strips for s in range(strips + 1)]
+    if strips == 1:
+        return [kernel(0, rows, *arguments)]
+    futures = [_pool().submit(kernel, lo, hi, *arguments) for lo, hi in zip(bounds, bounds[1:], strict=False)]
+    return [future.result() for future in futures]

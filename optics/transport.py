@@ -1,0 +1,272 @@
+"""The transport map with exact near-field refraction: one fixed-point iteration on the optical path.
+
+Solves det Dp(q) = g(q) for the optical path c(q) (optical_path.py), g = target / mean, light uniform on the aperture.
+    step      r = det+ - g,  r -= mean r,  c += scale * InvLaplace(r)   (cosine transform, Neumann)
+    det+      max(a,0) max(b,0) - x + min(a,0) + min(b,0) with a, b the diagonal and x the mixed products: equal to
+              det on the elliptic branch and monotone off it, so the iteration finds its way back from folds
+    Anderson  depth 8, least squares on r; beyond twice the best residual: back to the best with half the step
+    levels    32, 64 .. N pixels, cubic prolongation of c
+No Jacobian, no line search, no floor under the target: black pixels converge like others.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy import fft
+from scipy.ndimage import map_coordinates
+
+from optics.errors import TotalReflectionError
+from optics.optical_path import Bench, preimage_areas, preimages_of_corners, rim_slopes
+from optics.spline import Array
+from optics.threads import over_rows, thread_count
+from optics.transport_map import TransportMap
+
+_COARSEST = 32
+_ANDERSON_DEPTH = 8
+_BLOW_UP = 2.0  # a residual this many times the best: restart
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelRecord:
+    """How one grid level went: pixels across, iterations, and the last root mean square of det - g."""
+
+    pixels: int
+    iterations: int
+    rms: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class OpticalPath:
+    """The solution on the screen's pixels; what a warm start needs, and what lens heights are made of."""
+
+    bench: Bench
+    path_mm: Array  # (ny, nx)
+    rim_x: Array  # (2, ny) normal slopes of the path on the left and right frame
+    rim_y: Array  # (2, nx) on the bottom and top frame
+    levels: tuple[LevelRecord, ...]
+    converged: bool
+
+    def transport_map(self) -> TransportMap:
+        """Pixel corners and the lens points that light them."""
+        ny, nx = self.path_mm.shape
+        px, py = np.empty((ny + 1, nx + 1)), np.empty((ny + 1, nx + 1))
+        over_rows(
+            preimages_of_corners, ny + 1,
+            self.path_mm, self.rim_x, self.rim_y, *self.bench.kernel_arguments(nx, ny), px, py,
+        )  # fmt: skip
+        s = self.bench.screen
+        qx, qy = np.meshgrid(
+            s.left_mm + np.arange(nx + 1) * s.width_mm / nx, s.bottom_mm + np.arange(ny + 1) * s.height_mm / ny
+        )
+        return TransportMap(screen_mm=np.stack([qx, qy], axis=-1), lens_mm=np.stack([px, py], axis=-1))
+
+
+@njit(cache=True, nogil=True)
+def _monotone_residual(
+    row_lo: int, row_hi: int, across: Array, along: Array, mixed: Array, g: Array, residual: Array
+) -> None:
+    for r in range(row_lo, row_hi):
+        for k in range(g.shape[1]):
+            a, b = across[r, k], along[r, k]
+            det = max(a, 0.0) * max(b, 0.0) - mixed[r, k] + min(a, 0.0) + min(b, 0.0)
+            residual[r, k] = det - g[r, k]
+
+
+class _Level:
+    """One grid level: evaluates residuals and inverts the Laplacian."""
+
+    def __init__(self, target: Array, bench: Bench) -> None:
+        ny, nx = target.shape
+        self.target, self.bench = target, bench
+        self.arguments = bench.kernel_arguments(nx, ny)
+        dx, dy = self.arguments[4], self.arguments[5]
+        # paraxial change of the area by a change of c: -throw * (screen / aperture) * Laplacian
+        sx, sy = bench.screen.width_mm / bench.width_mm, bench.screen.height_mm / bench.height_mm
+        symbol = (2 - 2 * np.cos(np.pi * np.arange(nx) / nx))[None, :] * sx / dx**2 + (
+            2 - 2 * np.cos(np.pi * np.arange(ny) / ny)
+        )[:, None] * sy / dy**2
+        symbol[0, 0] = np.inf
+        self.inverse = -1.0 / (symbol * bench.throw_mm)
+        self.across, self.along, self.mixed, self.residual = (np.empty((ny, nx)) for _ in range(4))
+        self.top = np.empty(ny)
+
+    def evaluate(self, c: Array, rim_x: Array, rim_y: Array) -> tuple[Array, float, float]:
+        """(residual with its mean removed, its rms, greatest height met)."""
+        rows = c.shape[0]
+        over_rows(
+            preimage_areas, rows, c, rim_x, rim_y, *self.arguments, self.across, self.along, self.mixed, self.top
+        )
+        over_rows(_monotone_residual, rows, self.across, self.along, self.mixed, self.target, self.residual)
+        r = self.residual - self.residual.mean()
+        return r, math.sqrt(float(np.mean(r * r))), float(self.top.max())
+
+    def preconditioned(self, r: Array) -> Array:
+        spectrum = fft.dctn(r, type=2, workers=thread_count())
+        spectrum *= self.inverse
+        return np.asarray(fft.idctn(spectrum, type=2, workers=thread_count(), overwrite_x=True))
+
+
+class _Anderson:
+    """Mixing memory: differences of iterates' steps and residuals, least squares on the residual."""
+
+    def __init__(self) -> None:
+        self.differences: list[tuple[Array, Array]] = []  # (of x + f, of r)
+        self.last: tuple[Array, Array] | None = None
+
+    def next_iterate(self, x: Array, r: Array, f: Array) -> Array:
+        moved = x + f
+        if self.last is not None:
+            self.differences.append((moved - self.last[0], r - self.last[1]))
+            del self.differences[:-_ANDERSON_DEPTH]
+        self.last = (moved, r)
+        if not self.differences:
+            return moved
+        dr = np.stack([d[1].ravel() for d in self.differences])
+        gram = dr @ dr.T
+        gram[np.diag_indices_from(gram)] *= 1 + 1e-10
+        gamma, *_ = np.linalg.lstsq(gram, dr @ r.ravel(), rcond=1e-12)
+        mixed = moved.copy()
+        for weight, (dm, _) in zip(gamma, self.differences, strict=True):
+            mixed -= weight * dm
+        return mixed
+
+
+def solve_transport(
+    target: Array,
+    bench: Bench,
+    *,
+    skim_mm: float,
+    start: OpticalPath | None = None,
+    tolerance: float = 1e-3,
+    most_iterations: int = 300,
+    on_progress: Callable[[float], None] | None = None,
+) -> OpticalPath:
+    """Optical path whose refraction gives each pixel its share of the light.
+
+    target      : (ny, nx) irradiance in the work frame, mean 1 (any mean is scaled)
+    skim_mm     : depth of the lens's highest point under Z0
+    start       : an earlier solution on the same grid, for a warm start without the coarse levels
+    tolerance   : rms of det - g at which a level is done
+    returns converged = False, with its history, where the finest level stopped early
+    raises TotalReflectionError where the throw is too short for the way the light must go
+    """
+    g = target / target.mean()
+    records: list[LevelRecord] = []
+    if start is not None:
+        c, rim_x, rim_y = start.path_mm, start.rim_x, start.rim_y
+        shapes = [g.shape]
+    else:
+        shapes = level_shapes(g.shape)
+        c, rim_x, rim_y = _flat_start(shapes[0], bench, skim_mm)
+    converged = False
+    for number, shape in enumerate(shapes):
+        if c.shape != shape:
+            c = _prolonged(c, shape, bench)
+            rim_x, rim_y = _stretched(rim_x, shape[0]), _stretched(rim_y, shape[1])
+        finest = number == len(shapes) - 1
+        c, rim_x, rim_y, record = _solve_level(
+            box_averaged(g, shape), c, rim_x, rim_y, bench, skim_mm, tolerance, most_iterations if finest else 60
+        )
+        records.append(record)
+        converged = record.rms <= tolerance
+        if on_progress is not None:
+            on_progress(4.0 ** (number + 1 - len(shapes)))
+    return OpticalPath(
+        bench=bench, path_mm=c, rim_x=rim_x, rim_y=rim_y, levels=tuple(records), converged=converged
+    )
+
+
+def _solve_level(
+    g: Array, c: Array, rim_x: Array, rim_y: Array, bench: Bench, skim_mm: float, tolerance: float, most: int
+) -> tuple[Array, Array, Array, LevelRecord]:
+    level, memory, step = _Level(g, bench), _Anderson(), 1.0
+    best, best_rms, stale, rms = c, math.inf, 0, math.inf
+    iteration = 0
+    for iteration in range(most + 1):
+        r, rms, top = level.evaluate(c, rim_x, rim_y)
+        if not math.isfinite(rms):
+            if best_rms == math.inf:
+                _raise_total_reflection(g, bench)
+            rms = math.inf
+        if rms < 0.98 * best_rms:
+            stale = 0
+        else:
+            stale += 1
+        if rms < best_rms:
+            best, best_rms = c, rms
+        settled = abs(top + skim_mm) < 1e-3
+        if (rms <= tolerance and settled) or iteration == most or stale > 60:
+            break
+        if rms > _BLOW_UP * best_rms:
+            step *= 0.5
+            memory = _Anderson()
+            c = best
+            r, rms, top = level.evaluate(c, rim_x, rim_y)
+        c = memory.next_iterate(c, r, step * level.preconditioned(r))
+        c += (bench.refractive_index - 1) * (-skim_mm - top)  # piston: the highest point stays skim_mm under Z0
+        rim_x, rim_y = rim_slopes(c, bench, rim_x, rim_y)
+    return best, rim_x, rim_y, LevelRecord(pixels=g.shape[1], iterations=iteration, rms=best_rms)
+
+
+def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Grid shapes from about 32 pixels along the longer side to the full one, doubling."""
+    ny, nx = shape
+    shapes = [(ny, nx)]
+    while max(shapes[0]) > 1.5 * _COARSEST and min(shapes[0]) >= 8:
+        shapes.insert(0, (-(-shapes[0][0] // 2), -(-shapes[0][1] // 2)))
+    return shapes
+
+
+def box_averaged(values: Array, shape: tuple[int, int]) -> Array:
+    """Exact means of a piecewise constant grid over a coarser one's cells (any ratio)."""
+    for axis, n in enumerate(shape):
+        if values.shape[axis] == n:
+            continue
+        total = np.insert(np.cumsum(values, axis=axis), 0, 0.0, axis=axis)
+        edges = np.linspace(0, values.shape[axis], n + 1)
+        low = np.minimum(edges.astype(int), values.shape[axis] - 1)
+        part = np.expand_dims(edges - low, tuple(a for a in range(values.ndim) if a != axis))
+        at = np.take(total, low, axis=axis) * (1 - part) + np.take(total, low + 1, axis=axis) * part
+        values = np.diff(at, axis=axis) * (n / values.shape[axis])
+    return values
+
+
+def _flat_start(shape: tuple[int, int], bench: Bench, skim_mm: float) -> tuple[Array, Array, Array]:
+    ny, nx = shape
+    qx, qy = bench.pixel_centres_mm(nx, ny)
+    flat = bench.throw_mm - (bench.refractive_index - 1) * skim_mm
+    c = flat + bench.base_path_mm(qx[None, :], qy[:, None])
+    rim_x, rim_y = np.zeros((2, ny)), np.zeros((2, nx))
+    return c, *rim_slopes(c, bench, rim_x, rim_y)
+
+
+def _prolonged(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
+    """c on a finer grid: base exactly, the rest by cubic interpolation with mirror images beyond the frame."""
+    qx, qy = bench.pixel_centres_mm(c.shape[1], c.shape[0])
+    delta = c - bench.base_path_mm(qx[None, :], qy[:, None])
+    rows = (np.arange(shape[0]) + 0.5) * c.shape[0] / shape[0] - 0.5
+    columns = (np.arange(shape[1]) + 0.5) * c.shape[1] / shape[1] - 0.5
+    fine = map_coordinates(delta, np.meshgrid(rows, columns, indexing="ij"), order=3, mode="reflect")
+    qx, qy = bench.pixel_centres_mm(shape[1], shape[0])
+    return np.asarray(fine + bench.base_path_mm(qx[None, :], qy[:, None]))
+
+
+def _stretched(rim: Array, n: int) -> Array:
+    at = (np.arange(n) + 0.5) * rim.shape[1] / n - 0.5
+    return np.stack([np.interp(at, np.arange(rim.shape[1]), side) for side in rim])
+
+
+def _raise_total_reflection(g: Array, bench: Bench) -> None:
+    """The first iterate is already beyond the critical angle: say which throw would do."""
+    s = bench.screen
+    shift = max(abs(s.width_mm - bench.width_mm), abs(s.height_mm - bench.height_mm)) / 2
+    shift += 0.25 * max(bench.width_mm, bench.height_mm)
+    steepest = math.sqrt(bench.refractive_index**2 - 1)  # tangent of the exit angle at grazing incidence
+    raise TotalReflectionError(
+        throw_mm=bench.throw_mm, shift_mm=shift, shortest_throw_mm=2 * shift / steepest
+    )
