@@ -41,7 +41,7 @@ def add_edge(acc: Array, xa: float, ya: float, xb: float, yb: float, density: fl
 
     acc (ny, nx + 1) holds row-wise differences; a cumulative sum along x makes pixels of it. Coordinates in pixels.
     """
-    if density == 0.0 or ya == yb or not (math.isfinite(density)):
+    if density == 0.0 or abs(yb - ya) < 1e-14 or not math.isfinite(density):
         return
     if math.isnan(xa) or math.isnan(xb):
         return
@@ -216,9 +216,7 @@ def _splat(
                 add_edge(acc, xa, ya, xc, yc, previous_right - over)
                 previous_right = lower
                 upper[c] = over
-            add_edge(
-                acc, below_x[columns], below_y[columns], above_x[columns], above_y[columns], previous_right
-            )
+            add_edge(acc, below_x[columns], below_y[columns], above_x[columns], above_y[columns], previous_right)
         first = False
         below_x, above_x = above_x, below_x
         below_y, above_y = above_y, below_y

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from optics.caustic import simulate_caustic
+from optics.closing import closed_to_radius
 from optics.heightfield import Heightfield
 from optics.map_inversion import screen_positions
 from optics.metrics import score_caustic
@@ -19,6 +19,8 @@ from optics.screen import Screen
 from optics.spline import Array
 from optics.transport import OpticalPath, solve_transport
 from optics.transport_map import TransportMap
+
+CLOSING_PER_BALL = 1.5  # the closing lets curvature of 1.5 / radius through, so it closes wider than the ball
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,7 +65,7 @@ class LensSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LensDesign:
-    """A lens and how it came about. `converged` False: `message` says how far it got; the lens is usable all the same."""
+    """A lens and how it came about. Where not `converged`, `message` says how far it got; the lens is usable still."""
 
     heightfield: Heightfield
     transport_map: TransportMap
@@ -101,7 +103,7 @@ def _by_transport(target: Array, settings: LensSettings, report: Progress, start
             throw_mm=settings.throw_mm,
             refractive_index=settings.refractive_index,
             screen=settings.screen,
-            pixels=target.shape,  # type: ignore[arg-type]
+            pixels=target.shape,
             tubes_per_cell=2,
         ).irradiance
         history[-1] |= _scores(caustic, target)
@@ -127,7 +129,11 @@ def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
     y_mm = np.linspace(0.0, settings.height_mm, settings.vertices(ny))
     corners = path.transport_map().lens_mm
     u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
-    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench)
+    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench, path.rim_x, path.rim_y)
+    if settings.min_radius_mm > 0:
+        t = closed_to_radius(
+            t, radius_mm=CLOSING_PER_BALL * settings.min_radius_mm, dx_mm=x_mm[1] - x_mm[0], dy_mm=y_mm[1] - y_mm[0]
+        )
     return Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=t - t.max() - settings.skim_mm)
 
 

@@ -49,9 +49,9 @@ class TriangleMesh:
         """
         return _dual_areas(self.points_mm, self.triangles)
 
-    def vertex_gradients(self, values: Array) -> Array:
-        """(n, 2) gradient of the P1 field `values` (n,), per vertex the area-weighted mean over its triangles."""
-        return _vertex_gradients(self.points_mm, self.triangles, np.ascontiguousarray(values))
+    def vertex_gradients(self, values: Array, weights: Array) -> Array:
+        """(n, 2) gradient of the P1 field `values` (n,): per vertex the mean over its triangles, weighted (m,)."""
+        return _vertex_gradients(self.points_mm, self.triangles, np.ascontiguousarray(values), weights)
 
     def largest_step(self, velocity: Array) -> float:
         """Smallest positive time at which points moving with `velocity` (n, 2) give some triangle zero area.
@@ -84,34 +84,33 @@ def _dual_areas(points: Array, triangles: Triangles) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _vertex_gradients(points: Array, triangles: Triangles, values: Array) -> Array:
-    """Sum of area times gradient over the sum of area; area times gradient = 1/2 sum_k f_k rot90(opposite edge)."""
+def _vertex_gradients(points: Array, triangles: Triangles, values: Array, weights: Array) -> Array:
+    """Per triangle: 2 area grad(f) = sum_k f_k rot90(edge opposite to k)."""
     sums = np.zeros((points.shape[0], 2))
-    areas = np.zeros(points.shape[0])
+    totals = np.zeros(points.shape[0])
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t]
-        gx = 0.5 * (
+        gx = (
             values[a] * (points[b, 1] - points[c, 1])
             + values[b] * (points[c, 1] - points[a, 1])
             + values[c] * (points[a, 1] - points[b, 1])
         )
-        gy = 0.5 * (
+        gy = (
             values[a] * (points[c, 0] - points[b, 0])
             + values[b] * (points[a, 0] - points[c, 0])
             + values[c] * (points[b, 0] - points[a, 0])
         )
-        area = 0.5 * (
-            (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1])
-            - (points[c, 0] - points[a, 0]) * (points[b, 1] - points[a, 1])
+        twice_area = (points[b, 0] - points[a, 0]) * (points[c, 1] - points[a, 1]) - (points[c, 0] - points[a, 0]) * (
+            points[b, 1] - points[a, 1]
         )
         for k in range(3):
             v = triangles[t, k]
-            sums[v, 0] += gx
-            sums[v, 1] += gy
-            areas[v] += area
+            sums[v, 0] += weights[t] * gx / twice_area
+            sums[v, 1] += weights[t] * gy / twice_area
+            totals[v] += weights[t]
     for v in range(points.shape[0]):
-        sums[v, 0] /= areas[v]
-        sums[v, 1] /= areas[v]
+        sums[v, 0] /= totals[v]
+        sums[v, 1] /= totals[v]
     return sums
 
 

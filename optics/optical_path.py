@@ -102,10 +102,11 @@ def _bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, d
 
 @njit(cache=True, nogil=True)
 def preimage_areas(
-    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array, throw: float, index: float, left: float, bottom: float,
+    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
+    throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, across: Array, along: Array, mixed: Array, top: Array,
 ) -> None:  # fmt: skip
-    """What the pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens, in units of the aperture's share of one pixel.
+    """What the pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens; the mean pixel's share is 1.
 
     With p at the midpoints of the pixel's four edges, (pE - pW) x (pN - pS) is the exact area of the quad:
     across[r, k] = x extent of pE - pW, along = y extent of pN - pS, mixed = the product of the other two; area =
@@ -136,9 +137,7 @@ def preimage_areas(
                     - _bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
                     - _bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
                 ) / (4.0 * dy)
-                mid = 0.5 * (
-                    _bordered(c, r, k, rim_x, rim_y, dx, dy) + _bordered(c, r, k - 1, rim_x, rim_y, dx, dy)
-                )
+                mid = 0.5 * (_bordered(c, r, k, rim_x, rim_y, dx, dy) + _bordered(c, r, k - 1, rim_x, rim_y, dx, dy))
             ray, sz = _reach(mid, sx, sy, throw, index)
             highest = max(highest, throw - ray * sz)
             px = left + k * dx - ray * sx
@@ -192,10 +191,11 @@ def preimage_areas(
 
 @njit(cache=True, nogil=True)
 def preimages_of_corners(
-    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array, throw: float, index: float, left: float, bottom: float,
+    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
+    throw: float, index: float, left: float, bottom: float,
     dx: float, dy: float, width: float, height: float, px: Array, py: Array,
 ) -> None:  # fmt: skip
-    """Lens points px, py (ny + 1, nx + 1) that light rows row_lo..row_hi - 1 of pixel corners; the frame stays on the frame."""
+    """Lens points px, py (ny + 1, nx + 1) that light corner rows row_lo..row_hi - 1; the frame stays on the frame."""
     ny, nx = c.shape
     for r in range(row_lo, row_hi):
         for k in range(nx + 1):
@@ -236,27 +236,41 @@ def rim_slopes(c: Array, bench: Bench, rim_x: Array, rim_y: Array) -> tuple[Arra
     return out_x, out_y
 
 
-def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Bench) -> Array:
+def _path_spline(c: Array, bench: Bench, rim_x: Array, rim_y: Array) -> BicubicSpline:
+    """delta = c - base through the pixel centres and three ghosts, which continue it by its slope on the frame."""
+    ny, nx = c.shape
+    s, pad = bench.screen, 3
+    dx, dy = s.width_mm / nx, s.height_mm / ny
+    ax, ay = bench.base_curvature_per_mm
+    qx, qy = bench.pixel_centres_mm(nx, ny)
+    ghosts = np.pad(c - bench.base_path_mm(qx[None, :], qy[:, None]), pad, mode="symmetric")
+    ways = 2.0 * np.arange(pad) + 1.0  # from a ghost to its mirror image, in pixels
+    for side, sign in ((0, -1.0), (1, 1.0)):
+        left_right = sign * (np.pad(rim_x[side], pad, mode="edge") - sign * ax * s.width_mm / 2) * dx
+        bottom_top = sign * (np.pad(rim_y[side], pad, mode="edge") - sign * ay * s.height_mm / 2) * dy
+        at = slice(None, pad) if side == 0 else slice(-pad, None)
+        order = ways[::-1] if side == 0 else ways
+        ghosts[:, at] += left_right[:, None] * order[None, :]
+        ghosts[at, :] += order[:, None] * bottom_top[None, :]
+    return BicubicSpline.through(
+        ghosts, x0_mm=s.left_mm + (0.5 - pad) * dx, y0_mm=s.bottom_mm + (0.5 - pad) * dy, dx_mm=dx, dy_mm=dy
+    )
+
+
+def heights_mm(
+    c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Bench, rim_x: Array, rim_y: Array
+) -> Array:
     """Heights t of the surface at the lens points (x_mm[i], y_mm[j]) that light the screen at grid indices u, v.
 
-    c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
-    From (c - n t)^2 = |q - p|^2 + (H - t)^2:
+    c (ny, nx) at the pixel centres, rim_x (2, ny) and rim_y (2, nx) its normal slopes on the frame; u, v (my, mx)
+    fractional indices of pixel corners. From (c - n t)^2 = |q - p|^2 + (H - t)^2:
         t = (b - sqrt(b^2 - (n^2 - 1)(c^2 - |q - p|^2 - H^2))) / (n^2 - 1),   b = n c - H
     t is stationary in q, so the error of q enters squared.
     """
     ny, nx = c.shape
     s, n, throw = bench.screen, bench.refractive_index, bench.throw_mm
     dx, dy = s.width_mm / nx, s.height_mm / ny
-    qx_c, qy_c = bench.pixel_centres_mm(nx, ny)
-    delta = c - bench.base_path_mm(qx_c[None, :], qy_c[:, None])
-    pad = 3  # mirror images beyond the frame: the normal derivative is zero there
-    spline = BicubicSpline.through(
-        np.pad(delta, pad, mode="symmetric"),
-        x0_mm=s.left_mm + (0.5 - pad) * dx,
-        y0_mm=s.bottom_mm + (0.5 - pad) * dy,
-        dx_mm=dx,
-        dy_mm=dy,
-    )
+    spline = _path_spline(c, bench, rim_x, rim_y)
     t = np.empty_like(u)
     for rows in np.array_split(np.arange(u.shape[0]), max(1, u.shape[0] // 128)):  # bounds the temporaries
         qx, qy = s.left_mm + u[rows] * dx, s.bottom_mm + v[rows] * dy

@@ -53,7 +53,7 @@ def _weights(f: float) -> tuple[float, float, float, float]:
 def spline_jet(
     coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: float, y: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Value and derivatives (z, zx, zy, zxx, zxy, zyy) at (x, y); beyond the grid the outermost cell's cubic goes on."""
+    """Value and derivatives (z, zx, zy, zxx, zxy, zyy) at (x, y); beyond the grid the last cell's cubic goes on."""
     ny, nx = coefs.shape
     u = (x - x0) * inv_dx
     v = (y - y0) * inv_dy
@@ -95,9 +95,7 @@ def spline_jet(
 
 
 @njit(cache=True, nogil=True)
-def _jets(
-    coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array
-) -> None:
+def _jets(coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array) -> None:
     for k in range(x.size):
         jet = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k])
         for d in range(6):

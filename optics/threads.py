@@ -9,6 +9,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 _MOST_THREADS = 8
@@ -30,5 +31,5 @@ def over_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[An
     bounds = [rows * s // strips for s in range(strips + 1)]
     if strips == 1:
         return [kernel(0, rows, *arguments)]
-    futures = [_pool().submit(kernel, lo, hi, *arguments) for lo, hi in zip(bounds, bounds[1:], strict=False)]
+    futures = [_pool().submit(kernel, lo, hi, *arguments) for lo, hi in pairwise(bounds)]
     return [future.result() for future in futures]

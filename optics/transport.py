@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -28,6 +28,8 @@ from optics.transport_map import TransportMap
 
 _COARSEST = 32
 _ANDERSON_DEPTH = 8
+_PISTON_WEIGHT = 3.0  # of the highest point's distance from the skim, in throws, beside the rms residual
+_STALE = 60  # iterations without 2 % of progress: stopped
 _BLOW_UP = 2.0  # a residual this many times the best: restart
 
 
@@ -98,9 +100,7 @@ class _Level:
     def evaluate(self, c: Array, rim_x: Array, rim_y: Array) -> tuple[Array, float, float]:
         """(residual with its mean removed, its rms, greatest height met)."""
         rows = c.shape[0]
-        over_rows(
-            preimage_areas, rows, c, rim_x, rim_y, *self.arguments, self.across, self.along, self.mixed, self.top
-        )
+        over_rows(preimage_areas, rows, c, rim_x, rim_y, *self.arguments, self.across, self.along, self.mixed, self.top)
         over_rows(_monotone_residual, rows, self.across, self.along, self.mixed, self.target, self.residual)
         r = self.residual - self.residual.mean()
         return r, math.sqrt(float(np.mean(r * r))), float(self.top.max())
@@ -163,54 +163,55 @@ def solve_transport(
     else:
         shapes = level_shapes(g.shape)
         c, rim_x, rim_y = _flat_start(shapes[0], bench, skim_mm)
-    converged = False
+    converged = reflected = False
     for number, shape in enumerate(shapes):
         if c.shape != shape:
             c = _prolonged(c, shape, bench)
             rim_x, rim_y = _stretched(rim_x, shape[0]), _stretched(rim_y, shape[1])
         finest = number == len(shapes) - 1
-        c, rim_x, rim_y, record = _solve_level(
+        c, rim_x, rim_y, record, met_reflection = _solve_level(
             box_averaged(g, shape), c, rim_x, rim_y, bench, skim_mm, tolerance, most_iterations if finest else 60
         )
         records.append(record)
         converged = record.rms <= tolerance
+        reflected |= met_reflection
         if on_progress is not None:
             on_progress(4.0 ** (number + 1 - len(shapes)))
-    return OpticalPath(
-        bench=bench, path_mm=c, rim_x=rim_x, rim_y=rim_y, levels=tuple(records), converged=converged
-    )
+    if reflected and not converged:
+        _refuse_too_short_throw(g, bench)
+    return OpticalPath(bench=bench, path_mm=c, rim_x=rim_x, rim_y=rim_y, levels=tuple(records), converged=converged)
 
 
 def _solve_level(
     g: Array, c: Array, rim_x: Array, rim_y: Array, bench: Bench, skim_mm: float, tolerance: float, most: int
-) -> tuple[Array, Array, Array, LevelRecord]:
+) -> tuple[Array, Array, Array, LevelRecord, bool]:
+    """Iterate one level; the last value says whether an iterate sent light beyond the critical angle."""
     level, memory, step = _Level(g, bench), _Anderson(), 1.0
-    best, best_rms, stale, rms = c, math.inf, 0, math.inf
-    iteration = 0
+    reflected = False
+    best, best_rim_x, best_rim_y, best_rms = c, rim_x, rim_y, math.inf
+    best_merit, stale, iteration = math.inf, 0, 0
     for iteration in range(most + 1):
         r, rms, top = level.evaluate(c, rim_x, rim_y)
-        if not math.isfinite(rms):
-            if best_rms == math.inf:
-                _raise_total_reflection(g, bench)
-            rms = math.inf
-        if rms < 0.98 * best_rms:
-            stale = 0
-        else:
-            stale += 1
-        if rms < best_rms:
-            best, best_rms = c, rms
-        settled = abs(top + skim_mm) < 1e-3
-        if (rms <= tolerance and settled) or iteration == most or stale > 60:
+        merit = rms + _PISTON_WEIGHT * abs(top + skim_mm) / bench.throw_mm
+        if not math.isfinite(merit):
+            reflected, merit = True, math.inf
+            if best_merit == math.inf:
+                break
+        stale = 0 if merit < 0.98 * best_merit else stale + 1
+        if merit < best_merit:
+            best, best_rim_x, best_rim_y, best_rms, best_merit = c, rim_x, rim_y, rms, merit
+        if merit <= tolerance or iteration == most or stale > _STALE:
             break
-        if rms > _BLOW_UP * best_rms:
+        if merit > _BLOW_UP * best_merit:
             step *= 0.5
             memory = _Anderson()
-            c = best
+            c, rim_x, rim_y = best, best_rim_x, best_rim_y
             r, rms, top = level.evaluate(c, rim_x, rim_y)
         c = memory.next_iterate(c, r, step * level.preconditioned(r))
         c += (bench.refractive_index - 1) * (-skim_mm - top)  # piston: the highest point stays skim_mm under Z0
         rim_x, rim_y = rim_slopes(c, bench, rim_x, rim_y)
-    return best, rim_x, rim_y, LevelRecord(pixels=g.shape[1], iterations=iteration, rms=best_rms)
+    record = LevelRecord(pixels=g.shape[1], iterations=iteration, rms=best_rms)
+    return best, best_rim_x, best_rim_y, record, reflected
 
 
 def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -261,12 +262,18 @@ def _stretched(rim: Array, n: int) -> Array:
     return np.stack([np.interp(at, np.arange(rim.shape[1]), side) for side in rim])
 
 
-def _raise_total_reflection(g: Array, bench: Bench) -> None:
-    """The first iterate is already beyond the critical angle: say which throw would do."""
-    s = bench.screen
-    shift = max(abs(s.width_mm - bench.width_mm), abs(s.height_mm - bench.height_mm)) / 2
-    shift += 0.25 * max(bench.width_mm, bench.height_mm)
-    steepest = math.sqrt(bench.refractive_index**2 - 1)  # tangent of the exit angle at grazing incidence
-    raise TotalReflectionError(
-        throw_mm=bench.throw_mm, shift_mm=shift, shortest_throw_mm=2 * shift / steepest
-    )
+def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
+    """Raise TotalReflectionError if the way the light must go sideways is what stopped the solution.
+
+    How far it must go hardly depends on the throw, so a coarse solution for a far screen tells it.
+    """
+    far = replace(bench, throw_mm=20 * max(bench.width_mm, bench.height_mm, bench.throw_mm))
+    coarse = box_averaged(g, level_shapes(g.shape)[0])
+    solution = solve_transport(coarse, far, skim_mm=0.0, tolerance=1e-2)
+    moved = solution.transport_map()
+    shift_mm = float(np.linalg.norm(moved.screen_mm - moved.lens_mm, axis=-1).max())
+    steepest = math.sqrt(bench.refractive_index**2 - 1)  # tangent of the exit angle where cos = 1 / n
+    if shift_mm > 0.6 * steepest * bench.throw_mm:
+        raise TotalReflectionError(
+            throw_mm=bench.throw_mm, shift_mm=shift_mm, shortest_throw_mm=shift_mm / (0.6 * steepest)
+        )

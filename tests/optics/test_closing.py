@@ -1,0 +1,41 @@
+"""Closing for a cutter: only valleys are filled, and none stays tighter than asked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from optics.closing import closed_to_radius
+
+D = 0.1
+
+
+def closed(z: np.ndarray, radius: float) -> np.ndarray:
+    return closed_to_radius(z, radius_mm=radius, dx_mm=D, dy_mm=D)
+
+
+@given(seed=st.integers(0, 2**32 - 1), radius=st.floats(0.3, 3.0))
+def test_fills_only_valleys_and_only_once(seed: int, radius: float) -> None:
+    z = np.random.default_rng(seed).random((24, 31))
+    filled = closed(z, radius)
+    assert (filled >= z - 1e-12).all()
+    assert filled.max() == pytest.approx(z.max(), abs=1e-12)
+    np.testing.assert_allclose(closed(filled, radius), filled, atol=3 * D**2 / (4 * radius))
+
+
+def test_bowl_the_cutter_fits_is_left_alone() -> None:
+    y, x = np.mgrid[-30:31, -30:31] * D
+    bowl = (x**2 + y**2) / (2 * 2.0)
+    np.testing.assert_allclose(closed(bowl, 1.5)[5:-5, 5:-5], bowl[5:-5, 5:-5], atol=D**2 / 1.5)  # the grid's error
+
+
+def test_sharp_valley_gets_the_asked_radius() -> None:
+    """A V of slope 1 becomes a parabola of curvature 1 / r at its bottom."""
+    x = np.arange(-40, 41) * D
+    v = np.tile(np.abs(x), (81, 1))
+    bottom = closed(v, 1.0)[40]
+    curvature = np.diff(bottom, 2) / D**2
+    assert curvature.max() < 1.15  # 1 / r, and a little where it meets the slopes
+    assert bottom[40] == pytest.approx(0.5, abs=0.01)  # r / 2 above the crease

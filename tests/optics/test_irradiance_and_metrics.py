@@ -1,0 +1,58 @@
+"""Targets and scores."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from optics.errors import TargetError
+from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.metrics import score_caustic
+
+
+@pytest.mark.parametrize("viewed_from", ["lens", "behind"])
+def test_target_is_the_picture_with_mean_one(viewed_from: str) -> None:
+    picture = np.arange(12.0).reshape(3, 4)
+    target = target_irradiance(picture, viewed_from=viewed_from)  # type: ignore[arg-type]
+    assert target.mean() == pytest.approx(1.0)
+    back = picture_from_irradiance(target, viewed_from=viewed_from)  # type: ignore[arg-type]
+    np.testing.assert_allclose(back * picture.mean(), picture)
+
+
+def test_flips_by_hand() -> None:
+    """Row 0 of the picture is the top: the highest Y. From the lens's side +X is to the left."""
+    picture = np.array([[1.0, 0.0], [0.0, 0.0]])  # upper left
+    behind = target_irradiance(picture, viewed_from="behind")
+    assert behind[1, 0] == 4
+    lens = target_irradiance(picture, viewed_from="lens")
+    assert lens[1, 1] == 4
+
+
+@pytest.mark.parametrize(
+    ("picture", "words"),
+    [
+        (np.zeros((4, 4)), "black everywhere"),
+        (np.array([[1.0, -1.0], [1.0, 1.0]]), "not negative"),
+        (np.array([[1.0, np.nan], [1.0, 1.0]]), "finite"),
+        (np.ones((1, 5)), "at least 2 x 2"),
+    ],
+)
+def test_impossible_targets_are_refused(picture: np.ndarray, words: str) -> None:
+    with pytest.raises(TargetError, match=words):
+        target_irradiance(picture, viewed_from="lens")
+
+
+def test_scores_of_known_errors() -> None:
+    target = np.ones((32, 32))
+    target[:16] = 0.0
+    target /= target.mean()
+    same = score_caustic(target, target)
+    assert same.ssim == pytest.approx(1.0)
+    assert same.misplaced_light == 0
+    leaky = target.copy()
+    leaky[:16] += 0.1  # 5 % of the light moved from the bright half into the dark one
+    leaky[16:] -= 0.1
+    score = score_caustic(leaky, target)
+    assert score.misplaced_light == pytest.approx(0.05)
+    assert score.dark_leak == pytest.approx(0.05)
+    assert score.psnr_db == pytest.approx(10 * np.log10(4 / 0.01))

@@ -1,0 +1,163 @@
+"""The transport map and its lens: each pixel gets its share, nothing folds, and symmetry is kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from optics.caustic import simulate_caustic
+from optics.design import LensSettings, design_lens
+from optics.errors import TotalReflectionError
+from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.metrics import CausticScore, score_caustic
+from optics.transport import box_averaged, level_shapes, solve_transport
+
+
+def scored(target: np.ndarray, settings: LensSettings) -> CausticScore:
+    lens = design_lens(target, settings).heightfield
+    caustic = simulate_caustic(
+        lens,
+        throw_mm=settings.throw_mm,
+        refractive_index=settings.refractive_index,
+        screen=settings.screen,
+        pixels=target.shape,
+    )
+    return score_caustic(caustic.irradiance, target)
+
+
+def test_even_light_needs_a_flat_lens(settings: LensSettings) -> None:
+    lens = design_lens(np.ones((32, 32)), settings)
+    np.testing.assert_allclose(lens.heightfield.z_mm, -settings.skim_mm, atol=1e-9)
+    np.testing.assert_allclose(lens.transport_map.lens_mm, lens.transport_map.screen_mm, atol=1e-9)
+
+
+def test_each_pixel_collects_its_share(settings: LensSettings, soft_picture: np.ndarray) -> None:
+    target = target_irradiance(soft_picture, viewed_from="lens")
+    solution = solve_transport(target, settings.bench, skim_mm=0.1, tolerance=1e-4)
+    assert solution.converged
+    areas = solution.transport_map().collected_areas_mm2() / (400 / target.size)
+    assert areas.min() > 0  # no quad turned over
+    assert areas.mean() == pytest.approx(1.0, abs=1e-12)  # the frame stays on the frame
+    # corner quads see a wider stencil than the solver's midpoint quads: second-order difference on 48 pixels
+    np.testing.assert_allclose(areas, target, rtol=0.08)
+
+
+def test_picture_appears(settings: LensSettings, soft_picture: np.ndarray) -> None:
+    """The light through the exact surface is the target, and corrections bring it closer."""
+    soft = scored(target_irradiance(soft_picture, viewed_from="lens"), replace(settings, corrections=0))
+    assert soft.psnr_db > 55
+    edged = soft_picture.copy()
+    edged[20:40, 5:20] *= 2.5
+    target = target_irradiance(edged, viewed_from="lens")
+    once = scored(target, replace(settings, corrections=0))
+    corrected = scored(target, replace(settings, corrections=2))
+    assert once.psnr_db > 30
+    assert corrected.psnr_db > once.psnr_db + 2
+    assert corrected.misplaced_light < 0.005
+
+
+@pytest.mark.parametrize("viewed_from", ["lens", "behind"])
+def test_viewer_sees_the_picture_the_right_way_round(
+    settings: LensSettings, soft_picture: np.ndarray, viewed_from: str
+) -> None:
+    """The bright blob is upper left in the picture; by hand: +Y is up, and from the lens's side +X is to the left."""
+    target = target_irradiance(soft_picture, viewed_from=viewed_from)  # type: ignore[arg-type]
+    lens = design_lens(target, settings).heightfield
+    light = simulate_caustic(
+        lens, throw_mm=40, refractive_index=1.49, screen=settings.screen, pixels=target.shape
+    ).irradiance
+    row, column = np.unravel_index(light.argmax(), light.shape)
+    assert row > 30  # high Y
+    assert (column > 30) if viewed_from == "lens" else (column < 18)
+    seen = picture_from_irradiance(light, viewed_from=viewed_from)  # type: ignore[arg-type]
+    assert np.corrcoef(seen.ravel(), soft_picture.ravel())[0, 1] > 0.999
+
+
+def test_light_converges_where_the_picture_is_bright(settings: LensSettings, soft_picture: np.ndarray) -> None:
+    """Under the bright blob the lens bulges toward the screen (positive lens), it is not its negative."""
+    target = target_irradiance(soft_picture, viewed_from="behind")
+    lens = design_lens(target, settings).heightfield
+    spline = lens.spline()
+    bright = spline.jets(5.0, 16.0)
+    assert bright[3] + bright[5] < 0
+
+
+def test_turning_the_picture_turns_the_lens(settings: LensSettings, soft_picture: np.ndarray) -> None:
+    target = target_irradiance(soft_picture, viewed_from="lens")
+    lens = design_lens(target, settings).heightfield.z_mm
+    turned = design_lens(np.rot90(target).copy(), settings).heightfield.z_mm
+    np.testing.assert_allclose(turned, np.rot90(lens), atol=5e-4 * np.ptp(lens))
+
+
+def test_black_areas_converge_without_a_floor(settings: LensSettings) -> None:
+    picture = np.zeros((64, 64))
+    picture[10:30, 12:50] = 1.0
+    picture[40:56, 20:36] = 0.7
+    target = target_irradiance(picture, viewed_from="lens")
+    design = design_lens(target, settings)
+    assert design.converged, design.message
+    assert scored(target, settings).misplaced_light < 0.06  # 64 pixels: edges are a good part of it
+
+
+def test_other_screen_sizes_and_shapes(settings: LensSettings, soft_picture: np.ndarray) -> None:
+    """A 20 x 10 mm lens onto a 30 x 15 mm screen: the frame lands on the frame."""
+    target = target_irradiance(soft_picture[:24], viewed_from="lens")
+    wide = replace(settings, height_mm=10.0, screen_width_mm=30.0, screen_height_mm=15.0)
+    score = scored(target, wide)
+    assert score.psnr_db > 38
+    assert score.misplaced_light < 0.005
+
+
+@hypothesis_settings(deadline=None, max_examples=15)
+@given(seed=st.integers(0, 2**32 - 1), contrast=st.floats(1.0, 300.0), shape=st.sampled_from([(24, 24), (16, 37)]))
+def test_random_pictures_never_fold_or_fail(seed: int, contrast: float, shape: tuple[int, int]) -> None:
+    """Whatever the picture, the lens is finite, at or under the skim, and its light is all accounted for."""
+    rng = np.random.default_rng(seed)
+    target = target_irradiance(contrast ** rng.random(shape), viewed_from="lens")
+    task = LensSettings(
+        width_mm=20.0,
+        height_mm=20.0 * shape[0] / shape[1],
+        throw_mm=60.0,
+        refractive_index=1.49,
+        screen_width_mm=20.0,
+        screen_height_mm=20.0 * shape[0] / shape[1],
+        skim_mm=0.2,
+        corrections=1,
+    )
+    design = design_lens(target, task)
+    z = design.heightfield.z_mm
+    assert np.isfinite(z).all()
+    assert z.max() == pytest.approx(-0.2, abs=1e-12)
+    assert design.message
+
+
+def test_throw_too_short_names_the_shortest(settings: LensSettings) -> None:
+    picture = np.full((32, 32), 0.01)
+    picture[4:12, 4:12] = 1.0
+    with pytest.raises(TotalReflectionError, match="throw_mm = 3") as caught:
+        design_lens(target_irradiance(picture, viewed_from="lens"), replace(settings, throw_mm=3.0))
+    longer = replace(settings, throw_mm=1.2 * caught.value.shortest_throw_mm)
+    assert design_lens(target_irradiance(picture, viewed_from="lens"), longer).converged
+
+
+def test_a_picture_with_one_dot_says_how_far_it_got(settings: LensSettings) -> None:
+    picture = np.zeros((64, 64))
+    picture[20, 30] = picture[50, 40] = 1.0
+    design = design_lens(target_irradiance(picture, viewed_from="lens"), settings)
+    assert np.isfinite(design.heightfield.z_mm).all()
+    assert "rms" in design.message
+
+
+def test_light_is_kept_between_levels() -> None:
+    values = np.random.default_rng(0).random((48, 37))
+    for shape in level_shapes((300, 37)):
+        assert shape[0] >= 8
+    coarse = box_averaged(values, (24, 10))
+    assert coarse.mean() == pytest.approx(values.mean(), abs=1e-14)
+    np.testing.assert_allclose(coarse[:, 0], values[:, :3].reshape(24, 2, 3).mean(1) @ [1, 1, 1] / 3.7
+                               + values[:, 3].reshape(24, 2).mean(1) * 0.7 / 3.7)  # fmt: skip
