@@ -49,6 +49,13 @@ class TriangleMesh:
         """
         return _dual_areas(self.points_mm, self.triangles)
 
+    def triangle_gradients(self, values: Array) -> Array:
+        """(m, 2) gradient of the P1 field `values` (n,) in each triangle."""
+        corners, f = self.points_mm[self.triangles], values[self.triangles]
+        opposite = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]  # edge opposite to each corner, counter-clockwise
+        turned = np.stack([-opposite[..., 1], opposite[..., 0]], axis=-1)
+        return np.asarray((f[..., None] * turned).sum(axis=1) / (2.0 * self.areas())[:, None])
+
     def vertex_gradients(self, values: Array, weights: Array) -> Array:
         """(n, 2) gradient of the P1 field `values` (n,): per vertex the mean over its triangles, weighted (m,)."""
         return _vertex_gradients(self.points_mm, self.triangles, np.ascontiguousarray(values), weights)

@@ -77,7 +77,7 @@ def test_45_degree_prism_reflects_everything(screen: Screen) -> None:
     assert caustic.irradiance.sum() == 0
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 2**32 - 1), tubes=st.integers(1, 4), strength=st.floats(0.0, 3.0))
 def test_no_light_is_lost_or_made(seed: int, tubes: int, strength: float) -> None:
     """Folded, focused or not: what does not leave through the frame or is reflected arrives, to rounding."""

@@ -113,7 +113,7 @@ def test_other_screen_sizes_and_shapes(settings: LensSettings, soft_picture: np.
     assert score.misplaced_light < 0.005
 
 
-@hypothesis_settings(deadline=None, max_examples=15)
+@hypothesis_settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), contrast=st.floats(1.0, 300.0), shape=st.sampled_from([(24, 24), (16, 37)]))
 def test_random_pictures_never_fold_or_fail(seed: int, contrast: float, shape: tuple[int, int]) -> None:
     """Whatever the picture, the lens is finite, at or under the skim, and its light is all accounted for."""

@@ -1,0 +1,167 @@
+"""The paper's surface (section 3.2): heights from the mapping, by Poisson's equation on the moved mesh (Eqs. 5-9).
+
+The gradient that sends the light of p to q depends on the height (Eqs. 8-9), so heights and gradients take turns until
+the heights stand still. The weak form is  int grad(h) . grad(v) = int N . grad(v):  its natural boundary is
+dh/dn = N . n. Where N has curl no surface has that gradient, and this one comes nearest in the mean square.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from optics.errors import TotalReflectionError
+from optics.flow import FlowSettings, PaperFlow, solve_paper_map
+from optics.heightfield import Heightfield
+from optics.mesh import TriangleMesh
+from optics.mesh_location import SmoothGridMap, spline_over
+from optics.poisson import NeumannPoisson, divergence_load
+from optics.refraction import slope_for_shift
+from optics.spline import Array
+
+Progress = Callable[[str, float], None]
+
+_MOST_SWEEPS = 30
+_STILL_MM = 1e-6
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PaperSurface:
+    """Heights on the moved vertices, highest at -skim_mm: h_mm (ny, nx)."""
+
+    h_mm: Array
+    converged: bool
+    changes_mm: tuple[float, ...]  # largest change of a height in each sweep
+    misfit_rms: float  # rms over the lens of |grad h - N|: what the curl of N leaves
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PaperLens:
+    """The lens of the paper's method with the record of its two stages."""
+
+    heightfield: Heightfield
+    flow: PaperFlow
+    surface: PaperSurface
+    screen_mm: Array  # (ny + 1, nx + 1, 2) corners of the screen's pixels
+    lens_mm: Array  # (ny + 1, nx + 1, 2) where on the lens their light comes from
+
+    @property
+    def converged(self) -> bool:
+        return self.flow.converged and self.surface.converged
+
+    @property
+    def message(self) -> str:
+        sweeps = len(self.surface.changes_mm)
+        if self.surface.converged:
+            return f"{self.flow.message} The surface took {sweeps} sweeps."
+        return f"{self.flow.message} The surface still moved {self.surface.changes_mm[-1]:.1e} mm after {sweeps} sweeps."
+
+    def history(self) -> list[dict[str, Any]]:
+        """JSON-able: one dict per flow step, then one for the surface."""
+        surface = {
+            "stage": "surface",
+            "sweeps": len(self.surface.changes_mm),
+            "changes_mm": list(self.surface.changes_mm),
+            "slope_misfit_rms": self.surface.misfit_rms,
+        }
+        return [{"stage": "flow", **step} for step in self.flow.history()] + [surface]
+
+
+def paper_lens(
+    target: Array,
+    *,
+    width_mm: float,
+    height_mm: float,
+    throw_mm: float,
+    refractive_index: float,
+    screen_width_mm: float,
+    screen_height_mm: float,
+    skim_mm: float,
+    vertices_x: int,
+    vertices_y: int,
+    settings: FlowSettings | None = None,
+    on_progress: Progress | None = None,
+) -> PaperLens:
+    """The lens for target (ny, nx), work frame, by the paper's method; the screen is centred on the aperture.
+
+    A screen of another size starts the flow at x = u W / W_screen: the flow runs in lens coordinates all the same.
+    errors : TargetError (see solve_paper_map); TotalReflectionError if some light would not leave the surface
+    """
+    flow = solve_paper_map(target, width_mm=width_mm, height_mm=height_mm, settings=settings, on_progress=on_progress)
+    scale = np.array([screen_width_mm / width_mm, screen_height_mm / height_mm])
+    centre = np.array([width_mm / 2, height_mm / 2])
+
+    def on_screen(points: Array) -> Array:
+        return centre + (points - centre) * scale
+
+    screen = on_screen(np.stack(np.meshgrid(flow.x_mm, flow.y_mm), axis=-1))
+    surface = solve_paper_surface(
+        screen, flow.lens_mm, throw_mm=throw_mm, refractive_index=refractive_index, skim_mm=skim_mm
+    )
+    if on_progress is not None:
+        on_progress("surface", 0.5)
+    heightfield = resampled(flow, surface.h_mm, vertices_x=vertices_x, vertices_y=vertices_y, skim_mm=skim_mm)
+    if on_progress is not None:
+        on_progress("surface", 1.0)
+    corners, lens = flow.corners_mm()
+    return PaperLens(heightfield=heightfield, flow=flow, surface=surface, screen_mm=on_screen(corners), lens_mm=lens)
+
+
+def solve_paper_surface(
+    screen_mm: Array, lens_mm: Array, *, throw_mm: float, refractive_index: float, skim_mm: float
+) -> PaperSurface:
+    """Heights on the vertices lens_mm (ny, nx, 2) that send their light to screen_mm (ny, nx, 2), throw_mm above Z0."""
+    ny, nx = lens_mm.shape[:2]
+    points = np.ascontiguousarray(lens_mm.reshape(-1, 2))
+    shift = screen_mm.reshape(-1, 2) - points
+    mesh = TriangleMesh.structured(np.arange(float(nx)), np.arange(float(ny))).moved(points)
+    _refuse_total_reflection(shift, throw_mm + skim_mm, refractive_index)
+    problem = NeumannPoisson(mesh).factor(mesh)
+
+    h = np.full(points.shape[0], -skim_mm)
+    changes: list[float] = []
+    while len(changes) < _MOST_SWEEPS and (not changes or changes[-1] > _STILL_MM):
+        normal = slope_for_shift(shift, throw_mm - h, refractive_index=refractive_index)
+        values = problem.solve(divergence_load(mesh, normal), guess=h - h.mean(), tolerance=1e-9).values
+        values -= values.max() + skim_mm
+        changes.append(float(np.abs(values - h).max()))
+        h = values
+    normal = slope_for_shift(shift, throw_mm - h, refractive_index=refractive_index)
+    return PaperSurface(
+        h_mm=h.reshape(ny, nx),
+        converged=changes[-1] <= _STILL_MM,
+        changes_mm=tuple(changes),
+        misfit_rms=_slope_misfit(mesh, h, normal),
+    )
+
+
+def resampled(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
+    """Heights from the moved mesh on the lens's regular grid: h(q) as a spline over the screen, read at q(p).
+
+    Reading it in the triangles instead would leave facets: 0.2 um of them at pixel pitch, seen as 10 times the light.
+    """
+    x_mm = np.linspace(flow.x_mm[0], flow.x_mm[-1], vertices_x)
+    y_mm = np.linspace(flow.y_mm[0], flow.y_mm[-1], vertices_y)
+    q = SmoothGridMap(flow.x_mm, flow.y_mm, flow.lens_mm).preimages_mm(x_mm, y_mm)
+    z = spline_over(flow.x_mm, flow.y_mm, h_mm).ev(q[..., 1], q[..., 0])
+    return Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=z - z.max() - skim_mm)
+
+
+def _slope_misfit(mesh: TriangleMesh, h: Array, normal: Array) -> float:
+    areas = mesh.areas()
+    gradients = mesh.triangle_gradients(h)
+    wanted = normal[mesh.triangles].mean(axis=1)
+    return float(np.sqrt(np.dot(areas, ((gradients - wanted) ** 2).sum(axis=1)) / areas.sum()))
+
+
+def _refuse_total_reflection(shift_mm: Array, drop_mm: float, refractive_index: float) -> None:
+    """Light leaves if its way out is within arccos(1 / n) of the way in; the shortest drop is the strictest."""
+    farthest_mm = float(np.sqrt((shift_mm**2).sum(axis=1)).max())
+    shortest_mm = farthest_mm / np.sqrt(refractive_index**2 - 1.0)
+    if drop_mm <= shortest_mm:
+        raise TotalReflectionError(
+            throw_mm=drop_mm, shift_mm=farthest_mm, shortest_throw_mm=float(np.ceil(1.2 * shortest_mm))
+        )
