@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from optics.caustic import simulate_caustic
 from optics.closing import closed_to_radius
+from optics.flow import PaperFlow
 from optics.heightfield import Heightfield
 from optics.map_inversion import screen_positions
 from optics.metrics import score_caustic
 from optics.optical_path import Bench, heights_mm
+from optics.paper_surface import paper_lens
 from optics.screen import Screen
 from optics.spline import Array
 from optics.transport import OpticalPath, solve_transport
@@ -73,7 +75,7 @@ class LensDesign:
     history: list[dict[str, Any]]
     message: str
     seconds: float
-    extras: dict[str, Any] = field(default_factory=dict)
+    flow: PaperFlow | None = None  # the paper's method step by step, where that was the method
 
 
 Progress = Callable[[str, float], None]
@@ -81,14 +83,40 @@ Progress = Callable[[str, float], None]
 
 def design_lens(target: Array, settings: LensSettings, *, on_progress: Progress | None = None) -> LensDesign:
     """The lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method."""
-    started = time.perf_counter()
     report = on_progress or (lambda stage, share: None)
-    if settings.method == "paper":
-        raise NotImplementedError
-    return _by_transport(target, settings, report, started)
+    method = _by_transport if settings.method == "transport" else _by_the_paper
+    return method(target, settings, report)
 
 
-def _by_transport(target: Array, settings: LensSettings, report: Progress, started: float) -> LensDesign:
+def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
+    started = time.perf_counter()
+    ny, nx = target.shape
+    lens = paper_lens(
+        target,
+        width_mm=settings.width_mm,
+        height_mm=settings.height_mm,
+        throw_mm=settings.throw_mm,
+        refractive_index=settings.refractive_index,
+        screen_width_mm=settings.screen_width_mm,
+        screen_height_mm=settings.screen_height_mm,
+        skim_mm=settings.skim_mm,
+        vertices_x=settings.vertices(nx),
+        vertices_y=settings.vertices(ny),
+        on_progress=report,
+    )
+    return LensDesign(
+        heightfield=lens.heightfield,
+        transport_map=TransportMap(screen_mm=lens.screen_mm, lens_mm=lens.lens_mm),
+        converged=lens.converged,
+        history=lens.flow.history(),
+        message=lens.message,
+        seconds=time.perf_counter() - started,
+        flow=lens.flow,
+    )
+
+
+def _by_transport(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
+    started = time.perf_counter()
     report("transport map", 0.0)
     path = solve_transport(
         target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)

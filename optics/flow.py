@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -178,9 +179,9 @@ def solve_paper_map(
 
 def pixel_vertices(pixels: int, length_mm: float) -> Array:
     """One vertex per pixel of a row: on the pixel's centre, but the first and last on the frame."""
-    centres = (np.arange(pixels) + 0.5) * (length_mm / pixels)
+    centres = (np.arange(pixels, dtype=np.float64) + 0.5) * (length_mm / pixels)
     centres[0], centres[-1] = 0.0, length_mm
-    return centres
+    return np.asarray(centres)
 
 
 def held_to_the_frame(velocity: Array, shape: tuple[int, int]) -> Array:
@@ -236,7 +237,7 @@ def _verdict(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple
     if rms <= settings.converged_rms:
         return True, f"The flow converged: {state}."
     recent = steps[-settings.settled_steps - 1 :]
-    gains = [1.0 - b.rms_percent / a.rms_percent for a, b in zip(recent, recent[1:], strict=False)]
+    gains = [1.0 - b.rms_percent / a.rms_percent for a, b in pairwise(recent)]
     full = all(step.dt == 1.0 for step in recent[1:])
     if full and len(gains) == settings.settled_steps and max(gains) < settings.settled_gain:
         return True, f"The flow has settled: {state}; what is left is finer than the mesh can move."
@@ -258,6 +259,6 @@ def _floor_note(lifted: float, floor: float) -> str:
     if lifted == 0.0:
         return ""
     return (
-        f" {100.0 * lifted:.1f} % of the picture is darker than {100.0 * floor:g} % of its mean and was lifted to that: "
-        "this method cannot make black."
+        f" {100.0 * lifted:.1f} % of the picture is darker than {100.0 * floor:g} % of its mean and was lifted "
+        "to that: this method cannot make black."
     )

@@ -15,7 +15,7 @@ Triangles = NDArray[np.int32]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TriangleMesh:
-    """points_mm (n, 2), triangles (m, 3) int32, counter-clockwise. The arrays are kept, not copied: do not write to them."""
+    """points_mm (n, 2), triangles (m, 3) int32, counter-clockwise. The arrays are not copied: do not write to them."""
 
     points_mm: Array
     triangles: Triangles

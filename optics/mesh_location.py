@@ -10,7 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from optics.spline import Array
 
-_NEWTON_STEPS = 3
+_NEWTON_STEPS = 2
 
 
 class SmoothGridMap:
@@ -29,16 +29,17 @@ class SmoothGridMap:
         """(ny, nx, 2) grid coordinates q of the vertices (at_x_mm[i], at_y_mm[j]) of a regular grid.
 
         Starts from the triangle that holds the point (always found: no triangle is flipped, so the triangles map the
-        frame one-to-one). A Newton step counts only where it brings the point nearer and stays within a cell;
-        elsewhere (beside a crease, where the smooth map may fold) the triangle's own answer stands.
+        frame one-to-one). A Newton step, with the Jacobian of the start, counts only where it brings the point nearer
+        and stays within a cell; elsewhere (beside a crease, where the smooth map may fold) the answer before it stands.
         """
         q = located_in_triangles(self._x_mm, self._y_mm, self._moved_mm, at_x_mm, at_y_mm).reshape(-1, 2)
         wanted = np.stack(np.meshgrid(at_x_mm, at_y_mm), axis=-1).reshape(-1, 2)
         low, high = np.array([self._x_mm[0], self._y_mm[0]]), np.array([self._x_mm[-1], self._y_mm[-1]])
         reach = max(np.diff(self._x_mm).max(), np.diff(self._y_mm).max())
         miss = wanted - self.images_mm(q)
+        inverse = self._inverse_jacobians(q)
         for _ in range(_NEWTON_STEPS):
-            step = self._solved(q, miss)
+            step = np.einsum("nij,nj->ni", inverse, miss)
             step *= (np.abs(step).max(axis=1) <= reach)[:, None]
             trial = np.clip(q + step, low, high)
             trial_miss = wanted - self.images_mm(trial)
@@ -50,17 +51,14 @@ class SmoothGridMap:
         """(n, 2) points p of the grid coordinates q (n, 2)."""
         return q + np.stack([self._shift_x.ev(q[:, 1], q[:, 0]), self._shift_y.ev(q[:, 1], q[:, 0])], axis=1)
 
-    def _solved(self, q: Array, miss: Array) -> Array:
-        """Newton's step: the inverse of Dp(q) times miss; zero where Dp turns over."""
+    def _inverse_jacobians(self, q: Array) -> Array:
+        """(n, 2, 2) inverse of dp/dq; zero where the smooth map turns over."""
         y, x = q[:, 1], q[:, 0]
         xx, xy = 1.0 + self._shift_x.ev(y, x, dy=1), self._shift_x.ev(y, x, dx=1)
         yx, yy = self._shift_y.ev(y, x, dy=1), 1.0 + self._shift_y.ev(y, x, dx=1)
         determinant = xx * yy - xy * yx
-        upright = determinant > 0.0
-        inverse = np.divide(1.0, determinant, out=np.zeros_like(determinant), where=upright)
-        return np.stack(
-            [(yy * miss[:, 0] - xy * miss[:, 1]) * inverse, (xx * miss[:, 1] - yx * miss[:, 0]) * inverse], axis=1
-        )
+        inverse = np.divide(1.0, determinant, out=np.zeros_like(determinant), where=determinant > 0.0)
+        return np.stack([yy, -xy, -yx, xx], axis=1).reshape(-1, 2, 2) * inverse[:, None, None]
 
 
 def spline_over(x_mm: Array, y_mm: Array, values: Array) -> RectBivariateSpline:
@@ -93,20 +91,21 @@ def _locate(moved: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, u:
     for r in range(moved.shape[0] - 1):
         for c in range(moved.shape[1] - 1):
             for half in range(2):
+                turn = 1 - 2 * half  # the upper triangle is walked clockwise: a, then the upper left corner, then c
                 ax, ay = (moved[r, c, 0] - x0) * inv_dx, (moved[r, c, 1] - y0) * inv_dy
+                bx = (moved[r + half, c + 1 - half, 0] - x0) * inv_dx
+                by = (moved[r + half, c + 1 - half, 1] - y0) * inv_dy
                 cx, cy = (moved[r + 1, c + 1, 0] - x0) * inv_dx, (moved[r + 1, c + 1, 1] - y0) * inv_dy
-                bx, by = (moved[r + half, c + 1 - half, 0] - x0) * inv_dx, (moved[r + half, c + 1 - half, 1] - y0) * inv_dy
-                double_area = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
                 i_lo = max(int(math.ceil(min(ax, bx, cx) - slack)), 0)
                 i_hi = min(int(math.floor(max(ax, bx, cx) + slack)), nx - 1)
                 j_lo = max(int(math.ceil(min(ay, by, cy) - slack)), 0)
                 j_hi = min(int(math.floor(max(ay, by, cy) + slack)), ny - 1)
                 for j in range(j_lo, j_hi + 1):
                     for i in range(i_lo, i_hi + 1):
-                        wa = (bx - i) * (cy - j) - (cx - i) * (by - j)
-                        wb = (cx - i) * (ay - j) - (ax - i) * (cy - j)
-                        wc = (ax - i) * (by - j) - (bx - i) * (ay - j)
-                        if math.isnan(u[j, i]) and min(wa * (1 - 2 * half), wb * (1 - 2 * half), wc * (1 - 2 * half)) >= -slack:
+                        wa = turn * ((bx - i) * (cy - j) - (cx - i) * (by - j))
+                        wb = turn * ((cx - i) * (ay - j) - (ax - i) * (cy - j))
+                        wc = turn * ((ax - i) * (by - j) - (bx - i) * (ay - j))
+                        if math.isnan(u[j, i]) and min(wa, wb, wc) >= -slack:
                             total = wa + wb + wc
                             u[j, i] = c + (wb * (1 - half) + wc) / total
                             v[j, i] = r + (wb * half + wc) / total

@@ -57,7 +57,9 @@ class PaperLens:
         sweeps = len(self.surface.changes_mm)
         if self.surface.converged:
             return f"{self.flow.message} The surface took {sweeps} sweeps."
-        return f"{self.flow.message} The surface still moved {self.surface.changes_mm[-1]:.1e} mm after {sweeps} sweeps."
+        return (
+            f"{self.flow.message} The surface still moved {self.surface.changes_mm[-1]:.1e} mm after {sweeps} sweeps."
+        )
 
     def history(self) -> list[dict[str, Any]]:
         """JSON-able: one dict per flow step, then one for the surface."""
@@ -118,7 +120,7 @@ def solve_paper_surface(
     points = np.ascontiguousarray(lens_mm.reshape(-1, 2))
     shift = screen_mm.reshape(-1, 2) - points
     mesh = TriangleMesh.structured(np.arange(float(nx)), np.arange(float(ny))).moved(points)
-    _refuse_total_reflection(shift, throw_mm + skim_mm, refractive_index)
+    _refuse_total_reflection(shift, throw_mm, skim_mm, refractive_index)
     problem = NeumannPoisson(mesh).factor(mesh)
 
     h = np.full(points.shape[0], -skim_mm)
@@ -141,7 +143,7 @@ def solve_paper_surface(
 def resampled(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
     """Heights from the moved mesh on the lens's regular grid: h(q) as a spline over the screen, read at q(p).
 
-    Reading it in the triangles instead would leave facets: 0.2 um of them at pixel pitch, seen as 10 times the light.
+    Read in the flat triangles instead, the lens would have facets a pixel wide, and the picture would show them.
     """
     x_mm = np.linspace(flow.x_mm[0], flow.x_mm[-1], vertices_x)
     y_mm = np.linspace(flow.y_mm[0], flow.y_mm[-1], vertices_y)
@@ -157,11 +159,9 @@ def _slope_misfit(mesh: TriangleMesh, h: Array, normal: Array) -> float:
     return float(np.sqrt(np.dot(areas, ((gradients - wanted) ** 2).sum(axis=1)) / areas.sum()))
 
 
-def _refuse_total_reflection(shift_mm: Array, drop_mm: float, refractive_index: float) -> None:
-    """Light leaves if its way out is within arccos(1 / n) of the way in; the shortest drop is the strictest."""
+def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:
+    """Light leaves if its way out is within arccos(1 / n) of the way in; the shortest drop, at -skim, is strictest."""
     farthest_mm = float(np.sqrt((shift_mm**2).sum(axis=1)).max())
     shortest_mm = farthest_mm / np.sqrt(refractive_index**2 - 1.0)
-    if drop_mm <= shortest_mm:
-        raise TotalReflectionError(
-            throw_mm=drop_mm, shift_mm=farthest_mm, shortest_throw_mm=float(np.ceil(1.2 * shortest_mm))
-        )
+    if throw_mm + skim_mm <= shortest_mm:
+        raise TotalReflectionError(throw_mm=throw_mm, shift_mm=farthest_mm, shortest_throw_mm=1.2 * shortest_mm)

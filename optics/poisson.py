@@ -10,16 +10,18 @@ Nothing in it is random: the same mesh and load give the same bits.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 import pyamg
 import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
-from scipy.sparse.linalg import cg
 
 from optics.mesh import TriangleMesh, Triangles
 from optics.spline import Array
+
+_MOST_ITERATIONS = 300
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -64,30 +66,52 @@ class FactoredPoisson:
         # "min": only negative entries count as couplings. A fifth of them are positive on a sheared mesh, and taking
         # their size for strength makes the cycle count grow from 14 to 79.
         strength = ("classical", {"theta": 0.25, "norm": "min"})
-        hierarchy = pyamg.ruge_stuben_solver(stiffness, strength=strength, max_coarse=100)
-        self._cycle = hierarchy.aspreconditioner(cycle="V")
+        self._hierarchy = pyamg.ruge_stuben_solver(stiffness, strength=strength, max_coarse=50)
 
     def solve(self, load: Array, *, guess: Array | None = None, tolerance: float = 1e-6) -> PoissonSolution:
-        """load (n,): its mean is removed (the solvability condition), and the mean of the solution too."""
+        """load (n,): its mean is removed (the solvability condition), and the mean of the solution too.
+
+        Conjugate gradients until |residual| <= tolerance |load|, or 300 iterations: see the solution's residual.
+        """
         balanced = load - load.mean()
-        scale = float(np.linalg.norm(balanced))
-        if scale <= 1e-14 * float(np.abs(load).sum()) or scale == 0.0:
+        target = tolerance * sqrt(_dot(balanced, balanced))
+        values = np.zeros_like(load) if guess is None else guess.copy()
+        residual = balanced - self._stiffness @ values
+        size, iterations = sqrt(_dot(residual, residual)), 0
+        if target <= tolerance * 1e-14 * float(np.abs(load).sum()):  # a constant load: nothing but rounding is left
             return PoissonSolution(values=np.zeros_like(load), iterations=0, residual=0.0)
-        count = 0
+        direction, old_product = np.zeros_like(load), 1.0
+        while size > target and iterations < _MOST_ITERATIONS:
+            smoothed = self._v_cycle(0, residual)
+            product = _dot(residual, smoothed)
+            direction = smoothed + (product / old_product) * direction
+            image = self._stiffness @ direction
+            length = product / _dot(direction, image)
+            values += length * direction
+            residual -= length * image
+            old_product = product
+            size, iterations = sqrt(_dot(residual, residual)), iterations + 1
+        return PoissonSolution(values=values - values.mean(), iterations=iterations, residual=size * tolerance / target)
 
-        def counted(_: Array) -> None:
-            nonlocal count
-            count += 1
+    def _v_cycle(self, depth: int, load: Array) -> Array:
+        """An approximate solution of the problem at this depth; symmetric, as conjugate gradients need."""
+        level = self._hierarchy.levels[depth]
+        if depth == len(self._hierarchy.levels) - 1:
+            return np.asarray(self._hierarchy.coarse_solver(level.A, load))
+        values = np.zeros_like(load)
+        level.presmoother(level.A, values, load)
+        values += level.P @ self._v_cycle(depth + 1, level.R @ (load - level.A @ values))
+        level.postsmoother(level.A, values, load)
+        return values
 
-        values, _ = cg(
-            self._stiffness, balanced, x0=guess, rtol=tolerance, maxiter=300, M=self._cycle, callback=counted
-        )
-        residual = float(np.linalg.norm(balanced - self._stiffness @ values)) / scale
-        return PoissonSolution(values=values - values.mean(), iterations=count, residual=residual)
+
+def _dot(a: Array, b: Array) -> float:
+    """By einsum, which stays on this thread: BLAS wakes others for a few microseconds' work and lets them spin."""
+    return float(np.einsum("i,i", a, b))
 
 
 def divergence_load(mesh: TriangleMesh, field: Array) -> Array:
-    """(n,) integrals of field . grad(v_i): the weak form of -div(field) with the natural condition d(phi)/dn = field . n.
+    """(n,) integrals of field . grad(v_i): the weak form of -div(field), natural condition d(phi)/dn = field . n.
 
     field (n, 2) is P1, so the midpoint of each triangle integrates the product exactly.
     """
@@ -95,7 +119,7 @@ def divergence_load(mesh: TriangleMesh, field: Array) -> Array:
 
 
 def _pattern(triangles: Triangles, vertices: int) -> tuple[sparse.csr_matrix, NDArray[np.int32]]:
-    """The sparsity pattern, and for entry (a, b) of each triangle's 3 x 3 matrix its place in the CSR data (m, 3, 3)."""
+    """The sparsity pattern, and for each entry of the triangles' 3 x 3 matrices its place in the CSR data (m, 3, 3)."""
     rows = np.repeat(triangles[:, :, None], 3, axis=2)
     columns = np.repeat(triangles[:, None, :], 3, axis=1)
     keys, slots = np.unique(rows.astype(np.int64) * vertices + columns, return_inverse=True)
@@ -142,7 +166,5 @@ def _divergence_load(points: Array, triangles: Triangles, field: Array) -> Array
         fy = (field[a, 1] + field[b, 1] + field[c, 1]) / 3.0
         for k in range(3):
             b, c = triangles[t, (k + 1) % 3], triangles[t, (k + 2) % 3]
-            load[triangles[t, k]] += 0.5 * (
-                fx * (points[b, 1] - points[c, 1]) + fy * (points[c, 0] - points[b, 0])
-            )
+            load[triangles[t, k]] += 0.5 * (fx * (points[b, 1] - points[c, 1]) + fy * (points[c, 0] - points[b, 0]))
     return load

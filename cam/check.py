@@ -1,0 +1,294 @@
+"""The check: a written program is read back and cut in the computer; its verdict decides whether it may be used.
+
+Nothing of the generator is used here: text -> moves (cam.gcode) -> stock left (cam.removal) on the whole part and in
+fine windows, contact with the exact surface move by move (cam.clearance), track spacing (cam.coverage), time
+(cam.duration) and the rules for single moves (cam.move_rules).
+Two threads share each batch of moves while the next one is parsed; memory does not grow with the program.
+The shank is taken as no wider than the ball; what stands farther than one radius from the axis is not checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+
+import numpy as np
+
+from cam.clearance import Overlaps, SurfaceWitness
+from cam.coverage import Coverage
+from cam.duration import DurationModel, Kinematics
+from cam.gcode import MoveBatch, read_program
+from cam.move_rules import MoveRules
+from cam.passes import PassSpec, Stock
+from cam.removal import Drops, RemovalGrid, deepest
+from cam.stock_grid import StockGrid
+from cam.stock_left import ExcessFound, StockLeft, Unreached, find_excess
+from cam.windows import Window, place_windows
+from optics.heightfield import Heightfield
+
+GOUGE_ALLOWED_UM = 1.0
+GAP_ALLOWED_PITCHES = 2.0
+Progress = Callable[[float], None]
+Bounds = dict[str, list[float]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WindowResult:
+    """A fine window after the pass: stock above the lens and what is left on purpose [µm], measured along Z."""
+
+    name: str
+    x_mm: float
+    y_mm: float
+    size_mm: float
+    cell_um: float
+    lowest_um: float
+    mean_um: float
+    rms_um: float
+    highest_um: float
+    cusp_theory_um: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PassCheck:
+    """What one program does to the stock. `faults` are sentences; a program without any is `ok`.
+
+    excess_um        : greatest stock above the wanted surface within the ball's reach, regular cusps included
+    excess_ratio     : that, over what pitch, slope and curvature explain at the same place (99.9 % of cells stay below)
+    below_leave_um   : how far the pass cut into the stock it should leave
+    unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
+    stock_top        : what is left, for the next pass
+    """
+
+    faults: tuple[str, ...]
+    notes: tuple[str, ...]
+    lines: int
+    bytes: int
+    moves: int
+    path_length_mm: float
+    time_s: float
+    entries: int
+    max_engagement_mm: float
+    gouge_um: float
+    excess_um: float
+    excess_ratio: float
+    below_leave_um: float
+    max_gap_mm: float
+    bounds: Bounds
+    unreached: tuple[Unreached, ...]
+    unreached_share: float
+    windows: tuple[WindowResult, ...]
+    stock_top: StockGrid
+
+    @property
+    def ok(self) -> bool:
+        return not self.faults
+
+    def as_report(self) -> dict[str, object]:
+        """Plain values for report.json; the file's name and hash are the caller's."""
+        return {
+            "ok": self.ok,
+            "faults": list(self.faults),
+            "notes": list(self.notes),
+            **{
+                name: getattr(self, name)
+                for name in (
+                    *("lines", "bytes", "moves", "path_length_mm", "time_s", "entries", "max_engagement_mm"),
+                    *("gouge_um", "excess_um", "excess_ratio", "below_leave_um", "max_gap_mm", "bounds"),
+                    "unreached_share",
+                )
+            },
+            "unreached": [asdict(place) for place in self.unreached],
+            "windows": [asdict(window) for window in self.windows],
+        }
+
+
+def check_program(
+    chunks: Iterable[bytes],
+    *,
+    heightfield: Heightfield,
+    spec: PassSpec,
+    stock: Stock,
+    stock_top: StockGrid,
+    kinematics: Kinematics,
+    travel_mm: Sequence[float],
+    safe_z_mm: float,
+    total_bytes: int | None = None,
+    on_progress: Progress | None = None,
+) -> PassCheck:
+    """Cut the program into stock_top and judge it. Raises ProgramError where the text itself is not allowed.
+
+    travel_mm   : (3,) what the mill's axes can travel
+    total_bytes : length of the program if known; then on_progress is told the share done
+    """
+    run = _Run(heightfield, spec, stock, stock_top, kinematics, safe_z_mm)
+    with ThreadPoolExecutor(max_workers=2) as pool:
+        waiting: _Pending | None = None
+        for batch in read_program(chunks):
+            if waiting is not None:
+                run.finish(waiting)
+            waiting = run.begin(batch, pool)
+            if on_progress is not None and total_bytes:
+                on_progress(min(1.0, batch.bytes_read / total_bytes))
+        if waiting is not None:
+            run.finish(waiting)
+    return run.verdict(travel_mm)
+
+
+class _Pending:
+    """A batch that is being worked on."""
+
+    def __init__(self, batch: MoveBatch, run: _Run, pool: ThreadPoolExecutor) -> None:
+        self.batch = batch
+        self.overlaps = pool.submit(run.watch, batch)
+        self.drops = [pool.submit(run.whole.sweep, batch, share) for share in range(run.whole.shares)]
+        self.others = [pool.submit(run.duration.add, batch), pool.submit(run.cut_windows, batch)]
+
+
+class _Run:
+    """The state of one check."""
+
+    def __init__(
+        self,
+        heightfield: Heightfield,
+        spec: PassSpec,
+        stock: Stock,
+        before: StockGrid,
+        kinematics: Kinematics,
+        safe_z_mm: float,
+    ) -> None:
+        self.heightfield, self.spec, self.stock, self.before = heightfield, spec, stock, before
+        self.whole = RemovalGrid(before, radius_mm=spec.radius_mm, shares=2)
+        self.places = place_windows(heightfield, spec, before)
+        self.windows = [RemovalGrid(place.stock, radius_mm=spec.radius_mm) for place in self.places]
+        self.witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm)
+        self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
+        self.duration = DurationModel(kinematics)
+        self.rules = MoveRules(
+            heightfield,
+            spec,
+            stock,
+            highest_mm=float(before.top_mm.max()),
+            safe_z_mm=safe_z_mm,
+            gouge_allowed_um=GOUGE_ALLOWED_UM,
+        )
+        # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
+        self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
+
+    def begin(self, batch: MoveBatch, pool: ThreadPoolExecutor) -> _Pending:
+        self.whole.refresh()
+        return _Pending(batch, self, pool)
+
+    def watch(self, batch: MoveBatch) -> Overlaps:
+        overlaps = self.witness.overlaps(batch)
+        self.coverage.add(batch, overlaps.depth_mm > -self._near_mm)
+        return overlaps
+
+    def cut_windows(self, batch: MoveBatch) -> None:
+        for window in self.windows:
+            window.cut(batch)
+
+    def finish(self, pending: _Pending) -> None:
+        drops = deepest([share.result() for share in pending.drops])
+        self.whole.passed(pending.batch)
+        self.rules.judge(pending.batch, drops, pending.overlaps.result(), self.whole)
+        for other in pending.others:
+            other.result()
+
+    def verdict(self, travel_mm: Sequence[float]) -> PassCheck:
+        depth, cell = self.whole.rest()
+        self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole)
+        for window in self.windows:
+            window.rest()
+        after = self.whole.stock()
+        left = StockLeft.of(after, self.heightfield, self.spec)
+        fine = [StockLeft.of(window.stock(), self.heightfield, self.spec) for window in self.windows]
+        excess = find_excess(left, self.heightfield, self.spec)
+        gouge_um = self._gouge_um(left, fine)
+        gap_mm = self._gap(left)
+        self._judge_excess(excess)
+        rules = self.rules
+        rules.judge_bounds(travel_mm)
+        regular = left.in_aperture & ~left.suspicious(self.spec)
+        ratio = left.over_mm[regular] / left.cusp_mm[regular]
+        return PassCheck(
+            faults=tuple(rules.faults),
+            notes=tuple(rules.notes),
+            lines=rules.lines,
+            bytes=rules.bytes,
+            moves=rules.moves,
+            path_length_mm=rules.path_length_mm,
+            time_s=self.duration.seconds,
+            entries=rules.entries,
+            max_engagement_mm=rules.max_engagement_mm,
+            gouge_um=gouge_um,
+            excess_um=excess.excess_um,
+            excess_ratio=float(np.quantile(ratio, 0.999)) if ratio.size else 0.0,
+            below_leave_um=self._below_leave_um(left, fine),
+            max_gap_mm=gap_mm,
+            bounds=rules.bounds,
+            unreached=excess.unreached,
+            unreached_share=excess.unreached_share,
+            windows=tuple(_window_result(p, f) for p, f in zip(self.places, fine, strict=True)),
+            stock_top=after,
+        )
+
+    def _gouge_um(self, left: StockLeft, fine: list[StockLeft]) -> float:
+        """Deepest cut below the lens: by contact, by the whole part's cells, and by the windows' cells."""
+        deepest_mm = self.rules.gouge_mm
+        for grid, result in [(self.whole, left), *zip(self.windows, fine, strict=True)]:
+            touched = grid.cut_by_line > 0
+            over_mm, cell = result.lowest_over_lens(touched)
+            if cell >= 0:
+                self.rules.note_gouge(-over_mm, int(grid.cut_by_line.flat[cell]), grid.place_mm(cell))
+                deepest_mm = max(deepest_mm, -over_mm)
+        return 1000 * max(0.0, deepest_mm)
+
+    def _below_leave_um(self, left: StockLeft, fine: list[StockLeft]) -> float:
+        pairs = [(self.whole, left), *zip(self.windows, fine, strict=True)]
+        lowest_mm = min(result.lowest(grid.cut_by_line > 0)[0] for grid, result in pairs)
+        return 1000 * max(0.0, -lowest_mm)
+
+    def _gap(self, left: StockLeft) -> float:
+        """Widest gap between tracks where there was stock to take off; a fault when it is two pitches or more."""
+        start = StockLeft.of(self.before, self.heightfield, self.spec)
+        with np.errstate(invalid="ignore"):
+            wanted = start.over_mm > 2 * left.cusp_mm + 0.001
+        gap_mm, x_mm, y_mm = self.coverage.widest_gap_mm(wanted)
+        allowed_mm = GAP_ALLOWED_PITCHES * self.spec.pitch_mm
+        if gap_mm > allowed_mm:
+            self.rules.add_fault(
+                f"tracks are {gap_mm:.4g} mm apart at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.4g} mm)"
+            )
+        return gap_mm
+
+    def _judge_excess(self, excess: ExcessFound) -> None:
+        allowed_mm = 0.002 + 0.25 * self.spec.stock_to_leave_mm
+        if excess.uncut_mm > allowed_mm:
+            self.rules.add_fault(
+                f"{1000 * excess.uncut_mm:.1f} µm more than the cusps are left at X{excess.x_mm:.3f} "
+                f"Y{excess.y_mm:.3f} where the ball could reach (allowed {1000 * allowed_mm:.1f} µm)"
+            )
+        if excess.unreached:
+            self.rules.notes.append(
+                f"the ball of radius {self.spec.radius_mm:g} mm cannot reach {100 * excess.unreached_share:.2g} % of "
+                f"the aperture; highest at {excess.unreached[0]}"
+            )
+
+
+def _window_result(place: Window, left: StockLeft) -> WindowResult:
+    over_um = 1000 * left.over_mm[left.in_aperture]
+    grid = left.grid
+    size_mm = grid.top_mm.shape[0] * grid.cell_mm
+    return WindowResult(
+        name=place.name,
+        x_mm=grid.x0_mm + size_mm / 2,
+        y_mm=grid.y0_mm + size_mm / 2,
+        size_mm=size_mm,
+        cell_um=1000 * grid.cell_mm,
+        lowest_um=float(over_um.min()),
+        mean_um=float(over_um.mean()),
+        rms_um=float(np.sqrt(np.mean(over_um**2))),
+        highest_um=float(over_um.max()),
+        cusp_theory_um=1000 * float(np.nanmax(left.cusp_mm)),
+    )

@@ -1,0 +1,131 @@
+"""Ball against design surface, move by move: how far a move cuts below the lens, between the cells as well.
+
+The ball's centre C and the surface point q nearest to it decide: the ball's underside at q is below the surface
+exactly where |C - q| < R. Every point tried is a true witness (stock there is gone after the move), so a search that
+stops early can only find too little, never accuse wrongly; cells (cam.removal) look for the rest without any search.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from cam.gcode import MoveBatch
+from optics.heightfield import Array, Heightfield, spline_jet
+
+_SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
+_CLOSE_MM = 1e-5  # a Newton step this short changes the overlap by its square over R
+_TRIES = 12
+
+
+@njit(cache=True, nogil=True)
+def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, offset):  # type: ignore[no-untyped-def]
+    """Greatest height of the surface over the ball's underside found near tip (cx, cy): (overlap, x, y).
+
+    Newton on (q - C) perpendicular to the surface, from q = tip + offset; offset is updated. Points beyond the
+    aperture are moved to its rim before they count. -inf where the ball reaches no point of the aperture.
+    """
+    best = -math.inf
+    best_x = best_y = math.nan
+    cz = tip + radius
+    x = cx + offset[0]
+    y = cy + offset[1]
+    for _ in range(_TRIES):
+        h, hx, hy, hxx, hxy, hyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)
+        px = min(max(x, 0.0), width)
+        py = min(max(y, 0.0), height)
+        hp = h
+        if px != x or py != y:
+            hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
+        r2 = radius * radius - (px - cx) ** 2 - (py - cy) ** 2
+        if r2 > 0.0:
+            overlap = hp - cz + math.sqrt(r2)
+            if overlap > best:
+                best = overlap
+                best_x = px
+                best_y = py
+        lift = h - cz
+        fx = x - cx + lift * hx
+        fy = y - cy + lift * hy
+        a = 1.0 + hx * hx + lift * hxx
+        b = hx * hy + lift * hxy
+        d = 1.0 + hy * hy + lift * hyy
+        det = a * d - b * b
+        if det > 1e-3 and a > 0.0:
+            sx = -(d * fx - b * fy) / det
+            sy = -(a * fy - b * fx) / det
+        else:  # not a minimum here: go down the distance
+            sx = -0.3 * fx
+            sy = -0.3 * fy
+        step = math.hypot(sx, sy)
+        if step > 0.5 * radius:
+            sx *= 0.5 * radius / step
+            sy *= 0.5 * radius / step
+        x += sx
+        y += sy
+        away = math.hypot(x - cx, y - cy)
+        if away > 0.98 * radius:  # the contact of a ball lies under its own lower half
+            x = cx + (x - cx) * 0.98 * radius / away
+            y = cy + (y - cy) * 0.98 * radius / away
+        if step < _CLOSE_MM:
+            break
+    offset[0] = x - cx
+    offset[1] = y - cy
+    return best, best_x, best_y
+
+
+@njit(cache=True, nogil=True)
+def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, offset, depth, place):  # type: ignore[no-untyped-def] # fmt: skip
+    for k in range(depth.size):
+        depth[k] = -math.inf
+        if rapid[k] or pause[k] >= 0.0:
+            continue
+        dx = points[k + 1, 0] - points[k, 0]
+        dy = points[k + 1, 1] - points[k, 1]
+        dz = points[k + 1, 2] - points[k, 2]
+        pieces = 2 * max(1, int(math.ceil(math.hypot(dx, dy) / (2.0 * _SAMPLE_MM))))
+        for j in range(1, pieces + 1):
+            t = j / pieces
+            x = points[k, 0] + t * dx
+            y = points[k, 1] + t * dy
+            if x < -radius or y < -radius or x > width + radius or y > height + radius:
+                continue
+            tip = points[k, 2] + t * dz
+            found, px, py = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, offset)
+            if found > depth[k]:
+                depth[k] = found
+                place[k, 0] = px
+                place[k, 1] = py
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Overlaps:
+    """Per move: greatest height of the surface above the ball's underside; > 0 gouges, < 0 is clear by that much.
+
+    depth_mm (n,) : -inf for rapids, pauses and moves beyond the aperture
+    place_mm (n, 2)
+    """
+
+    depth_mm: Array
+    place_mm: Array
+
+
+class SurfaceWitness:
+    """Watches one pass against one lens; keeps the last contact as the next start."""
+
+    def __init__(self, heightfield: Heightfield, *, radius_mm: float) -> None:
+        self._surface = heightfield.spline().extended(2 * radius_mm)
+        self._size = heightfield.width_mm, heightfield.height_mm
+        self._radius_mm = radius_mm
+        self._offset = np.zeros(2)
+
+    def overlaps(self, batch: MoveBatch) -> Overlaps:
+        depth, place = np.empty(len(batch)), np.full((len(batch), 2), np.nan)
+        _overlaps(
+            *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
+            *(self._radius_mm, self._offset, depth, place),
+        )
+        return Overlaps(depth_mm=depth, place_mm=place)

@@ -1,0 +1,200 @@
+"""Where a ball rests on the spline: the kernels under `ToolSurface`.
+
+Theory. The ball's centre above (cx, cy) touches the surface at p where p + R N_xy(p) = c, N the unit normal pointing
+up; the centre stands at h(p) + R N_z. Newton solves this in one or two steps from a neighbour's p. Newton is local: if
+f(p) = h(p) + sqrt(R^2 - |p - c|^2) has more than one maximum inside the footprint the ball rests on the highest. f is
+concave, so has one maximum only, where the largest eigenvalue of the Hessian of h stays below 1/R all over the
+footprint (the ball's own is at least 1/R). Elsewhere ("guarded") all local maxima of f on a lattice that could win are
+polished and the highest is taken.
+
+With an allowance a the ball is R + a large and the centre is kept: exactly a is left along the normal.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from optics.heightfield import spline_jet
+
+CLOSE_MM = 2e-5
+"""Residual at which Newton stops: what it does to the height is of second order, below 1e-9 mm."""
+
+
+class Ball(NamedTuple):
+    """What the kernels need: spline, ball, lattice of heights, and where Newton alone may not be trusted."""
+
+    coefs: Any  # (ny + 2, nx + 2)
+    x0: float
+    y0: float
+    inv_dx: float
+    inv_dy: float
+    radius: float  # of the ball with its allowance [mm]
+    below: float  # from its centre down to the tip of the real cutter [mm]
+    node_z: Any  # (my, mx) heights on a square lattice
+    node_x0: float
+    node_y0: float
+    node_step: float
+    guarded: Any  # (my, mx) bool
+    slack: float  # the most a lattice maximum can lie below the true one [mm]
+
+
+@njit(cache=True, nogil=True)
+def _newton(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
+    """Contact for the centre (cx, cy) from the guess p -> (found, px, py, tip, slope_x, curvature_x, dpx/dcx, dpy/dcx).
+
+    The cutter-location surface has the slope of the lens at the contact, so its curvature is [H J^-1]_xx with
+    J = I + R dN_xy/dp. The height is corrected for the last residual r by grad h . r.
+    """
+    for _ in range(16):
+        z, zx, zy, zxx, zxy, zyy = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)
+        w = 1.0 / math.sqrt(1.0 + zx * zx + zy * zy)
+        rw = b.radius * w
+        rx = cx - px + rw * zx
+        ry = cy - py + rw * zy
+        qx = rw * w * w * (zx * zxx + zy * zxy)
+        qy = rw * w * w * (zx * zxy + zy * zyy)
+        j11 = 1.0 - rw * zxx + qx * zx
+        j12 = -rw * zxy + qy * zx
+        j21 = -rw * zxy + qx * zy
+        j22 = 1.0 - rw * zyy + qy * zy
+        det = j11 * j22 - j12 * j21
+        if det <= 0.0 or j11 + j22 <= 0.0:
+            break
+        inv = 1.0 / det
+        px += (j22 * rx - j12 * ry) * inv
+        py += (j11 * ry - j21 * rx) * inv
+        if rx * rx + ry * ry < CLOSE_MM * CLOSE_MM:
+            tip = z + rw - b.below + zx * rx + zy * ry
+            return True, px, py, tip, zx, (zxx * j22 - zxy * j21) * inv, j22 * inv, -j21 * inv
+    return False, px, py, 0.0, 0.0, 0.0, 1.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def _climb(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
+    """A local maximum of f from p by safeguarded Newton: never downhill, never out of the footprint -> (f, px, py)."""
+    r2 = b.radius * b.radius
+    ux, uy = px - cx, py - cy
+    z, zx, zy, zxx, zxy, zyy = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)
+    r = math.sqrt(r2 - ux * ux - uy * uy)
+    f = z + r
+    for _ in range(60):
+        gx, gy = zx - ux / r, zy - uy / r
+        hxx, hxy, hyy = (zxx - (1.0 + ux * ux / (r * r)) / r, zxy - ux * uy / r**3, zyy - (1.0 + uy * uy / (r * r)) / r)
+        det = hxx * hyy - hxy * hxy
+        if hxx < 0.0 and det > 0.0:
+            sx, sy = (hxy * gy - hyy * gx) / det, (hxy * gx - hxx * gy) / det
+        else:
+            sx, sy = r * gx, r * gy
+        length = math.hypot(sx, sy)
+        if length < 1e-9 * b.radius:
+            break
+        scale = min(1.0, 0.25 * b.radius / length)
+        moved = False
+        while scale * length > 1e-10 * b.radius:
+            tx, ty = ux + scale * sx, uy + scale * sy
+            left = r2 - tx * tx - ty * ty
+            if left > 1e-6 * r2:
+                z, zx, zy, zxx, zxy, zyy = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, cx + tx, cy + ty)
+                if z + math.sqrt(left) >= f:
+                    moved = True
+                    break
+            scale *= 0.5
+        if not moved:
+            break
+        ux, uy, r = tx, ty, math.sqrt(left)
+        f = z + r
+    return f, cx + ux, cy + uy
+
+
+@njit(cache=True, nogil=True)
+def _highest(b, cx, cy):  # type: ignore[no-untyped-def]
+    """The highest contact in the whole footprint, without a guess; returns what `_newton` does but for `found`."""
+    n = int(math.ceil(b.radius / b.node_step)) + 1
+    my, mx = b.node_z.shape
+    ic = int(math.floor((cx - b.node_x0) / b.node_step + 0.5))
+    jc = int(math.floor((cy - b.node_y0) / b.node_step + 0.5))
+    size = 2 * n + 1
+    f = np.full((size, size), -np.inf)
+    r2 = b.radius * b.radius * 0.999
+    best = -np.inf
+    for a in range(1, size - 1):
+        j = jc + a - n
+        if j < 0 or j >= my:
+            continue
+        dy = b.node_y0 + j * b.node_step - cy
+        for e in range(1, size - 1):
+            i = ic + e - n
+            dx = b.node_x0 + i * b.node_step - cx
+            left = r2 - dx * dx - dy * dy
+            if left > 0.0 and 0 <= i < mx:
+                f[a, e] = b.node_z[j, i] + math.sqrt(left)
+                best = max(best, f[a, e])
+    top, px, py = -np.inf, cx, cy
+    for a in range(1, size - 1):
+        for e in range(1, size - 1):
+            here = f[a, e]
+            if here < best - b.slack or here == -np.inf:
+                continue
+            if here < max(
+                f[a - 1, e], f[a + 1, e], f[a, e - 1], f[a, e + 1],
+                f[a - 1, e - 1], f[a - 1, e + 1], f[a + 1, e - 1], f[a + 1, e + 1],
+            ):  # fmt: skip
+                continue
+            t, qx, qy = _climb(
+                b, cx, cy, b.node_x0 + (ic + e - n) * b.node_step, b.node_y0 + (jc + a - n) * b.node_step
+            )
+            if t > top:
+                top, px, py = t, qx, qy
+    found, qx, qy, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
+    if found and tip >= top - b.below - 1e-9:
+        return qx, qy, tip, slope, curvature, dpx, dpy
+    slope = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)[1]
+    return px, py, top - b.below, slope, 0.0, 1.0, 0.0
+
+
+@njit(cache=True, nogil=True)
+def touch(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
+    """The ball with its centre above (cx, cy), guessed to touch near p.
+
+    returns (px, py, tip, slope_x, curvature_x, dpx, dpy): contact point, height of the tip, slope and curvature along
+    X of the cutter-location surface, and how the contact point moves when cx does
+    """
+    my, mx = b.guarded.shape
+    i = min(max(int((cx - b.node_x0) / b.node_step + 0.5), 0), mx - 1)
+    j = min(max(int((cy - b.node_y0) / b.node_step + 0.5), 0), my - 1)
+    if not b.guarded[j, i]:
+        found, px, py, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
+        if found:
+            return px, py, tip, slope, curvature, dpx, dpy
+    return _highest(b, cx, cy)
+
+
+@njit(cache=True, nogil=True)
+def touch_points(b, x, y, out):  # type: ignore[no-untyped-def]
+    """Contact x, y and tip height, out (n, 3), for centres x (n,), y (n,), each from the last one's contact."""
+    px, py = x[0], y[0]
+    for k in range(x.size):
+        if k:
+            px += x[k] - x[k - 1]
+            py += y[k] - y[k - 1]
+        px, py, tip = touch(b, x[k], y[k], px, py)[:3]
+        out[k, 0] = px
+        out[k, 1] = py
+        out[k, 2] = tip
+
+
+@njit(cache=True, nogil=True)
+def touch_rows(b, x, y, out):  # type: ignore[no-untyped-def]
+    """Tip heights out (ny, nx) over the rows y (ny,) and columns x (nx,); each row starts without a guess."""
+    for j in range(y.size):
+        px, py, dpx, dpy = x[0], y[j], 1.0, 0.0
+        for i in range(x.size):
+            if i:
+                px += dpx * (x[i] - x[i - 1])
+                py += dpy * (x[i] - x[i - 1])
+            px, py, tip, _, _, dpx, dpy = touch(b, x[i], y[j], px, py)
+            out[j, i] = tip

@@ -1,0 +1,73 @@
+"""The ball end mill, and the largest one a surface admits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+from numba import njit
+
+from cam.moves import Array
+from optics.heightfield import Heightfield, spline_jet
+
+NEARLY_EVERYWHERE = 0.999
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BallEndMill:
+    """A ball of this radius on a shank no thicker."""
+
+    radius_mm: float
+
+    def cusp_height_mm(self, pitch_mm: float) -> float:
+        """Ridge left on a flat between lines pitch_mm apart: R - sqrt(R^2 - (p/2)^2)."""
+        return self.radius_mm - sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
+
+    def cusp_slope(self, pitch_mm: float) -> float:
+        """Steepest slope of that ridge: (p/2) / sqrt(R^2 - (p/2)^2)."""
+        return pitch_mm / 2 / sqrt(self.radius_mm**2 - (pitch_mm / 2) ** 2)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FittingRadius:
+    """Largest ball whose curvature fits the hollows: everywhere, and on 99.9 % of the area; inf if nothing is hollow."""
+
+    everywhere_mm: float
+    nearly_mm: float
+
+
+@njit(cache=True, nogil=True)
+def _concave_curvature(coefs, x0, y0, inv_dx, inv_dy, x, y, out):  # type: ignore[no-untyped-def]
+    """Greatest principal curvature, positive in a hollow, at the grid points x (nx,), y (ny,); out (ny, nx) [1/mm]."""
+    for j in range(y.size):
+        for i in range(x.size):
+            _, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
+            g = 1.0 + zx * zx + zy * zy
+            mean = ((1.0 + zy * zy) * zxx - 2.0 * zx * zy * zxy + (1.0 + zx * zx) * zyy) / (2.0 * g * np.sqrt(g))
+            gauss = (zxx * zyy - zxy * zxy) / (g * g)
+            out[j, i] = mean + np.sqrt(max(mean * mean - gauss, 0.0))
+
+
+def concave_curvature(heightfield: Heightfield) -> Array:
+    """Greatest principal curvature [1/mm], positive in a hollow, on a lattice twice as fine as the vertices."""
+    x, y = (np.linspace(a[0], a[-1], 2 * a.size - 1) for a in (heightfield.x_mm, heightfield.y_mm))
+    out = np.empty((y.size, x.size))
+    _concave_curvature(*heightfield.spline().kernel_arguments, x, y, out)
+    return out
+
+
+def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:
+    """What curvature admits. A ball this large may still not reach where two slopes stand close together."""
+    curvature = concave_curvature(heightfield).ravel()
+    rank = int(NEARLY_EVERYWHERE * (curvature.size - 1))
+    nearly = float(np.partition(curvature, rank)[rank])
+    most = float(curvature.max())
+    return FittingRadius(
+        everywhere_mm=1.0 / most if most > 0 else inf, nearly_mm=1.0 / nearly if nearly > 0 else inf
+    )
+
+
+def reached_share(heightfield: Heightfield, radius_mm: float) -> float:
+    """Share of the area whose curvature a ball of this radius fits."""
+    return float((concave_curvature(heightfield) * radius_mm <= 1.0).mean())

@@ -1,0 +1,61 @@
+"""What can go wrong between a heightfield and a program. Every error carries its numbers as attributes."""
+
+from __future__ import annotations
+
+
+class CamError(Exception):
+    """Base of all errors of this package."""
+
+
+class PassValueError(CamError):
+    """A pass or stock setting outside its allowed range."""
+
+    def __init__(self, *, name: str, value: object, allowed: str) -> None:
+        self.name, self.value, self.allowed = name, value, allowed
+        super().__init__(f"{name} = {value!r} is not allowed: {allowed}")
+
+
+class GougeError(CamError):
+    """A program cuts below the surface it may reach."""
+
+    def __init__(self, *, x_mm: float, y_mm: float, depth_mm: float, allowed_mm: float) -> None:
+        self.x_mm, self.y_mm, self.depth_mm, self.allowed_mm = x_mm, y_mm, depth_mm, allowed_mm
+        super().__init__(
+            f"the pass cuts {depth_mm:.5f} mm too deep at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.5f} mm)"
+        )
+
+
+class CutterTooLargeError(CamError):
+    """A finishing ball that cannot touch too much of the surface."""
+
+    def __init__(self, *, radius_mm: float, reached_share: float, largest_mm: float, nearly_mm: float) -> None:
+        self.radius_mm, self.reached_share = radius_mm, reached_share
+        self.largest_mm, self.nearly_mm = largest_mm, nearly_mm
+        super().__init__(
+            f"a ball of radius {radius_mm:g} mm touches only {100 * reached_share:.1f} % of the surface; the largest "
+            f"that fits everywhere has {largest_mm:.3g} mm, on 99.9 % of the area {nearly_mm:.3g} mm"
+        )
+
+
+class StockTooThinError(CamError):
+    """The tool would go deeper than the block is thick."""
+
+    def __init__(self, *, lowest_mm: float, thickness_mm: float) -> None:
+        self.lowest_mm, self.thickness_mm = lowest_mm, thickness_mm
+        super().__init__(f"the tool goes down to Z{lowest_mm:.3f} mm, but the stock is {thickness_mm:g} mm thick")
+
+
+class SafeHeightError(CamError):
+    """The tool, following the surface, would rise to the height that is meant to be clear of everything."""
+
+    def __init__(self, *, safe_z_mm: float, needed_mm: float) -> None:
+        self.safe_z_mm, self.needed_mm = safe_z_mm, needed_mm
+        super().__init__(f"safe_z = {safe_z_mm:g} mm is too low; it must be at least {needed_mm:.3f} mm")
+
+
+class LineTooLongError(CamError):
+    """A block longer than the controller's line buffer."""
+
+    def __init__(self, *, line: str, allowed: int) -> None:
+        self.line, self.allowed = line, allowed
+        super().__init__(f"block of {len(line)} characters (allowed {allowed}): {line!r}")

@@ -1,0 +1,52 @@
+"""Findings of the check, gathered move by move: how many, the first and the worst of each kind, as one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(slots=True, kw_only=True)
+class Finding:
+    """One kind of fault. `says` puts (value, allowed) into words: "gouges the lens by 2.1 µm (allowed 1 µm)"."""
+
+    says: Callable[[float], str]
+    count: int = 0
+    first_line: int = 0
+    worst_line: int = 0
+    worst: float = 0.0
+    x_mm: float = float("nan")
+    y_mm: float = float("nan")
+
+    def note(self, value: float, line: int, x_mm: float, y_mm: float, *, count: int = 1) -> None:
+        """One offending move, or the worst of `count` of them."""
+        if self.count == 0:
+            self.first_line = line
+        if self.count == 0 or value > self.worst:
+            self.worst, self.worst_line, self.x_mm, self.y_mm = value, line, x_mm, y_mm
+        self.count += count
+
+    def note_moves(self, guilty: np.ndarray, values: np.ndarray, lines: np.ndarray, places: np.ndarray) -> None:
+        """All offending moves of a batch: guilty (n,) bool, values (n,), lines (n,), places (n, 2 or 3)."""
+        where = np.flatnonzero(guilty)
+        if where.size == 0:
+            return
+        if self.count == 0:
+            self.first_line = int(lines[where[0]])
+            first = self.first_line
+        else:
+            first = self.first_line
+        k = where[values[where].argmax()]
+        self.note(float(values[k]), int(lines[k]), float(places[k][0]), float(places[k][1]), count=where.size)
+        self.first_line = first
+
+    @property
+    def sentences(self) -> list[str]:
+        if self.count == 0:
+            return []
+        text = f"line {self.worst_line} at X{self.x_mm:.3f} Y{self.y_mm:.3f} {self.says(self.worst)}"
+        if self.count > 1:
+            text += f"; the worst of {self.count} lines, the first of them is line {self.first_line}"
+        return [text]

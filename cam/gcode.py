@@ -1,0 +1,124 @@
+"""G-code text back to moves, in a stream: the reader that does not trust who wrote the program.
+
+The dialect is the GRBL 1.1 subset a finishing program needs: straight moves, dwell, spindle, comments. Everything
+else is refused with its line, because a word that is skipped here and obeyed by the mill is a broken cutter. One
+compiled pass over the bytes keeps the whole modal state; a chunk boundary may fall anywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam import gcode_parse as modal
+from cam.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
+from optics.heightfield import Array
+
+__all__ = ["ALLOWED", "LINE_LIMIT", "MoveBatch", "ProgramError", "read_program"]
+
+LINE_LIMIT = 79  # bytes before the line end that GRBL 1.1 holds
+BATCH_BYTES = 4 << 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MoveBatch:
+    """Consecutive moves of one program; batches follow each other without a gap.
+
+    points_mm (n + 1, 3)     : move k runs from points_mm[k] to points_mm[k + 1]; tool tip, work frame
+    is_rapid (n,)            : bool, G0
+    feed_mm_per_min (n,)     : feed in force (0 until one is given; only rapids may have that)
+    line (n,)                : int64, line of the program, from 1
+    spindle_on (n,)          : bool
+    pause_s (n,)             : -1 for a motion; otherwise the mill stops here for that long (G4, or 0 at M3, M5, M2)
+    lines_read, bytes_read   : of the program, up to the end of this batch
+    ended                    : M2 or M30 has been read
+
+    The approach, up to the line on which all three coordinates have been given, is not a move: nobody knows where it
+    starts.
+    """
+
+    points_mm: Array
+    is_rapid: np.ndarray
+    feed_mm_per_min: Array
+    line: np.ndarray
+    spindle_on: np.ndarray
+    pause_s: Array
+    lines_read: int
+    bytes_read: int
+    ended: bool
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+    @property
+    def start_mm(self) -> Array:
+        return self.points_mm[:-1]
+
+    @property
+    def end_mm(self) -> Array:
+        return self.points_mm[1:]
+
+
+def read_program(chunks: Iterable[bytes]) -> Iterator[MoveBatch]:
+    """Moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
+    state = np.zeros(modal.LINE + 1)
+    state[:3] = np.nan
+    state[modal.UNIT], state[modal.ABSOLUTE], state[modal.MOTION] = 1.0, 1.0, -1.0
+    rest = b""
+    bytes_read = 0
+    for text, is_last in _large_pieces(chunks):
+        bytes_read += len(text)
+        buffer = rest + text
+        if is_last and buffer and not buffer.endswith(b"\n"):
+            buffer += b"\n"
+        done = 0
+        while done < len(buffer):
+            batch, used = _read_batch(buffer, done, state, bytes_read)
+            done += used
+            if len(batch) or (is_last and done == len(buffer)):
+                yield batch
+            if used == 0:
+                break
+        rest = buffer[done:]
+        if len(rest) > LINE_LIMIT + 1:
+            raise ProgramError(int(state[modal.LINE]) + 1, rest, REFUSALS[LONG])
+
+
+def _large_pieces(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
+    """Chunks gathered to BATCH_BYTES or more, each with "is the last one" (possibly empty)."""
+    held: list[bytes] = []
+    size = 0
+    for chunk in chunks:
+        held.append(chunk)
+        size += len(chunk)
+        while size > BATCH_BYTES:
+            joined = b"".join(held)
+            yield joined[:BATCH_BYTES], False
+            held, size = [joined[BATCH_BYTES:]], size - BATCH_BYTES
+    yield b"".join(held), True
+
+
+def _read_batch(buffer: bytes, start: int, state: Array, bytes_read: int) -> tuple[MoveBatch, int]:
+    raw = np.frombuffer(buffer, dtype=np.uint8)[start:]
+    room = buffer.count(b"\n", start) + 64
+    points = np.empty((room + 1, 3))
+    rapid, spindle = np.zeros(room, dtype=np.bool_), np.zeros(room, dtype=np.bool_)
+    feed, pause, line = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
+    used, n, code, bad = modal.parse(raw, state, modal.POWERS, points, rapid, feed, line, spindle, pause)
+    end = buffer.find(b"\n", start + bad)
+    if code and end >= 0:  # without its line end the line is judged when the rest of it has come
+        raise ProgramError(int(state[modal.LINE]) + 1, buffer[start + bad : end], REFUSALS[code])
+    batch = MoveBatch(
+        points_mm=points[: n + 1],
+        is_rapid=rapid[:n],
+        feed_mm_per_min=feed[:n],
+        line=line[:n],
+        spindle_on=spindle[:n],
+        pause_s=pause[:n],
+        lines_read=int(state[modal.LINE]),
+        bytes_read=bytes_read,
+        ended=bool(state[modal.ENDED]),
+    )
+    return batch, used

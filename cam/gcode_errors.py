@@ -1,0 +1,63 @@
+"""Why a line of a program is refused, in one sentence each."""
+
+from __future__ import annotations
+
+from cam.errors import CamError
+
+ALLOWED = (
+    "G0 G1 G4 G17 G20 G21 G40 G49 G54 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
+    "comments in ( ) and after ;"
+)
+
+(
+    LONG,
+    NO_LETTER,
+    NO_NUMBER,
+    WRONG_WORD,
+    REPEATED,
+    OPEN_COMMENT,
+    NO_FEED,
+    BAD_FEED,
+    NO_MOTION,
+    BLIND,
+    BAD_DWELL,
+    NO_SPEED,
+    AFTER_END,
+    PERCENT,
+    ARC,
+    DWELL_MOVES,
+    GROUP_TWICE,
+    USELESS_P,
+) = range(1, 19)
+
+REFUSALS = {
+    LONG: "a line holds at most 79 characters",
+    NO_LETTER: f"a word starts with a letter; allowed: {ALLOWED}",
+    NO_NUMBER: "a letter is followed by a plain decimal number of at most 17 digits",
+    WRONG_WORD: f"a word that is not allowed here; allowed: {ALLOWED}",
+    REPEATED: "the same word stands twice on the line",
+    OPEN_COMMENT: "a comment that is opened with ( is closed with ) on the same line",
+    NO_FEED: "G1 needs a feed: give F above 0 mm/min on this line or before",
+    BAD_FEED: "a feed must be above 0 mm/min",
+    NO_MOTION: "coordinates need G0 or G1 on this line or before",
+    BLIND: "the position is not known yet: first G0 Z to the safe height, then G0 X Y, all absolute (G90)",
+    BAD_DWELL: "G4 needs P, its seconds, 0 or more",
+    NO_SPEED: "M3 needs a speed: give S above 0 rpm on this line or before",
+    AFTER_END: "nothing may follow M2 or M30",
+    PERCENT: "no % marks in this dialect: GRBL answers error:1",
+    ARC: "arcs (G2, G3) are not read; write them as short G1 lines",
+    DWELL_MOVES: "G4 stands alone, without a motion",
+    GROUP_TWICE: "two words of one modal group on the line (such as G0 and G1)",
+    USELESS_P: "P belongs to G4",
+}
+
+
+class ProgramError(CamError):
+    """A line that may not run. Attributes: line (from 1), text, reason."""
+
+    def __init__(self, line: int, text: bytes, reason: str) -> None:
+        shown = text.strip(b"\r\n").decode("ascii", "backslashreplace")
+        self.line = line
+        self.text = shown if len(shown) <= 100 else shown[:97] + "..."
+        self.reason = reason
+        super().__init__(f'line {line}, "{self.text}": {reason}')

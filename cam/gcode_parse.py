@@ -1,0 +1,264 @@
+"""The compiled part of the G-code reader: bytes to moves, one pass, all modal state in a vector."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from cam.gcode_errors import (
+    AFTER_END,
+    ARC,
+    BAD_DWELL,
+    BAD_FEED,
+    BLIND,
+    DWELL_MOVES,
+    GROUP_TWICE,
+    LONG,
+    NO_FEED,
+    NO_LETTER,
+    NO_MOTION,
+    NO_NUMBER,
+    NO_SPEED,
+    OPEN_COMMENT,
+    PERCENT,
+    REPEATED,
+    USELESS_P,
+    WRONG_WORD,
+)
+
+# Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:
+# none yet), spindle on, end seen, lines read.
+X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, LINE = range(11)
+POWERS = 10.0 ** np.arange(19)
+_NUMBERED = sum(1 << (ord(letter) - ord("A")) for letter in "FNPSXYZ")  # letters that carry a value
+
+
+@njit(cache=True, nogil=True)
+def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
+    """All whole lines of raw -> moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
+    n = 0
+    at = 0
+    size = raw.size
+    room = feed.size - 2
+    values = np.zeros(26)
+    for d in range(3):
+        points[0, d] = state[d]
+    while n < room:
+        # One line: bytes at..end. Words go to `values` by letter, G and M words to their groups.
+        begin = at
+        p = at
+        seen = 0
+        g_motion = -1
+        g_dwell = False
+        g_unit = 0.0
+        g_distance = -1.0
+        m_spindle = -1
+        m_end = False
+        groups = 0
+        closed = False  # the line end was found
+        while p < size:
+            c = raw[p]
+            if c == 10:
+                closed = True
+                break
+            if c == 32 or c == 9 or c == 13:
+                p += 1
+                continue
+            if c == 59:  # ; comment to the line end
+                while p < size and raw[p] != 10:
+                    p += 1
+                continue
+            if c == 40:  # ( comment )
+                while p < size and raw[p] != 10 and raw[p] != 41:
+                    p += 1
+                if p < size and raw[p] == 10:
+                    return begin, n, OPEN_COMMENT, begin
+                p += 1
+                continue
+            letter = c - 65
+            if letter >= 32:
+                letter -= 32  # lower case
+            if c < 65 or letter < 0 or letter > 25:
+                if c == 37:
+                    return begin, n, PERCENT, begin
+                return begin, n, NO_LETTER, begin
+            # The number after the letter.
+            p += 1
+            while p < size and (raw[p] == 32 or raw[p] == 9):
+                p += 1
+            negative = False
+            if p < size and (raw[p] == 45 or raw[p] == 43):
+                negative = raw[p] == 45
+                p += 1
+            mantissa = 0
+            digits = 0
+            decimals = 0
+            pointed = False
+            while p < size:
+                c = raw[p]
+                if 48 <= c <= 57:
+                    mantissa = mantissa * 10 + (c - 48)
+                    digits += 1
+                    if pointed:
+                        decimals += 1
+                elif c == 46 and not pointed:
+                    pointed = True
+                else:
+                    break
+                p += 1
+            if p == size:
+                break  # the line goes on in the next piece
+            if digits == 0 or digits > 17:
+                return begin, n, NO_NUMBER, begin
+            value = mantissa / powers[decimals]
+            if negative:
+                value = -value
+            if letter == 6:  # G
+                code = int(np.rint(value * 10.0))
+                if abs(value * 10.0 - code) > 1e-9:
+                    return begin, n, WRONG_WORD, begin
+                group = 0
+                if code == 0 or code == 10:
+                    g_motion = code // 10
+                    group = 1
+                elif code == 40:
+                    g_dwell = True
+                    group = 2
+                elif code == 200:
+                    g_unit = 25.4
+                    group = 4
+                elif code == 210:
+                    g_unit = 1.0
+                    group = 4
+                elif code == 900:
+                    g_distance = 1.0
+                    group = 8
+                elif code == 910:
+                    g_distance = 0.0
+                    group = 8
+                elif code == 170:
+                    group = 16
+                elif code == 540:
+                    group = 32
+                elif code == 940:
+                    group = 64
+                elif code == 400 or code == 490 or code == 800:
+                    group = 0
+                elif code == 20 or code == 30:
+                    return begin, n, ARC, begin
+                else:
+                    return begin, n, WRONG_WORD, begin
+                if groups & group:
+                    return begin, n, GROUP_TWICE, begin
+                groups |= group
+                seen |= 1 << 6
+            elif letter == 12:  # M
+                group = 128
+                if value == 3.0:
+                    m_spindle = 1
+                elif value == 5.0:
+                    m_spindle = 0
+                elif value == 2.0 or value == 30.0:
+                    m_end = True
+                    group = 256
+                elif value == 7.0 or value == 8.0 or value == 9.0:
+                    group = 0
+                else:
+                    return begin, n, WRONG_WORD, begin
+                if groups & group:
+                    return begin, n, GROUP_TWICE, begin
+                groups |= group
+                seen |= 1 << 12
+            elif (_NUMBERED >> letter) & 1:
+                if seen & (1 << letter):
+                    return begin, n, REPEATED, begin
+                seen |= 1 << letter
+                values[letter] = value
+            else:
+                return begin, n, WRONG_WORD, begin
+        if not closed:
+            break
+        stop = p
+        if stop > begin and raw[stop - 1] == 13:
+            stop -= 1
+        if stop - begin > 79:
+            return begin, n, LONG, begin
+        if seen & ~(1 << 13):  # anything but an N word
+            if state[ENDED]:
+                return begin, n, AFTER_END, begin
+            axes = seen & (7 << 23)
+            if g_unit:
+                state[UNIT] = g_unit
+            if g_distance >= 0.0:
+                state[ABSOLUTE] = g_distance
+            if seen & (1 << 5):  # F
+                if not values[5] > 0.0:
+                    return begin, n, BAD_FEED, begin
+                state[FEED] = values[5] * state[UNIT]
+            if seen & (1 << 18):  # S
+                if values[18] < 0.0:
+                    return begin, n, NO_SPEED, begin
+                state[SPEED] = values[18]
+            number = state[LINE] + 1
+            halt = -1.0
+            if m_spindle >= 0:
+                if m_spindle == 1 and not state[SPEED] > 0.0:
+                    return begin, n, NO_SPEED, begin
+                state[SPINDLE] = m_spindle
+                halt = 0.0
+            if g_dwell:
+                if not seen & (1 << 15) or values[15] < 0.0:
+                    return begin, n, BAD_DWELL, begin
+                if axes or g_motion >= 0:
+                    return begin, n, DWELL_MOVES, begin
+                halt = values[15]
+            elif seen & (1 << 15):
+                return begin, n, USELESS_P, begin
+            if m_end and not axes:
+                halt = max(halt, 0.0)
+            if g_motion >= 0:
+                state[MOTION] = g_motion
+            if halt >= 0.0 and not np.isnan(state[X] + state[Y] + state[Z]):
+                for d in range(3):
+                    points[n + 1, d] = state[d]
+                rapid[n] = False
+                feed[n] = state[FEED]
+                line[n] = number
+                spindle[n] = state[SPINDLE] > 0.0
+                pause[n] = halt
+                n += 1
+            if axes:
+                if state[MOTION] < 0.0:
+                    return begin, n, NO_MOTION, begin
+                is_cut = state[MOTION] == 1.0
+                if is_cut and not state[FEED] > 0.0:
+                    return begin, n, NO_FEED, begin
+                known = not np.isnan(state[X] + state[Y] + state[Z])
+                moved = False
+                for d in range(3):
+                    if seen & (1 << (23 + d)):
+                        target = values[23 + d] * state[UNIT]
+                        if not state[ABSOLUTE]:
+                            target += state[d]
+                            if np.isnan(target):
+                                return begin, n, BLIND, begin
+                        if target != state[d]:
+                            moved = True
+                        state[d] = target
+                if not known and (is_cut or np.isnan(state[Z])):
+                    return begin, n, BLIND, begin
+                for d in range(3):
+                    points[n + (1 if known else 0), d] = state[d]
+                if moved and known:
+                    rapid[n] = not is_cut
+                    feed[n] = state[FEED]
+                    line[n] = number
+                    spindle[n] = state[SPINDLE] > 0.0
+                    pause[n] = -1.0
+                    n += 1
+            if m_end:
+                state[ENDED] = 1.0
+                state[SPINDLE] = 0.0
+        state[LINE] += 1
+        at = p + 1
+    return at, n, 0, 0

@@ -1,0 +1,206 @@
+"""Layers: where more stock stands above the target than one move may take, it comes off in steps.
+
+On a flat block the layers are planes one step-down apart, and each follows the target where that is higher. On stock
+that has a shape already they run parallel to the target, only where something stands above them, and the exact rows
+come last over everything. No layer takes off more than step_down plus the cusps of the layer before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from math import ceil, inf, pi
+
+import numpy as np
+
+from cam.entries import enter, leave
+from cam.moves import Array, Path, cut
+from cam.passes import PassSpec
+from cam.raster import Rows, on_ticks, ordered
+from cam.stock_touch import StockTouch
+from cam.tool_surface import ToolSurface
+from cam.vertices import rough_sag_mm, thinned
+
+SKIM_MM = 0.05
+"""What layers keep back for the exact rows when a finishing pass meets an uncut block."""
+
+TOUCH_MM = 1e-6
+"""Stock less than this above a tip is not worth a cut."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """Tips at the target plus offset_mm, but not below level_mm."""
+
+    offset_mm: float
+    level_mm: float
+
+    def tips_mm(self, target_mm: Array) -> Array:
+        tips: Array = np.maximum(target_mm + self.offset_mm, self.level_mm)
+        return tips
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Field:
+    """Target tips and the tips at which the ball meets stock, (n rows, n samples), along rows sampled at x_mm."""
+
+    rows: Rows
+    x_mm: Array
+    target_mm: Array
+    stock_mm: Array
+
+    @classmethod
+    def along(cls, rows: Rows, surface: ToolSurface, stock: StockTouch) -> Field:
+        """Sampled as finely as the lens and at least eight times per radius, over all that turns may touch.
+
+        So a later turn, of another layer or of the exact rows, meets no stock that the layer above did not clear.
+        """
+        left, right = rows.left_mm - rows.turn_mm, rows.right_mm + rows.turn_mm
+        count = ceil((right - left) / surface.kernel.node_step) + 1
+        x = on_ticks(np.linspace(left, right, count))
+        target = np.empty((rows.y_mm.size, x.size))
+        blocks = np.array_split(np.arange(rows.y_mm.size), max(1, rows.y_mm.size // 64))
+        heights = ordered(lambda block: surface.tip_rows_mm(x, rows.y_mm[block]), blocks)
+        for block, part in zip(blocks, heights, strict=True):
+            target[block] = part
+        return cls(rows=rows, x_mm=x, target_mm=target, stock_mm=stock.over(x, rows.y_mm))
+
+    @property
+    def step_mm(self) -> float:
+        return float(self.x_mm[1] - self.x_mm[0])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerPlan:
+    """Layers from the top down, and whether exact rows over everything follow."""
+
+    layers: tuple[Layer, ...]
+    exact_rows: bool
+
+
+def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
+    """The fewest layers that keep every engagement within the step-down."""
+    depth = float((field.stock_mm - field.target_mm).max()) + stock.slack_mm
+    if depth <= spec.step_down_mm:
+        return LayerPlan(layers=(), exact_rows=True)
+    if not stock.flat:
+        count = ceil(depth / spec.step_down_mm) - 1
+        parallel = (Layer(offset_mm=k * spec.step_down_mm, level_mm=-inf) for k in range(count, 0, -1))
+        return LayerPlan(layers=tuple(parallel), exact_rows=True)
+    keep = min(SKIM_MM, spec.step_down_mm / 2) if spec.finishes else 0.0
+    top = float(stock.height_mm.max())
+    lowest = float(field.target_mm[field.stock_mm > field.target_mm].min()) + keep
+    count = ceil((top - lowest) / spec.step_down_mm)
+    planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
+    return LayerPlan(layers=tuple(planes), exact_rows=spec.finishes)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Samples first..last of one row, cut upward in x or downward; joined to the run before or entered anew."""
+
+    row: int
+    first: int
+    last: int
+    upward: bool
+    joined: bool
+
+    @property
+    def start(self) -> int:
+        return self.first if self.upward else self.last
+
+    @property
+    def end(self) -> int:
+        return self.last if self.upward else self.first
+
+
+def spans(active: Array, *, pad: int, gap: int) -> list[tuple[int, int]]:
+    """Stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
+    merged: list[tuple[int, int]] = []
+    for first, last in zip(edges[::2] - pad, edges[1::2] - 1 + pad, strict=True):
+        low, high = max(0, int(first)), min(active.size - 1, int(last))
+        if merged and low - merged[-1][1] <= gap:
+            merged[-1] = (merged[-1][0], high)
+        else:
+            merged.append((low, high))
+    return merged
+
+
+def chained(by_row: list[list[tuple[int, int]]], *, most_samples: int, link: bool) -> Iterator[Run]:
+    """Every span once: up the rows from neighbour to neighbour, there and back, while the next start is near enough."""
+    for bottom in range(len(by_row)):
+        while by_row[bottom]:
+            row, upward = bottom, True
+            first, last = by_row[bottom].pop(0)
+            run = Run(row, first, last, upward, False)
+            yield run
+            while link and row + 1 < len(by_row):
+                row, upward = row + 1, not upward
+                starts = [abs((span[0] if upward else span[1]) - run.end) for span in by_row[row]]
+                if not starts or min(starts) > most_samples:
+                    break
+                first, last = by_row[row].pop(int(np.argmin(starts)))
+                run = Run(row, first, last, upward, True)
+                yield run
+
+
+def layer_paths(
+    field: Field,
+    surface: ToolSurface,
+    stock: StockTouch,
+    layer: Layer,
+    above: Layer | None,
+    spec: PassSpec,
+    *,
+    safe_z_mm: float,
+    on_progress: Callable[[float], None],
+) -> Iterator[Path]:
+    """One layer, cut only where stock stands above it; starts and ends at safe height.
+
+    A link on the layer's own surface is always allowed: nothing stands higher above it than a step-down. It is taken
+    while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two.
+    """
+    tips = layer.tips_mm(field.target_mm)
+    left = field.stock_mm if above is None else np.minimum(field.stock_mm, above.tips_mm(field.target_mm))
+    active = left + (stock.slack_mm if above is None else 0.0) > tips + TOUCH_MM
+    per_radius = surface.radius_mm / field.step_mm
+    pad, gap, reach = ceil(per_radius / 4), round(2 * per_radius), round(4 * per_radius)
+    sag = rough_sag_mm(surface.allowance_mm + layer.offset_mm)
+    by_row = [spans(row, pad=pad, gap=gap) for row in active]
+    total, done = sum(map(len, by_row)), 0
+    before: Run | None = None
+    place = np.empty(3)
+    for run in chained(by_row, most_samples=reach, link=spec.link == "u-turn"):
+        samples = slice(run.first, run.last + 1)
+        points = np.column_stack(
+            [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
+        )
+        points = thinned(points if run.upward else points[::-1], sag)
+        if run.joined and before is not None:
+            yield cut(_link(field, surface, layer, before, run), spec.feed_mm_per_min)
+        else:
+            if before is not None:
+                yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
+            height = float(left[run.row, run.start]) + stock.slack_mm + 2 * sag
+            yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
+        yield cut(points, spec.feed_mm_per_min)
+        before, place = run, points[-1]
+        done += 1
+        on_progress(done / total)
+    if before is not None:
+        yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
+
+
+def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run) -> Array:
+    """Half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool went
+    as far as the run-out allows.
+    """
+    x0, x1 = field.x_mm[before.end], field.x_mm[run.start]
+    y0, y1 = field.rows.y_mm[before.row], field.rows.y_mm[run.row]
+    count = max(6, ceil(2 * float(np.hypot(x1 - x0, y1 - y0)) / field.step_mm))
+    angle = np.linspace(0.0, pi, count + 1)
+    bulge = field.rows.turn_mm * np.sin(angle) * (1 if before.upward else -1)
+    x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
+    y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
+    return np.column_stack([x, y, layer.tips_mm(surface.tip_heights_mm(x, y))])

@@ -1,0 +1,99 @@
+"""Where to start with speeds and feeds, as data with its sources. Start values to expose, never limits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from math import exp, log
+
+from cam.errors import PassValueError
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CuttingData:
+    """One ball end mill in one material. The plunge feed is also the feed of ramps."""
+
+    radius_mm: float
+    flutes: int
+    spindle_rpm: int
+    feed_mm_per_tooth: float
+    step_down_mm: float
+    plunge_share: float
+
+    @property
+    def feed_mm_per_min(self) -> float:
+        return self.spindle_rpm * self.flutes * self.feed_mm_per_tooth
+
+    @property
+    def plunge_mm_per_min(self) -> float:
+        return self.feed_mm_per_min * self.plunge_share
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Material:
+    """Cutting data for a few radii, ascending; between them the numbers are interpolated."""
+
+    name: str
+    advice: str
+    sources: tuple[str, ...]
+    cutting: tuple[CuttingData, ...]
+
+    def start_values(self, radius_mm: float) -> CuttingData:
+        """Cutting data for a ball of this radius: log-log between two entries, the nearest entry beyond them."""
+        if not radius_mm > 0:
+            raise PassValueError(name="radius_mm", value=radius_mm, allowed="above 0 mm")
+        if radius_mm <= self.cutting[0].radius_mm:
+            return self.cutting[0]
+        for low, high in pairwise(self.cutting):
+            if radius_mm <= high.radius_mm:
+                return _between(low, high, radius_mm)
+        return self.cutting[-1]
+
+
+def _between(low: CuttingData, high: CuttingData, radius_mm: float) -> CuttingData:
+    share = log(radius_mm / low.radius_mm) / log(high.radius_mm / low.radius_mm)
+
+    def mix(a: float, b: float) -> float:
+        return exp(log(a) * (1 - share) + log(b) * share)
+
+    return CuttingData(
+        radius_mm=radius_mm,
+        flutes=high.flutes,
+        spindle_rpm=round(mix(low.spindle_rpm, high.spindle_rpm), -2),
+        feed_mm_per_tooth=round(mix(low.feed_mm_per_tooth, high.feed_mm_per_tooth), 4),
+        step_down_mm=round(mix(low.step_down_mm, high.step_down_mm), 3),
+        plunge_share=mix(low.plunge_share, high.plunge_share),
+    )
+
+
+PMMA = Material(
+    name="pmma",
+    advice="Cast sheet, annealed; sharp polished carbide with one or two flutes; air blast, no alcohol.",
+    sources=(
+        "Acrylite, tech brief 'Routing': routers turn at 20 000 rpm or more",
+        "Shapeoko CNC A to Z, 'Cutting plastics': 0.05 mm per tooth (0.002 in) at high speed, never below 0.025 mm "
+        "for tools of 3 mm and more; 0.13-0.25 mm for 6 mm tools at low speed",
+        "Wattsan, 'How to mill plexiglass': at most 4 mm deep when roughing",
+        "Curbell Plastics, thermoplastic milling tables: 300-500 m/min",
+        "for radii of 1 mm and less: 1-1.5 % of the diameter per tooth, a rule of thumb of cutter makers",
+    ),
+    cutting=(
+        CuttingData(
+            radius_mm=0.25,
+            flutes=2,
+            spindle_rpm=28000,
+            feed_mm_per_tooth=0.006,
+            step_down_mm=0.15,
+            plunge_share=0.5,
+        ),
+        CuttingData(
+            radius_mm=0.5, flutes=2, spindle_rpm=24000, feed_mm_per_tooth=0.0125, step_down_mm=0.4, plunge_share=0.5
+        ),
+        CuttingData(
+            radius_mm=1.5, flutes=2, spindle_rpm=20000, feed_mm_per_tooth=0.03, step_down_mm=1.0, plunge_share=0.4
+        ),
+        CuttingData(
+            radius_mm=3.0, flutes=2, spindle_rpm=15000, feed_mm_per_tooth=0.05, step_down_mm=1.5, plunge_share=0.4
+        ),
+    ),
+)

@@ -1,0 +1,210 @@
+"""Rules every move must keep: depth of cut, rapids clear of stock, spindle, gouge, bounds; and the running totals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numba import njit
+
+from cam.clearance import Overlaps
+from cam.findings import Finding
+from cam.gcode import MoveBatch
+from cam.passes import PassSpec, Stock
+from cam.removal import Drops, RemovalGrid
+from optics.heightfield import Array, Heightfield
+
+_TOUCH_MM = 1e-6  # a drop smaller than this is no cut (rounding)
+_AXES = "xyz"
+
+
+@njit(cache=True, nogil=True)
+def _count_entries(airborne, clear, drops, touch):  # type: ignore[no-untyped-def]
+    """Times the tool goes from the air into stock. clear: moves in the air. Returns (entries, still airborne)."""
+    entries = 0
+    for k in range(clear.size):
+        if clear[k]:
+            airborne = True
+        elif airborne and drops[k] > touch:
+            entries += 1
+            airborne = False
+    return entries, airborne
+
+
+def engagement_allowance_mm(spec: PassSpec, steepest: float) -> float:
+    """What a move may take off beyond the step-down: the cusps of the layer before on the steepest slope, and 5 %.
+
+    steepest : greatest slope |grad h| of the lens
+    """
+    cusp_mm = spec.pitch_mm**2 / (8 * spec.radius_mm) * math.sqrt(1 + steepest**2) ** 3
+    return 2 * cusp_mm + 0.05 * spec.step_down_mm
+
+
+class MoveRules:
+    """Judges batches in order. A move's drop may be known one batch later (slot 0 of Drops), so its line is kept."""
+
+    def __init__(
+        self,
+        heightfield: Heightfield,
+        spec: PassSpec,
+        stock: Stock,
+        *,
+        highest_mm: float,
+        safe_z_mm: float,
+        gouge_allowed_um: float,
+    ) -> None:
+        slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
+        self.allowed_drop_mm = spec.step_down_mm + engagement_allowance_mm(spec, float(slopes.max()))
+        self._spec, self._stock = spec, stock
+        self._highest_mm, self._safe_z_mm = highest_mm, safe_z_mm
+        self._gouge_allowed_mm = gouge_allowed_um / 1000
+        self._gouge = Finding(says=lambda v: f"cuts {1000 * v:.2f} µm below the lens (allowed {gouge_allowed_um:g} µm)")
+        self._deep = Finding(
+            says=lambda v: (
+                f"takes off {v:.3f} mm in one cut (allowed {self.allowed_drop_mm:.3f} mm: the step-down of "
+                f"{spec.step_down_mm:g} mm and the cusps of the layer before)"
+            )
+        )
+        self._rapid = Finding(says=lambda v: f"is a rapid through stock, {v:.3f} mm deep (allowed: none)")
+        self._low = Finding(
+            says=lambda v: f"is a rapid at Z{-v:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})"
+        )
+        self._still = Finding(says=lambda v: f"cuts {v:.3f} mm with the spindle off (allowed: only after M3)")
+        self._bottom = Finding(
+            says=lambda v: f"goes to Z{-v:.3f}, below the block (allowed: at least Z{-stock.thickness_mm:g})"
+        )
+        run_out_mm = max(stock.margin_mm, spec.radius_mm) + spec.pitch_mm
+        self._region = (-run_out_mm, stock.width_mm + run_out_mm, -run_out_mm, stock.height_mm + run_out_mm)
+        self._outside = Finding(
+            says=lambda v: (
+                f"is {v:.3f} mm beyond the block and its run-out (allowed: X{self._region[0]:g} to "
+                f"X{self._region[1]:g}, Y{self._region[2]:g} to Y{self._region[3]:g})"
+            )
+        )
+        self._extra: list[str] = []
+        self.notes: list[str] = []
+        self.lines = self.bytes = self.moves = self.entries = 0
+        self.path_length_mm = self.max_engagement_mm = self.gouge_mm = 0.0
+        self._low_corner, self._high_corner = np.full(3, np.inf), np.full(3, -np.inf)
+        self._airborne, self._ended, self._spindle_left_on = True, False, False
+        # The last move of the batch before: line, is rapid, spindle on, in the air, end point.
+        self._last_line, self._last_rapid, self._last_spindle, self._last_clear = 0, True, False, True
+        self._last_point = np.zeros(3)
+
+    @property
+    def faults(self) -> list[str]:
+        """All faults so far; append further sentences with `add_fault`."""
+        kinds = (self._gouge, self._deep, self._rapid, self._low, self._still, self._bottom, self._outside)
+        return [sentence for kind in kinds for sentence in kind.sentences] + self._extra
+
+    def add_fault(self, sentence: str) -> None:
+        self._extra.append(sentence)
+
+    @property
+    def bounds(self) -> dict[str, list[float]]:
+        if not self.moves:
+            return {axis: [0.0, 0.0] for axis in _AXES}
+        return {a: [float(self._low_corner[d]), float(self._high_corner[d])] for d, a in enumerate(_AXES)}
+
+    def judge(self, batch: MoveBatch, drops: Drops, overlaps: Overlaps, whole: RemovalGrid) -> None:
+        self.lines, self.bytes, self._ended = batch.lines_read, batch.bytes_read, batch.ended
+        if len(batch) == 0:
+            return
+        start, end = batch.start_mm, batch.end_mm
+        step = end - start
+        is_motion = batch.pause_s < 0
+        low_z = np.minimum(start[:, 2], end[:, 2])
+        clear = batch.is_rapid | (low_z > self._highest_mm) | ~is_motion
+        self.moves += int(is_motion.sum())
+        self.path_length_mm += float(np.sqrt(np.einsum("ij,ij->i", step, step)).sum())
+        self._low_corner = np.minimum(self._low_corner, batch.points_mm.min(axis=0))
+        self._high_corner = np.maximum(self._high_corner, batch.points_mm.max(axis=0))
+        self._judge_drops(
+            drops,
+            whole,
+            lines=np.concatenate([[self._last_line], batch.line]),
+            rapid=np.concatenate([[self._last_rapid], batch.is_rapid]),
+            spindle=np.concatenate([[self._last_spindle], batch.spindle_on]),
+            clear=np.concatenate([[self._last_clear], clear & is_motion]),
+        )
+        self._judge_places(batch, low_z, step)
+        gouges = overlaps.depth_mm > self._gouge_allowed_mm
+        self._gouge.note_moves(gouges, overlaps.depth_mm, batch.line, overlaps.place_mm)
+        self.gouge_mm = max(self.gouge_mm, float(overlaps.depth_mm.max()))
+        moving = np.flatnonzero(is_motion & (step != 0).any(axis=1))
+        if moving.size:
+            k = moving[-1]
+            self._last_line, self._last_clear = int(batch.line[k]), bool(clear[k])
+            self._last_rapid, self._last_spindle = bool(batch.is_rapid[k]), bool(batch.spindle_on[k])
+        self._spindle_left_on = bool(batch.spindle_on[-1]) and not batch.ended
+
+    def judge_rest(self, drops: Drops, whole: RemovalGrid) -> None:
+        """What the ball still removes where it stops."""
+        one = np.array([True])
+        self._judge_drops(
+            drops,
+            whole,
+            lines=np.array([self._last_line]),
+            rapid=one & self._last_rapid,
+            spindle=one & self._last_spindle,
+            clear=one & self._last_clear,
+        )
+        if not self.moves:
+            self.add_fault("the program moves nothing (allowed: at least one move)")
+        if not self._ended:
+            self.add_fault(f"the program stops after line {self.lines} without M2 or M30 (allowed: only with one)")
+
+    def _judge_drops(
+        self,
+        drops: Drops,
+        whole: RemovalGrid,
+        *,
+        lines: np.ndarray,
+        rapid: np.ndarray,
+        spindle: np.ndarray,
+        clear: np.ndarray,
+    ) -> None:
+        depth = drops.depth_mm
+        touched = depth > _TOUCH_MM
+        entries, self._airborne = _count_entries(self._airborne, clear, depth, _TOUCH_MM)
+        self.entries += entries
+        if not touched.any():
+            return
+        cutting = touched & ~rapid
+        self.max_engagement_mm = max(self.max_engagement_mm, float(depth[cutting].max(initial=0.0)))
+        for kind, guilty in (
+            (self._deep, cutting & (depth > self.allowed_drop_mm)),
+            (self._rapid, touched & rapid),
+            (self._still, cutting & ~spindle),
+        ):
+            if guilty.any():
+                x, y = whole.places_mm(drops.cell)
+                kind.note_moves(guilty, depth, lines, np.column_stack([x, y]))
+
+    def _judge_places(self, batch: MoveBatch, low_z: Array, step: Array) -> None:
+        end = batch.end_mm
+        across = (step[:, :2] != 0).any(axis=1)
+        low_rapid = batch.is_rapid & (low_z < self._safe_z_mm - 1e-6) & (across | (step[:, 2] < 0))
+        self._low.note_moves(low_rapid, -low_z, batch.line, end)
+        self._bottom.note_moves(low_z < -self._stock.thickness_mm - 1e-6, -low_z, batch.line, end)
+        x_lo, x_hi, y_lo, y_hi = self._region
+        beyond = np.maximum.reduce([x_lo - end[:, 0], end[:, 0] - x_hi, y_lo - end[:, 1], end[:, 1] - y_hi])
+        self._outside.note_moves(beyond > 1e-6, beyond, batch.line, end)
+
+    def note_gouge(self, depth_mm: float, line: int, place_mm: tuple[float, float]) -> None:
+        """A gouge seen in a cell rather than by contact; counts only when it is the worst."""
+        if depth_mm > self._gouge_allowed_mm and depth_mm > self._gouge.worst:
+            self._gouge.note(depth_mm, line, *place_mm)
+        self.gouge_mm = max(self.gouge_mm, depth_mm)
+
+    def judge_bounds(self, travel_mm: Sequence[float]) -> None:
+        """The extent of all coordinates against what the axes can travel."""
+        if not self.moves:
+            return
+        for axis, low, high, travel in zip(_AXES, self._low_corner, self._high_corner, travel_mm, strict=True):
+            if high - low > travel + 1e-9:
+                self.add_fault(
+                    f"the program spans {high - low:.3f} mm in {axis.upper()}, from {low:.3f} to {high:.3f} mm "
+                    f"(allowed: the mill's travel of {travel:g} mm)"
+                )

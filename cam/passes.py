@@ -1,0 +1,151 @@
+"""Passes as data: what is cut with which ball, how closely and how fast; and the block it is cut from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+from cam.errors import PassValueError
+from cam.materials import PMMA, Material
+
+Strategy = Literal["raster"]
+Link = Literal["u-turn", "retract"]
+
+
+def _require(name: str, value: float, *, above: float | None = None, at_least: float | None = None) -> None:
+    if not math.isfinite(value):
+        raise PassValueError(name=name, value=value, allowed="a finite number")
+    if above is not None and not value > above:
+        raise PassValueError(name=name, value=value, allowed=f"above {above:g}")
+    if at_least is not None and not value >= at_least:
+        raise PassValueError(name=name, value=value, allowed=f"at least {at_least:g}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassSpec:
+    """One pass with one ball end mill.
+
+    stock_to_leave_mm : measured along the surface normal
+    step_down_mm      : the most stock one move may take off, measured along Z
+    link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13)
+    """
+
+    name: str
+    strategy: Strategy = "raster"
+    link: Link = "u-turn"
+    radius_mm: float
+    pitch_mm: float
+    stock_to_leave_mm: float
+    step_down_mm: float
+    feed_mm_per_min: float
+    plunge_mm_per_min: float
+    spindle_rpm: float
+
+    def __post_init__(self) -> None:
+        if self.strategy != "raster":
+            raise PassValueError(name="strategy", value=self.strategy, allowed='"raster"')
+        if self.link not in ("u-turn", "retract"):
+            raise PassValueError(name="link", value=self.link, allowed='"u-turn" or "retract"')
+        for name in ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"):
+            _require(name, getattr(self, name), above=0)
+        _require("stock_to_leave_mm", self.stock_to_leave_mm, at_least=0)
+        _require("pitch_mm", self.pitch_mm, at_least=0.001)
+        if self.pitch_mm > self.radius_mm:
+            allowed = f"at most the ball's radius, {self.radius_mm:g} mm"
+            raise PassValueError(name="pitch_mm", value=self.pitch_mm, allowed=allowed)
+
+    @property
+    def finishes(self) -> bool:
+        """Nothing is left: this pass makes the optical surface."""
+        return self.stock_to_leave_mm == 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stock:
+    """The block: the aperture (width, height) with a margin on all four sides; its top is Z0."""
+
+    width_mm: float
+    height_mm: float
+    thickness_mm: float
+    margin_mm: float
+
+    def __post_init__(self) -> None:
+        for name in ("width_mm", "height_mm", "thickness_mm"):
+            _require(name, getattr(self, name), above=0)
+        _require("margin_mm", self.margin_mm, at_least=0)
+
+
+def ball_pass(
+    name: str,
+    *,
+    radius_mm: float,
+    pitch_mm: float,
+    stock_to_leave_mm: float,
+    step_down_mm: float,
+    material: Material = PMMA,
+    link: Link = "u-turn",
+) -> PassSpec:
+    """A pass whose speeds come from the material's start values."""
+    start = material.start_values(radius_mm)
+    return PassSpec(
+        name=name,
+        link=link,
+        radius_mm=radius_mm,
+        pitch_mm=pitch_mm,
+        stock_to_leave_mm=stock_to_leave_mm,
+        step_down_mm=step_down_mm,
+        feed_mm_per_min=start.feed_mm_per_min,
+        plunge_mm_per_min=start.plunge_mm_per_min,
+        spindle_rpm=start.spindle_rpm,
+    )
+
+
+def paper_passes(material: Material = PMMA, *, link: Link = "u-turn") -> tuple[PassSpec, ...]:
+    """The paper's three passes (section 4): radii and pitches 3/0.5, 0.5/0.05, 0.5/0.02 mm.
+
+    What each leaves and its step-down are ours. A normal engagement is what the pass before left, on a slope
+    divided by its cosine: 0.2 / 0.89 and 0.03 / 0.89 mm at slope 0.5. Deeper spots get layers of their own.
+    """
+    return (
+        ball_pass(
+            "rough",
+            radius_mm=3.0,
+            pitch_mm=0.5,
+            stock_to_leave_mm=0.2,
+            step_down_mm=1.5,
+            material=material,
+            link=link,
+        ),
+        ball_pass(
+            "semi-finish",
+            radius_mm=0.5,
+            pitch_mm=0.05,
+            stock_to_leave_mm=0.03,
+            step_down_mm=0.4,
+            material=material,
+            link=link,
+        ),
+        ball_pass(
+            "finish",
+            radius_mm=0.5,
+            pitch_mm=0.02,
+            stock_to_leave_mm=0.0,
+            step_down_mm=0.1,
+            material=material,
+            link=link,
+        ),
+    )
+
+
+def draft_passes(material: Material = PMMA) -> tuple[PassSpec, ...]:
+    """Two quick passes with one 3 mm ball: half a day's picture, not the paper's."""
+    return (
+        ball_pass("rough", radius_mm=3.0, pitch_mm=0.5, stock_to_leave_mm=0.2, step_down_mm=1.5, material=material),
+        ball_pass("finish", radius_mm=3.0, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4, material=material),
+    )
+
+
+PAPER_PASSES = paper_passes()
+DRAFT_PASSES = draft_passes()
+PRESETS = {"paper": PAPER_PASSES, "draft": DRAFT_PASSES}

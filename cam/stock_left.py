@@ -1,0 +1,221 @@
+"""What a pass leaves, cell by cell, against the lens: gouge, excess, and the places the ball cannot reach."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from scipy import ndimage
+
+from cam.passes import PassSpec
+from cam.stock_grid import StockGrid
+from optics.heightfield import Array, Heightfield, spline_jet
+
+_JUDGED = 20_000  # cells whose reach is worked out, at most
+_NAMED = 8  # places out of reach that are named
+_TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
+
+
+@njit(cache=True, nogil=True)
+def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, leave, pitch, radius, over, lens, cusp):  # type: ignore[no-untyped-def] # fmt: skip
+    """lens: stock above the lens; over: above that and what the pass leaves; cusp: what the theory allows of it.
+
+    All along Z; NaN off the aperture.
+    """
+    ny, nx = top.shape
+    for j in range(ny):
+        y = y0 + (j + 0.5) * cell
+        for i in range(nx):
+            x = x0 + (i + 0.5) * cell
+            if x < 0.0 or y < 0.0 or x > width or y > height:
+                over[j, i] = math.nan
+                lens[j, i] = math.nan
+                cusp[j, i] = math.nan
+                continue
+            h, hx, hy, hxx, hxy, hyy = spline_jet(coefs, sx0, sy0, inv_dx, inv_dy, x, y)
+            steep = 1.0 + hx * hx + hy * hy  # 1 / cos^2
+            q = math.sqrt(steep)
+            lens[j, i] = top[j, i] - h
+            over[j, i] = lens[j, i] - leave * q
+            bend = 0.5 * (hxx + hyy) + math.hypot(0.5 * (hxx - hyy), hxy)  # most hollow direction; an upper bound
+            if bend < 0.0:
+                bend /= steep * q
+            # Tips p apart in plan are up to p q apart on the slope; the ridge, p^2 / 8R, stands on the slope (q), and
+            # in a hollow the contacts spread to p / (1 - R k). Near 1 - R k = 0 the ball hardly fits: not a cusp.
+            cusp[j, i] = pitch * pitch * steep * q / (8.0 * radius * max(0.25, 1.0 - (radius + leave) * bend))
+
+
+@njit(cache=True, nogil=True)
+def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, radius, rings):  # type: ignore[no-untyped-def]
+    """How far a ball touching the surface at (x, y) lies in it elsewhere in the aperture."""
+    h, hx, hy, _hxx, _hxy, _hyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)
+    q = math.sqrt(1.0 + hx * hx + hy * hy)
+    cx = x - radius * hx / q
+    cy = y - radius * hy / q
+    cz = h + radius / q
+    nearest = radius
+    step = radius / rings
+    for j in range(-rings, rings + 1):
+        for i in range(-rings, rings + 1):
+            px = cx + i * step
+            py = cy + j * step
+            flat2 = (px - cx) ** 2 + (py - cy) ** 2
+            if flat2 >= radius * radius or px < 0.0 or py < 0.0 or px > width or py > height:
+                continue
+            hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
+            if hp > cz:
+                return radius
+            nearest = min(nearest, math.sqrt(flat2 + (hp - cz) ** 2))
+    return radius - nearest
+
+
+@njit(cache=True, nogil=True)
+def _reaches(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
+    for k in range(x.size):
+        out[k] = _deepest_in(coefs, x0, y0, inv_dx, inv_dy, width, height, x[k], y[k], radius, rings) <= _TOUCH_MM
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Unreached:
+    """A place the ball cannot touch: where, how high the stock stays above what the pass should leave, how large."""
+
+    x_mm: float
+    y_mm: float
+    excess_um: float
+    area_mm2: float
+
+    def __str__(self) -> str:
+        return (
+            f"X{self.x_mm:.2f} Y{self.y_mm:.2f}: the ball leaves {self.excess_um:.1f} µm over {self.area_mm2:.3g} mm²"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StockLeft:
+    """Stock above the wanted surface (lens plus what the pass leaves along the normal), measured along Z.
+
+    over_mm, cusp_mm (ny, nx) : NaN beyond the aperture; cusp is what pitch, slope and curvature explain
+    over_lens_mm (ny, nx)     : stock above the lens itself
+    """
+
+    over_mm: Array
+    over_lens_mm: Array
+    cusp_mm: Array
+    grid: StockGrid
+
+    @classmethod
+    def of(cls, grid: StockGrid, heightfield: Heightfield, spec: PassSpec) -> StockLeft:
+        over, lens, cusp = (np.empty(grid.top_mm.shape) for _ in range(3))
+        _compare(
+            *(grid.top_mm, grid.x0_mm, grid.y0_mm, grid.cell_mm, *heightfield.spline().kernel_arguments),
+            *(heightfield.width_mm, heightfield.height_mm, spec.stock_to_leave_mm, spec.pitch_mm, spec.radius_mm),
+            *(over, lens, cusp),
+        )
+        return cls(over_mm=over, over_lens_mm=lens, cusp_mm=cusp, grid=grid)
+
+    @property
+    def in_aperture(self) -> np.ndarray:
+        return np.isfinite(self.over_mm)
+
+    def lowest(self, among: np.ndarray) -> tuple[float, int]:
+        """(least over_mm, flat cell) among the marked cells; (inf, -1) when there are none."""
+        return _least(self.over_mm, among)
+
+    def lowest_over_lens(self, among: np.ndarray) -> tuple[float, int]:
+        """The same of over_lens_mm: below 0 is a gouge."""
+        return _least(self.over_lens_mm, among)
+
+    def suspicious(self, spec: PassSpec) -> np.ndarray:
+        """Cells that stand higher than tracks at the pass's pitch explain."""
+        slack_mm = max(0.001, 0.02 * spec.stock_to_leave_mm)
+        with np.errstate(invalid="ignore"):
+            return np.asarray(self.over_mm > 1.5 * self.cusp_mm + slack_mm)
+
+
+def _least(values: Array, among: np.ndarray) -> tuple[float, int]:
+    marked = np.where(among & np.isfinite(values), values, np.inf)
+    cell = int(marked.argmin())
+    return (float(marked.flat[cell]), cell) if np.isfinite(marked.flat[cell]) else (math.inf, -1)
+
+
+def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, spec: PassSpec) -> np.ndarray:
+    """Which of the cells (flat indices) a ball of the pass's radius, grown by what it leaves, can touch."""
+    rows, columns = np.divmod(cells, grid.top_mm.shape[1])
+    radius_mm = spec.radius_mm + spec.stock_to_leave_mm
+    rings = int(np.clip(radius_mm / max(heightfield.dx_mm, 1e-9), 16, 40))
+    out = np.empty(cells.size, dtype=np.bool_)
+    _reaches(
+        *(*heightfield.spline().kernel_arguments, heightfield.width_mm, heightfield.height_mm),
+        *(grid.x_mm[columns], grid.y_mm[rows], radius_mm, rings, out),
+    )
+    return out
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExcessFound:
+    """Where stock stands too high: within the ball's reach (it was not cut) and out of it (it cannot be).
+
+    excess_um      : greatest height above the wanted surface within reach, cusps included; at x_mm, y_mm
+    uncut_mm       : greatest height beyond the allowed cusp among reachable cells under suspicion (0: none)
+    """
+
+    excess_um: float
+    uncut_mm: float
+    x_mm: float
+    y_mm: float
+    unreached: tuple[Unreached, ...]
+    unreached_share: float
+
+
+def find_excess(left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> ExcessFound:
+    """Tell stock that was forgotten from stock the ball cannot get at."""
+    suspects = left.suspicious(spec)
+    flat = np.flatnonzero(suspects)
+    stride = max(1, -(-flat.size // _JUDGED))
+    judged = flat[::stride]
+    reach = within_reach(judged, left.grid, heightfield, spec)
+    out_of_reach = np.zeros(left.over_mm.shape, dtype=np.bool_)
+    out_of_reach.flat[judged[~reach]] = True
+    forgotten = judged[reach]
+    regular = np.where(suspects, -np.inf, np.nan_to_num(left.over_mm, nan=-np.inf))
+    cell = int(regular.argmax())
+    excess_mm, uncut_mm = float(regular.flat[cell]), 0.0
+    if forgotten.size:
+        beyond = left.over_mm.flat[forgotten] - left.cusp_mm.flat[forgotten]
+        cell = int(forgotten[beyond.argmax()])
+        excess_mm, uncut_mm = max(excess_mm, float(left.over_mm.flat[cell])), float(beyond.max())
+    row, column = divmod(cell, left.over_mm.shape[1])
+    whole = max(1, int(left.in_aperture.sum()))
+    return ExcessFound(
+        excess_um=1000 * max(0.0, excess_mm) if math.isfinite(excess_mm) else 0.0,
+        uncut_mm=uncut_mm,
+        x_mm=float(left.grid.x_mm[column]),
+        y_mm=float(left.grid.y_mm[row]),
+        unreached=_places(out_of_reach, left, stride),
+        unreached_share=float(out_of_reach.sum()) * stride / whole,
+    )
+
+
+def _places(out_of_reach: np.ndarray, left: StockLeft, stride: int) -> tuple[Unreached, ...]:
+    """The largest excesses out of reach, one per connected spot (cells up to two apart belong together)."""
+    if not out_of_reach.any():
+        return ()
+    near = ndimage.binary_dilation(out_of_reach, iterations=1 + min(stride, 3))
+    spots, count = ndimage.label(near, structure=np.ones((3, 3)))
+    labels = np.where(out_of_reach, spots, 0)
+    index = np.arange(1, count + 1)
+    heights = ndimage.maximum(left.over_mm, labels, index)
+    sizes = ndimage.sum_labels(out_of_reach, labels, index) * stride * left.grid.cell_mm**2
+    centres = ndimage.maximum_position(left.over_mm, labels, index)
+    worst = np.argsort(heights)[::-1][:_NAMED]
+    return tuple(
+        Unreached(
+            x_mm=float(left.grid.x_mm[int(centres[k][1])]),
+            y_mm=float(left.grid.y_mm[int(centres[k][0])]),
+            excess_um=1000 * float(heights[k]),
+            area_mm2=float(sizes[k]),
+        )
+        for k in worst
+    )

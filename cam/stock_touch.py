@@ -1,0 +1,114 @@
+"""How low the tip may go before the ball meets the stock that is left."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numba import njit
+
+from cam.moves import Array
+from cam.stock_grid import StockGrid
+
+AIR_MM = -1e6
+"""Where the whole footprint lies beside the block."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StockTouch:
+    """Grey dilation of the stock left by the ball: D(c) = max over q of top(q) - (R - sqrt(R^2 - |q - c|^2)).
+
+    D(c) - tip is then exactly the most stock one move takes off, measured along Z: the engagement.
+
+    height_mm (ny, nx) : D on a lattice whose node [0, 0] stands at (x0_mm, y0_mm)
+    slack_mm           : the most D can be too low, as cells and lattice only sample the ball: s^2 / 4R
+    """
+
+    x0_mm: float
+    y0_mm: float
+    step_mm: float
+    height_mm: Array
+    slack_mm: float
+    flat: bool
+
+    @classmethod
+    def of(cls, stock_top: StockGrid, radius_mm: float) -> StockTouch:
+        top, cell = stock_top.top_mm, stock_top.cell_mm
+        stride = max(1, int(radius_mm / 10 / cell))
+        step, pad = stride * cell, ceil(radius_mm / (stride * cell)) + 1
+        nx, ny = (ceil(n / stride) + 2 * pad for n in (top.shape[1], top.shape[0]))
+        x0 = stock_top.x0_mm + cell / 2 - pad * step
+        y0 = stock_top.y0_mm + cell / 2 - pad * step
+        flat = bool(np.ptp(top) == 0)
+        height = np.full((ny, nx), AIR_MM)
+        if flat:
+            out_x = _outside(x0 + step * np.arange(nx), stock_top.x0_mm, stock_top.x0_mm + top.shape[1] * cell)
+            out_y = _outside(y0 + step * np.arange(ny), stock_top.y0_mm, stock_top.y0_mm + top.shape[0] * cell)
+            left = radius_mm**2 - out_x[None, :] ** 2 - out_y[:, None] ** 2
+            met = left > 0
+            height[met] = float(top[0, 0]) - radius_mm + np.sqrt(left[met])
+        else:
+            _dilate(top, cell, radius_mm, stride, pad, height)
+        return cls(
+            x0_mm=x0,
+            y0_mm=y0,
+            step_mm=step,
+            height_mm=height,
+            slack_mm=0.0 if flat else step**2 / (4 * radius_mm),
+            flat=flat,
+        )
+
+    def over(self, x_mm: Array, y_mm: Array) -> Array:
+        """(ny, nx) D at the grid points x (nx,), y (ny,), bilinear between lattice nodes."""
+        out = np.empty((y_mm.size, x_mm.size))
+        _sample(self.height_mm, self.x0_mm, self.y0_mm, 1.0 / self.step_mm, x_mm, y_mm, out)
+        return out
+
+    def at(self, x_mm: float, y_mm: float) -> float:
+        return float(self.over(np.array([x_mm]), np.array([y_mm]))[0, 0])
+
+
+def _outside(values: Array, low: float, high: float) -> Array:
+    """How far outside [low, high]."""
+    result: Array = np.maximum(np.maximum(low - values, values - high), 0.0)
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _dilate(top, cell, radius, stride, pad, out):  # type: ignore[no-untyped-def]
+    n = int(radius / cell)
+    ny, nx = top.shape
+    bump = np.full((2 * n + 1, 2 * n + 1), np.inf)
+    for a in range(-n, n + 1):
+        for e in range(-n, n + 1):
+            left = radius * radius - (a * a + e * e) * cell * cell
+            if left > 0.0:
+                bump[a + n, e + n] = radius - np.sqrt(left)
+    for j in range(out.shape[0]):
+        jc = (j - pad) * stride
+        for i in range(out.shape[1]):
+            ic = (i - pad) * stride
+            best = AIR_MM
+            for a in range(max(-n, -jc), min(n, ny - 1 - jc) + 1):
+                for e in range(max(-n, -ic), min(n, nx - 1 - ic) + 1):
+                    best = max(best, top[jc + a, ic + e] - bump[a + n, e + n])
+            out[j, i] = best
+
+
+@njit(cache=True, nogil=True)
+def _sample(height, x0, y0, inv, x, y, out):  # type: ignore[no-untyped-def]
+    ny, nx = height.shape
+    for b in range(y.size):
+        v = (y[b] - y0) * inv
+        j = int(np.floor(v))
+        for a in range(x.size):
+            u = (x[a] - x0) * inv
+            i = int(np.floor(u))
+            if i < 0 or j < 0 or i > nx - 2 or j > ny - 2:
+                out[b, a] = AIR_MM
+                continue
+            f, g = u - i, v - j
+            low = (1.0 - f) * height[j, i] + f * height[j, i + 1]
+            high = (1.0 - f) * height[j + 1, i] + f * height[j + 1, i + 1]
+            out[b, a] = (1.0 - g) * low + g * high

@@ -1,0 +1,113 @@
+"""The surface on which the tool tip travels so that the ball touches the lens, or leaves an even allowance on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+from scipy import ndimage
+
+from cam.contact import Ball, touch_points, touch_rows
+from cam.moves import Array
+from optics.heightfield import Heightfield, spline_jet
+
+FADE_MM = 6.0
+"""Run-out: the slope at the rim dies out over this length. Longer than two rough balls, so that a 3 mm ball fits the
+bend (slope 0.5 over 6 mm is 0.08 /mm) and all passes share one run-out."""
+
+GUARD_SHARE = 0.6
+"""Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolSurface:
+    """Tip heights of one ball over one lens, in and around the aperture; made by `over`."""
+
+    radius_mm: float
+    allowance_mm: float
+    lowest_mm: float
+    highest_mm: float
+    guarded_share: float
+    kernel: Ball
+
+    @classmethod
+    def over(
+        cls, heightfield: Heightfield, *, radius_mm: float, allowance_mm: float = 0.0, run_out_mm: float | None = None
+    ) -> ToolSurface:
+        """For tips up to run_out_mm (default: one radius) outside the aperture."""
+        ball_mm = radius_mm + allowance_mm
+        run_out_mm = radius_mm if run_out_mm is None else run_out_mm
+        spline = heightfield.spline().extended(run_out_mm + ball_mm + 2 * ball_mm / 8, fade_mm=FADE_MM)
+        step = min(heightfield.dx_mm, heightfield.dy_mm, ball_mm / 8)
+        reach = run_out_mm + ball_mm + step
+        x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]
+        y = np.arange(-reach, heightfield.height_mm + reach + step, step) + heightfield.y_mm[0]
+        heights, most = (np.empty((y.size, x.size)) for _ in range(2))
+        least, steepest = _lattice(*spline.kernel_arguments, x, y, heights, most)
+        guarded = _grown(most > GUARD_SHARE / ball_mm, (ball_mm + step) / step)
+        bend = max(0.0, -least) + (1 + steepest**2) ** 1.5 / ball_mm  # of f, at most
+        kernel = Ball(
+            *spline.kernel_arguments,
+            radius=ball_mm,
+            below=radius_mm,
+            node_z=heights,
+            node_x0=float(x[0]),
+            node_y0=float(y[0]),
+            node_step=step,
+            guarded=guarded,
+            slack=bend * step**2 / 4,
+        )
+        return cls(
+            radius_mm=radius_mm,
+            allowance_mm=allowance_mm,
+            lowest_mm=float(heights.min()) + allowance_mm,
+            highest_mm=float(heights.max()) + allowance_mm,
+            guarded_share=float(guarded.mean()),
+            kernel=kernel,
+        )
+
+    def contacts_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
+        """(n, 3) contact x, contact y and tip height for tips at x (n,), y (n,); quick if neighbours are close."""
+        x, y = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x_mm, y_mm))
+        out = np.empty((x.size, 3))
+        if x.size:
+            touch_points(self.kernel, x, y, out)
+        return out
+
+    def tip_heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
+        """(n,) tip heights for tips at x (n,), y (n,)."""
+        return self.contacts_mm(x_mm, y_mm)[:, 2]
+
+    def tip_rows_mm(self, x_mm: Array, y_mm: Array) -> Array:
+        """(ny, nx) tip heights on rows y (ny,) at x (nx,)."""
+        out = np.empty((y_mm.size, x_mm.size))
+        touch_rows(self.kernel, x_mm, y_mm, out)
+        return out
+
+
+@njit(cache=True, nogil=True)
+def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, heights, most):  # type: ignore[no-untyped-def]
+    """Heights and largest eigenvalue of the Hessian on the lattice x (nx,), y (ny,); returns the smallest one's minimum
+    and the steepest slope.
+    """
+    least, steepest = np.inf, 0.0
+    for j in range(y.size):
+        for i in range(x.size):
+            z, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
+            mean = 0.5 * (zxx + zyy)
+            spread = np.sqrt(0.25 * (zxx - zyy) ** 2 + zxy * zxy)
+            heights[j, i] = z
+            most[j, i] = mean + spread
+            least = min(least, mean - spread)
+            steepest = max(steepest, zx * zx + zy * zy)
+    return least, np.sqrt(steepest)
+
+
+def _grown(mask: np.ndarray, by: float) -> np.ndarray:
+    """The mask and everything within `by` cells of it."""
+    if not mask.any():
+        return mask
+    return ndimage.distance_transform_edt(~mask) <= ceil(by)

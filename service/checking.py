@@ -1,0 +1,155 @@
+"""The command `check`: removal simulation of programs that already exist, ours or edited by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeVar
+
+from cam.errors import CamError
+from cam.passes import PassSpec, Stock
+from machines.profiles import MachineProfile
+from optics.heightfield import Heightfield
+from service import job_files
+from service.errors import InputError, SpecError
+from service.passes import cam_passes_of, cam_stock_of, machine_of
+from service.progress import Reporter, Stopwatch
+from service.spec import JobSpec
+from service.spec_files import resolve_spec, stored_spec
+from service.stages_cam import first_stock, simulate
+from service.summary import duration
+from service.workshop import load_heightfield
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CheckSettings:
+    """What the command line says of programs that come without a job: one value for all, or one for each."""
+
+    radius_mm: tuple[float, ...]
+    pitch_mm: tuple[float, ...]
+    stock_to_leave_mm: tuple[float, ...]
+    step_down_mm: tuple[float, ...]
+    thickness_mm: float | None
+    margin_mm: float | None
+    machine: str | None
+
+    @property
+    def says_anything(self) -> bool:
+        return bool(self.radius_mm or self.pitch_mm or self.stock_to_leave_mm or self.step_down_mm)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What the simulation says of one program."""
+
+    program: Path
+    ok: bool
+    faults: tuple[str, ...]
+    gouge_um: float
+    max_engagement_mm: float
+    time_s: float
+
+    def line(self) -> str:
+        if not self.ok:
+            return "\n".join(f"error: {self.program}: {fault}" for fault in self.faults)
+        return (
+            f"{self.program}: no fault; gouge {self.gouge_um:.3f} um, deepest engagement "
+            f"{self.max_engagement_mm:.3f} mm, {duration(self.time_s)}"
+        )
+
+
+def check_programs(
+    programs: Sequence[Path], heightfield_path: Path, settings: CheckSettings, *, reporter: Reporter
+) -> list[Verdict]:
+    """Simulate programs one after the other on one block; a fault ends the run with that program."""
+    missing = [path for path in programs if not path.is_file()]
+    if missing:
+        raise InputError(f"{missing[0]}: there is no such program")
+    heightfield = load_heightfield(heightfield_path)
+    folder = programs[0].parent
+    if not settings.says_anything and job_files.is_job_folder(folder):
+        tasks, stock, machine = _of_the_job(programs, folder)
+    else:
+        tasks, stock, machine = _of_the_command_line(programs, heightfield, settings)
+    watch, stock_top, verdicts = Stopwatch(reporter), first_stock(stock), []
+    for path, spec in tasks:
+        with watch.stage(f"check {path.name}") as reached:
+            try:
+                result = simulate(path, spec, heightfield, stock, stock_top, machine, reached)
+            except CamError as error:  # text that no mill should be given
+                verdicts.append(_unreadable(path, error))
+                break
+        stock_top = result.stock_top
+        verdicts.append(
+            Verdict(
+                program=path,
+                ok=result.ok,
+                faults=result.faults,
+                gouge_um=result.gouge_um,
+                max_engagement_mm=result.max_engagement_mm,
+                time_s=result.time_s,
+            )
+        )
+        if not result.ok:
+            break
+    return verdicts
+
+
+def _unreadable(path: Path, error: CamError) -> Verdict:
+    sentence = " ".join(str(error).split())
+    return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
+
+
+def _of_the_job(programs: Sequence[Path], folder: Path) -> tuple[list[tuple[Path, PassSpec]], Stock, MachineProfile]:
+    """Passes by file name from the job's report and spec; passes before the last one asked for are run as well."""
+    spec: JobSpec = stored_spec(folder)
+    rows = job_files.read_report(folder).get("passes", [])
+    of_file = {row["file"]: number for number, row in enumerate(rows)}
+    for path in programs:
+        if path.name not in of_file or path.parent.resolve() != folder.resolve():
+            raise InputError(f"{path}: not a program of the job in {folder}; say --radius-mm and --pitch-mm")
+    last = max(of_file[path.name] for path in programs)
+    given = {path.name: path for path in programs}
+    names = [row["file"] for row in rows[: last + 1]]
+    tasks = [(given.get(name, folder / name), pass_) for name, pass_ in zip(names, cam_passes_of(spec), strict=False)]
+    return tasks, cam_stock_of(spec), machine_of(spec)
+
+
+def _of_the_command_line(
+    programs: Sequence[Path], heightfield: Heightfield, settings: CheckSettings
+) -> tuple[list[tuple[Path, PassSpec]], Stock, MachineProfile]:
+    """Passes from options, what is left out from the job spec's defaults."""
+    count = len(programs)
+    radii = _each("--radius-mm", settings.radius_mm, count)
+    pitches = _each("--pitch-mm", settings.pitch_mm, count)
+    leaves = _each("--stock-to-leave-mm", settings.stock_to_leave_mm or (0.0,), count)
+    downs: Sequence[float | None] = _each("--step-down-mm", settings.step_down_mm or (None,), count)
+    rows = [
+        {"radius_mm": radius, "pitch_mm": pitch, "stock_to_leave_mm": leave}
+        | ({} if down is None else {"step_down_mm": down})
+        for radius, pitch, leave, down in zip(radii, pitches, leaves, downs, strict=True)
+    ]
+    stock = {"thickness_mm": settings.thickness_mm, "margin_mm": settings.margin_mm}
+    try:
+        spec = resolve_spec(
+            base={
+                "optics": {"width_mm": heightfield.width_mm, "height_mm": heightfield.height_mm},
+                "stock": {key: value for key, value in stock.items() if value is not None},
+                "machine": {"profile": settings.machine} if settings.machine else {},
+                "passes": rows,
+            }
+        )
+    except SpecError as error:
+        raise InputError(str(error)) from None
+    return list(zip(programs, cam_passes_of(spec), strict=True)), cam_stock_of(spec), machine_of(spec)
+
+
+def _each(option: str, values: Sequence[T], count: int) -> list[T]:
+    if len(values) == 1:
+        return list(values) * count
+    if len(values) != count:
+        raise InputError(f"{option}: {len(values)} values for {count} programs; allowed: 1 or {count}")
+    return list(values)

@@ -1,0 +1,118 @@
+"""toolpath.png: each pass seen from above, the whole part on the left and single tracks on the right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import ListedColormap, Normalize
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+from service.figures import Array, new_figure, png_bytes
+from service.path_sample import PathSample
+
+__all__ = ["PathSample", "toolpath_png"]
+
+_CMAP = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.87, 256)))  # its yellow end is lost on white
+_RAPID = "crimson"
+_DOTS_UP_TO = 15_000  # vertices; more of them make a solid patch
+
+
+def toolpath_png(samples: Sequence[PathSample], *, width_mm: float, height_mm: float, margin_mm: float = 0.0) -> bytes:
+    """One row of two panels for each pass; colour is the height of the tool tip, the same in all panels."""
+    figure = new_figure(12.6, 6.1 * max(1, len(samples)) + 0.3)
+    panels = figure.subplots(max(1, len(samples)), 2, squeeze=False)
+    depths = np.concatenate([sample.bounds_mm()[:, 2] for sample in samples]) if samples else np.zeros(1)
+    deepest = float(np.nanmin(depths)) if np.isfinite(depths).any() else 0.0
+    norm = Normalize(vmin=min(deepest, -1e-3), vmax=0.0)
+    for (whole, window), sample in zip(panels, samples, strict=False):
+        _draw_whole_part(whole, sample, norm, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+        _draw_window(window, sample, norm, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+    mappable = LineCollection([], cmap=_CMAP, norm=norm)
+    bar = figure.colorbar(mappable, ax=panels, fraction=0.02, pad=0.01, aspect=40)
+    bar.set_label("height of the tool tip z [mm], 0 = top of the stock")
+    marks = [
+        Line2D([], [], color=_RAPID, linestyle="--", linewidth=1, label="rapid move"),
+        Line2D([], [], color=_RAPID, marker="v", linestyle="none", markersize=6, label="cutting begins"),
+        Line2D([], [], color="black", linewidth=1.2, label="lens aperture"),
+        Line2D([], [], color="0.55", linewidth=1.2, label="block"),
+        Line2D([], [], color="black", marker="+", markersize=10, linestyle="none", label="work zero"),
+    ]
+    figure.legend(handles=marks, loc="outside lower center", ncols=len(marks), frameon=False, fontsize=9)
+    return png_bytes(figure)
+
+
+def _draw_whole_part(
+    axes: Axes, sample: PathSample, norm: Normalize, *, width_mm: float, height_mm: float, margin_mm: float
+) -> None:
+    _draw_moves(axes, sample.cuts_mm(), sample.rapids_mm(), norm, width=0.9)
+    _draw_block(axes, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+    _draw_entries(axes, sample)
+    window = sample.window
+    side = max(window.x1_mm - window.x0_mm, 0.02 * width_mm)
+    middle = 0.5 * (window.x0_mm + window.x1_mm), 0.5 * (window.y0_mm + window.y1_mm)
+    corner = middle[0] - side / 2, middle[1] - side / 2
+    axes.add_patch(Rectangle(corner, side, side, fill=False, edgecolor="black", linewidth=1.4, zorder=6))
+    low, high = sample.bounds_mm()[:, :2] if sample.moves > sample.rapids else np.zeros((2, 2))
+    edge = 0.03 * max(width_mm, height_mm)
+    axes.set_xlim(min(-margin_mm, low[0], corner[0]) - edge, max(width_mm + margin_mm, high[0]) + edge)
+    axes.set_ylim(min(-margin_mm, low[1]) - edge, max(height_mm + margin_mm, high[1]) + edge)
+    axes.set_title(f"{sample.label}: the whole part", fontsize=11)
+    shown = f"of rows {sample.pitch_mm:g} mm apart one every {sample.row_distance_mm:.3g} mm is drawn"
+    if sample.row_distance_mm <= sample.pitch_mm:
+        shown = f"rows {sample.pitch_mm:g} mm apart, all drawn"
+    _label_axes(axes, f"x [mm]\n{sample.moves:,} moves, {sample.rapids:,} of them rapid; {shown}")
+
+
+def _draw_window(
+    axes: Axes, sample: PathSample, norm: Normalize, *, width_mm: float, height_mm: float, margin_mm: float
+) -> None:
+    cuts, jumps = sample.zoomed_mm()
+    _draw_moves(axes, cuts, jumps, norm, width=1.1)
+    window = sample.window
+    drawn = "every move; no vertex drawn"
+    if 0 < len(cuts) <= _DOTS_UP_TO:
+        axes.plot(cuts[:, 1, 0], cuts[:, 1, 1], ".", color="black", markersize=2.2, zorder=4)
+        drawn = "every move; a dot at each vertex"
+    elif not len(cuts):
+        axes.text(0.5, 0.5, "no moves here", transform=axes.transAxes, ha="center", color="0.4")
+        drawn = "no moves"
+    _draw_block(axes, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+    _draw_entries(axes, sample)
+    axes.set(xlim=(window.x0_mm, window.x1_mm), ylim=(window.y0_mm, window.y1_mm))
+    axes.set_title(f"The small square, {window.x1_mm - window.x0_mm:.2g} mm wide", fontsize=11)
+    _label_axes(axes, f"x [mm]\n{drawn}; rows {sample.pitch_mm:g} mm apart")
+
+
+def _draw_moves(axes: Axes, cuts: Array, jumps: Array, norm: Normalize, *, width: float) -> None:
+    flat: list[Any] = [cuts[:, :, :2], jumps[:, :, :2]]  # the stubs know of sequences only, an array is drawn faster
+    lines = LineCollection(flat[0], cmap=_CMAP, norm=norm, linewidths=width, capstyle="round")
+    lines.set_array(cuts[:, :, 2].mean(axis=1))
+    axes.add_collection(lines)
+    axes.add_collection(LineCollection(flat[1], colors=_RAPID, linewidths=0.8, linestyles="--", zorder=5))
+
+
+def _draw_entries(axes: Axes, sample: PathSample) -> None:
+    points = sample.entry_points_mm()
+    size = 6 if len(points) < 200 else 2.5
+    axes.plot(points[:, 0], points[:, 1], "v", color=_RAPID, markersize=size, markeredgewidth=0, zorder=7)
+
+
+def _draw_block(axes: Axes, *, width_mm: float, height_mm: float, margin_mm: float) -> None:
+    axes.add_patch(Rectangle((0, 0), width_mm, height_mm, fill=False, edgecolor="black", linewidth=1.2, zorder=5))
+    if margin_mm > 0:
+        corner, size = (-margin_mm, -margin_mm), (width_mm + 2 * margin_mm, height_mm + 2 * margin_mm)
+        axes.add_patch(Rectangle(corner, *size, fill=False, edgecolor="0.55", linewidth=1.2, zorder=5))
+    axes.plot(0, 0, "+", color="black", markersize=12, markeredgewidth=1.5, zorder=8)
+
+
+def _label_axes(axes: Axes, below: str) -> None:
+    axes.set_aspect("equal")
+    axes.set_xlabel(below, fontsize=9)
+    axes.set_ylabel("y [mm]", fontsize=9)
+    axes.tick_params(labelsize=8)

@@ -1,0 +1,74 @@
+"""Does the job fit: the ball into the lens, the moves into the mill, the programs onto the disk?
+
+All of this is asked before the first block is written.
+"""
+
+from __future__ import annotations
+
+import shutil
+from math import isfinite
+from pathlib import Path
+
+from cam.passes import PassSpec, Stock
+from machines.profiles import MachineProfile
+from optics.heightfield import Heightfield
+from service.errors import FailedError, InputError
+from service.lens_facts import LensFacts
+
+MOST_UNREACHABLE = 0.2
+_BYTES_PER_MM = 450.0  # of path: a 22 byte line every 0.05 mm, measured on photographs; within a factor of two
+
+
+def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...]) -> str | None:
+    """A warning when the finishing ball does not fit everywhere; InputError when it misses a fifth of the lens."""
+    radius_mm = min(spec.radius_mm for spec in passes if spec.finishes) if any(s.finishes for s in passes) else None
+    if radius_mm is None or radius_mm <= facts.min_concave_radius_mm:
+        return None
+    share = facts.unreachable_share(radius_mm)
+    fits = f"the largest that fits everywhere has {facts.min_concave_radius_mm:.3g} mm"
+    for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):
+        fits += f", on {name} of the area {radius:.3g} mm" if isfinite(radius) else f", on {name} of the area any"
+    if share > MOST_UNREACHABLE:
+        raise InputError(
+            f"radius_mm = {radius_mm:g} of the finish pass touches only {100 * (1 - share):.0f} % of the lens; "
+            f"allowed: at least {100 * (1 - MOST_UNREACHABLE):.0f} %; {fits}"
+        )
+    return (
+        f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * share:.2g} % of the lens; {fits}; "
+        f"optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
+    )
+
+
+def require_travel(
+    heightfield: Heightfield, stock: Stock, passes: tuple[PassSpec, ...], machine: MachineProfile
+) -> None:
+    """InputError when the block, or what the tip travels over it, is longer than an axis of the mill."""
+    around_mm = max(spec.radius_mm for spec in passes)
+    lowest_mm = float(heightfield.z_mm.min())
+    needed = (
+        ("X", "machine.travel_mm.0", stock.width_mm + 2 * around_mm, machine.travel_mm[0]),
+        ("Y", "machine.travel_mm.1", stock.height_mm + 2 * around_mm, machine.travel_mm[1]),
+        ("Z", "machine.travel_mm.2", machine.safe_z_mm - lowest_mm, machine.travel_mm[2]),
+    )
+    for axis, key, need_mm, have_mm in needed:
+        if need_mm > have_mm:
+            raise InputError(
+                f"{key} = {have_mm:g} mm ({machine.name}) is too small: the job moves {need_mm:.1f} mm along {axis}; "
+                f"allowed: at least {need_mm:.1f} mm"
+            )
+
+
+def expected_bytes(stock: Stock, spec: PassSpec) -> float:
+    """About how large a program becomes."""
+    length_mm = (stock.width_mm + 2 * spec.radius_mm) * (stock.height_mm + 2 * spec.radius_mm) / spec.pitch_mm
+    return length_mm * _BYTES_PER_MM
+
+
+def shortage(folder: Path, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
+    """A warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them."""
+    wanted_mb = sum(expected_bytes(stock, spec) for spec in passes) / 1e6
+    free_mb = shutil.disk_usage(folder).free / 1e6
+    sentence = f"the programs need about {wanted_mb:.0f} MB, the disk of {folder.parent} has {free_mb:.0f} MB free"
+    if free_mb < wanted_mb / 4:
+        raise FailedError(sentence)
+    return sentence if free_mb < wanted_mb else None

@@ -1,0 +1,241 @@
+"""The folder of a job: names, atomic writes, and the staging folder from which a finished job is put in place.
+
+Theory of operation: a command works in a hidden sibling of the output folder. Only when all of it has succeeded are
+the files renamed into the output folder, report.json last; failure or Ctrl-C removes the sibling and nothing else.
+A file that is renamed over another is whole at every moment.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import signal
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from service.errors import InputError
+
+SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
+HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
+LENS_FILES = ("target.png", HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
+LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png")
+TOOLPATH = "toolpath.png"
+_PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
+_KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH}
+_STAGING = ".part"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WrittenProgram:
+    """What was written: file name, hash, lines and bytes."""
+
+    file: str
+    sha256: str
+    lines: int
+    bytes: int
+
+
+def program_name(number: int, name: str, suffix: str) -> str:
+    """pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix with its dot."""
+    return f"pass-{number}-{name}{suffix}"
+
+
+def is_program(name: str) -> bool:
+    return _PROGRAM.fullmatch(name) is not None
+
+
+def is_known(name: str) -> bool:
+    """True for the name of any file this program writes into a job's folder."""
+    return name in _KNOWN or is_program(name)
+
+
+def is_job_folder(folder: Path) -> bool:
+    """True for a folder that an earlier command of this program filled."""
+    try:
+        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return (folder / SPEC).is_file() and isinstance(report, dict) and "causticmill" in report.get("versions", {})
+
+
+def require_usable_output(folder: Path, *, force: bool) -> None:
+    """Refuse an output folder that holds something else, before any work is done. `force` lets files be added to it."""
+    for path in (folder, *folder.absolute().parents):
+        if path.exists() and not path.is_dir():
+            raise InputError(f"--output: {path} is a file; allowed: a new or empty folder, or an earlier job's")
+    if not folder.exists() or force or is_job_folder(folder):
+        return
+    if any(folder.iterdir()):
+        raise InputError(
+            f"--output: {folder} holds other files; allowed: a new or empty folder, an earlier job's, or --force"
+        )
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file so that `path` holds the old content or all of the new, on disk."""
+    with atomic_file(path) as file:
+        file.write(data)
+
+
+def write_json(path: Path, data: object) -> None:
+    write_bytes(path, (json.dumps(data, indent=2, allow_nan=False) + "\n").encode())
+
+
+@contextlib.contextmanager
+def atomic_file(path: Path) -> Iterator[BinaryIO]:
+    """A file that takes its name when the block ends well, and is removed when it does not."""
+    hidden = path.with_name(f".{path.name}.{os.getpid()}{_STAGING}")
+    try:
+        with hidden.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        hidden.replace(path)
+    except BaseException:
+        hidden.unlink(missing_ok=True)
+        raise
+
+
+def write_program(path: Path, chunks: Iterable[bytes]) -> WrittenProgram:
+    """Stream a program to disk, counting and hashing as it goes. The name appears only when the program is whole."""
+    digest, lines, size = hashlib.sha256(), 0, 0
+    with atomic_file(path) as file:
+        for chunk in chunks:
+            file.write(chunk)
+            digest.update(chunk)
+            lines += chunk.count(b"\n")
+            size += len(chunk)
+    return WrittenProgram(file=path.name, sha256=digest.hexdigest(), lines=lines, bytes=size)
+
+
+def read_chunks(path: Path, chunk_bytes: int = 1 << 22) -> Iterator[bytes]:
+    """The bytes of a file, a few megabytes at a time."""
+    with path.open("rb") as file:
+        while chunk := file.read(chunk_bytes):
+            yield chunk
+
+
+def read_report(folder: Path) -> dict[str, Any]:
+    """report.json of a folder; empty when there is none."""
+    try:
+        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return {}
+    except ValueError as error:
+        raise InputError(f"{folder / REPORT}: not valid JSON ({error})") from None
+    return report if isinstance(report, dict) else {}
+
+
+@contextlib.contextmanager
+def staging_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
+    """A hidden sibling of `output` to work in, put in place when the block ends well.
+
+    keep : names of files of `output` that the job goes on from; they appear in the sibling (as links).
+    The earlier job's other files disappear when the new ones are put in place; foreign files stay.
+    """
+    output = output.absolute()
+    made = _make_parents(output.parent)
+    staging = output.with_name(f".{output.name}.{os.getpid()}{_STAGING}")
+    _remove_abandoned(output)
+    try:
+        staging.mkdir()
+        with _locked(staging):
+            for name in set(keep):
+                if (output / name).is_file():
+                    _link(output / name, staging / name)
+            yield staging
+            with _uninterrupted():
+                _put_in_place(staging, output)
+    except BaseException:
+        with _uninterrupted():
+            shutil.rmtree(staging, ignore_errors=True)
+            for folder in reversed(made):
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+        raise
+
+
+def _put_in_place(staging: Path, output: Path) -> None:
+    if not output.exists():
+        staging.rename(output)
+        return
+    (output / REPORT).unlink(missing_ok=True)  # from here until the end this is no finished job
+    new = sorted(staging.iterdir(), key=lambda path: path.name == REPORT)
+    names = {path.name for path in new}
+    for old in output.iterdir():
+        if old.name not in names and is_known(old.name):
+            old.unlink()
+    for path in new:
+        path.replace(output / path.name)
+        path.unlink(missing_ok=True)  # renaming one link of a file onto another does nothing
+    staging.rmdir()
+
+
+def _make_parents(folder: Path) -> list[Path]:
+    """Create missing parents; returns those made, outermost first."""
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    return missing[::-1]
+
+
+def _link(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        shutil.copyfile(source, target)
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Holds a lock on the folder for as long as this process works in it."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        with contextlib.suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _remove_abandoned(output: Path) -> None:
+    """Clear staging folders of this output whose process was killed: those nobody holds a lock on."""
+    for folder in output.parent.glob(f".{_glob_safe(output.name)}.*{_STAGING}"):
+        if not folder.is_dir() or not folder.name.removesuffix(_STAGING).rpartition(".")[2].isdigit():
+            continue
+        with contextlib.suppress(OSError):
+            descriptor = os.open(folder, os.O_RDONLY)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                shutil.rmtree(folder)
+            finally:
+                os.close(descriptor)
+
+
+def _glob_safe(name: str) -> str:
+    return re.sub(r"([*?[])", r"[\1]", name)
+
+
+@contextlib.contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait until the block has ended (they can only be held off in the main thread)."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[int] = []
+    kinds = (signal.SIGINT, signal.SIGTERM)
+    before = {kind: signal.signal(kind, lambda number, _frame: came.append(number)) for kind in kinds}
+    try:
+        yield
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+    if came:
+        raise KeyboardInterrupt

@@ -1,0 +1,107 @@
+"""Passes of a job: presets, speeds and feeds the person left out, and the mill that runs them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+from cam import passes as cam_passes
+from cam.materials import PMMA, Material
+from cam.passes import PassSpec, Stock
+from machines.profiles import MachineProfile, UnknownProfileError, load_profile
+from service.errors import SpecError
+from service.spec import JobSpec, PassRow
+
+_MATERIALS: dict[str, Material] = {"pmma": PMMA}
+_PROFILE_KEYS = {
+    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "junction_deviation_mm",
+    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm",
+}  # fmt: skip
+
+
+def preset_rows(preset: str) -> list[dict[str, Any]]:
+    """A preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish."""
+    rows = []
+    for spec in cam_passes.PRESETS[preset]:
+        row = {key: value for key, value in asdict(spec).items() if not key.endswith(("_per_min", "_rpm"))}
+        rows.append({**row, "name": "finish" if spec.finishes else "rough"})
+    return rows
+
+
+def machine_of(spec: JobSpec) -> MachineProfile:
+    """The named profile with the job's own figures in place of its."""
+    try:
+        profile = load_profile(spec.machine.profile)
+    except UnknownProfileError as error:
+        allowed = ", ".join(f"'{name}'" for name in error.known)
+        raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
+    own: dict[str, Any] = {}
+    for key in _PROFILE_KEYS:
+        value = getattr(spec.machine, key)
+        if value is not None:
+            own[key] = tuple(value) if isinstance(value, list) else value
+    return replace(profile, **own)
+
+
+def with_feeds(spec: JobSpec) -> JobSpec:
+    """The same spec with every speed, feed and step-down filled in from the material's start values.
+
+    What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
+    spindle taking the feed down with it.
+    """
+    machine = machine_of(spec)
+    rows, problems = [], []
+    for number, row in enumerate(spec.passes):
+        problems += _beyond_the_mill(row, machine, f"passes.{number}")
+        rows.append(_filled(row, machine, _MATERIALS[spec.stock.material]))
+    if problems:
+        raise SpecError(problems)
+    return spec.model_copy(update={"passes": tuple(rows)})
+
+
+def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
+    """The passes as the CAM package takes them."""
+    return tuple(PassSpec(**row.model_dump()) for row in spec.passes)
+
+
+def cam_stock_of(spec: JobSpec) -> Stock:
+    """The block as the CAM package takes it."""
+    return Stock(
+        width_mm=spec.optics.width_mm,
+        height_mm=spec.optics.height_mm,
+        thickness_mm=spec.stock.thickness_mm,
+        margin_mm=spec.stock.margin_mm,
+    )
+
+
+def _filled(row: PassRow, machine: MachineProfile, material: Material) -> PassRow:
+    start = material.start_values(row.radius_mm)
+    spindle = row.spindle_rpm
+    if spindle is None:
+        spindle = min(max(float(start.spindle_rpm), machine.spindle_rpm[0]), machine.spindle_rpm[1])
+    slower = min(1.0, spindle / start.spindle_rpm)
+    feed = min(start.feed_mm_per_min * slower, *machine.max_rate_mm_per_min[:2])
+    plunge = min(start.plunge_mm_per_min * slower, machine.max_rate_mm_per_min[2])
+    return row.model_copy(
+        update={
+            "spindle_rpm": spindle,
+            "feed_mm_per_min": row.feed_mm_per_min or float(round(feed)),
+            "plunge_mm_per_min": row.plunge_mm_per_min or float(round(plunge)),
+            "step_down_mm": row.step_down_mm or start.step_down_mm,
+        }
+    )
+
+
+def _beyond_the_mill(row: PassRow, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
+    limits = {
+        "spindle_rpm": (*machine.spindle_rpm, "rpm"),
+        "feed_mm_per_min": (0.0, min(machine.max_rate_mm_per_min[:2]), "mm/min"),
+        "plunge_mm_per_min": (0.0, machine.max_rate_mm_per_min[2], "mm/min"),
+    }
+    problems = []
+    for key, (low, high, unit) in limits.items():
+        value = getattr(row, key)
+        if value is not None and not low <= value <= high:
+            allowed = f"{low:g} to {high:g} {unit} on machine '{machine.name}'"
+            problems.append((f"{place}.{key}", f"{value:g} is not allowed; allowed: {allowed}"))
+    return problems

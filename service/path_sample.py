@@ -1,0 +1,194 @@
+"""A few of a program's moves, for a person to look at: taken from the stream of all of them, in bounded memory.
+
+Three kinds of move are kept of each pass: rows some two millimetres apart over the whole part, everything inside a
+small window at the rim, and the moves that reach farthest in x, y and z. Ten million moves go past; about a hundred
+thousand stay.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_MERGED_MM = 0.4  # moves of the whole-part panel are joined up to this length: less than two pixels
+_ENTRIES_KEPT = 2000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Window:
+    """A rectangle seen from above, in the work frame."""
+
+    x0_mm: float
+    y0_mm: float
+    x1_mm: float
+    y1_mm: float
+
+    def meets(self, start_mm: Array, end_mm: Array) -> Mask:
+        """(n,) which moves have a bounding box that meets the window."""
+        low, high = np.minimum(start_mm[:, :2], end_mm[:, :2]), np.maximum(start_mm[:, :2], end_mm[:, :2])
+        return np.asarray(
+            (low[:, 0] <= self.x1_mm)
+            & (high[:, 0] >= self.x0_mm)
+            & (low[:, 1] <= self.y1_mm)
+            & (high[:, 1] >= self.y0_mm)
+        )
+
+
+class PathSample:
+    """What toolpath.png needs of one pass; `add` the batches of its program in order."""
+
+    def __init__(
+        self, *, label: str, pitch_mm: float, radius_mm: float, width_mm: float, height_mm: float, limit: int = 200_000
+    ) -> None:
+        self.label = label
+        self.pitch_mm = pitch_mm
+        side_mm = min(max(18 * pitch_mm, 0.6), 0.5 * min(width_mm, height_mm))
+        x0_mm = -radius_mm - 0.12 * side_mm  # rows turn round one cutter radius outside the aperture
+        y0_mm = 0.5 * height_mm - 0.5 * side_mm
+        self.window = Window(x0_mm=x0_mm, y0_mm=y0_mm, x1_mm=x0_mm + side_mm, y1_mm=y0_mm + side_mm)
+        apart_mm = min(width_mm, height_mm) / 50
+        self.row_distance_mm = apart_mm if apart_mm > 4 * pitch_mm else pitch_mm  # few rows: all of them
+        self.moves = self.rapids = self.entries = 0
+        self._limit = limit
+        self._axis: int | None = None  # of the rows' position: 1 where they run along x
+        self._last_was_rapid = True
+        self._cuts = _Segments(limit)
+        self._jumps = _Segments(limit // 10)
+        self._zoomed_cuts = _Segments(limit)
+        self._zoomed_jumps = _Segments(limit // 10)
+        self._entry_points: list[Array] = []
+        self._entry_stride = 1
+        self._extremes = np.full((2, 3), np.nan)  # lowest and highest x, y, z of the cutting moves
+        self._extreme_moves = np.zeros((6, 2, 3))
+
+    def add(self, start_mm: Array, end_mm: Array, rapid: Mask) -> None:
+        """Take the next moves, straight from start (n, 3) to end (n, 3). Pauses, which go nowhere, are passed over."""
+        moving = (start_mm != end_mm).any(axis=1)
+        if not moving.all():
+            start_mm, end_mm, rapid = start_mm[moving], end_mm[moving], rapid[moving]
+        if not len(rapid):
+            return
+        self.moves += len(rapid)
+        self.rapids += int(np.count_nonzero(rapid))
+        self._note_entries(start_mm, rapid)
+        self._note_extremes(start_mm, end_mm, ~rapid)
+        self._keep_rows(start_mm, end_mm, rapid)
+        inside = self.window.meets(start_mm, end_mm)
+        for kept, chosen in ((self._zoomed_cuts, inside & ~rapid), (self._zoomed_jumps, inside & rapid)):
+            kept.add(start_mm, end_mm, chosen)
+            if kept.is_full:  # the last layers matter more
+                kept.keep_only(np.arange(kept.count) >= kept.count // 2)
+
+    def bounds_mm(self) -> Array:
+        """(2, 3) lowest and highest corner of all cutting moves, whether kept or not; NaN without any."""
+        return self._extremes.copy()
+
+    def cuts_mm(self) -> Array:
+        """(k, 2, 3) start and end of the cutting moves kept over the whole part, in order; then the extreme ones."""
+        kept = self._cuts.segments()
+        return kept if np.isnan(self._extremes).any() else np.concatenate([kept, self._extreme_moves])
+
+    def rapids_mm(self) -> Array:
+        return self._jumps.segments()
+
+    def zoomed_mm(self) -> tuple[Array, Array]:
+        """Cutting and rapid moves (k, 2, 3) that meet the window; of very many, the last ones."""
+        return self._zoomed_cuts.segments(), self._zoomed_jumps.segments()
+
+    def entry_points_mm(self) -> Array:
+        """(k, 3) where rapids end and cutting begins; of more than 2000, every second, fourth, ... one."""
+        return np.concatenate(self._entry_points) if self._entry_points else np.zeros((0, 3))
+
+    def _note_entries(self, start_mm: Array, rapid: Mask) -> None:
+        begins = np.flatnonzero(~rapid & np.concatenate([[self._last_was_rapid], rapid[:-1]]))
+        self._last_was_rapid = bool(rapid[-1])
+        numbers = self.entries + np.arange(begins.size)
+        self.entries += begins.size
+        if begins.size:
+            self._entry_points.append(start_mm[begins[numbers % self._entry_stride == 0]])
+        while sum(map(len, self._entry_points)) > _ENTRIES_KEPT:
+            self._entry_stride *= 2
+            self._entry_points = [np.concatenate(self._entry_points)[::2]]
+
+    def _note_extremes(self, start_mm: Array, end_mm: Array, cutting: Mask) -> None:
+        chosen = np.flatnonzero(cutting)
+        if not chosen.size:
+            return
+        for k in range(3):
+            for side, (best, better) in enumerate(((np.argmin, np.less), (np.argmax, np.greater))):
+                for points in (start_mm, end_mm):
+                    move = chosen[best(points[chosen, k])]
+                    known = self._extremes[side, k]
+                    if np.isnan(known) or better(points[move, k], known):
+                        self._extremes[side, k] = points[move, k]
+                        self._extreme_moves[2 * k + side] = start_mm[move], end_mm[move]
+
+    def _keep_rows(self, start_mm: Array, end_mm: Array, rapid: Mask) -> None:
+        if self._axis is None:
+            travel = np.abs(end_mm - start_mm)[~rapid].sum(axis=0)
+            if travel[:2].sum() > 0:
+                self._axis = 1 if travel[0] >= travel[1] else 0
+        near = self._on_a_shown_row(start_mm, end_mm)
+        self._cuts.add(start_mm, end_mm, near & ~rapid, merged_mm=_MERGED_MM)
+        self._jumps.add(start_mm, end_mm, near & rapid)
+        while self._cuts.is_full or self._jumps.is_full:
+            self.row_distance_mm *= 2
+            for kept in (self._cuts, self._jumps):
+                kept.keep_only(self._on_a_shown_row(kept.starts(), kept.ends()))
+                if self.row_distance_mm > 1e6:  # everything lies in one row: thin that out
+                    kept.keep_only(np.arange(kept.count) % 2 == 0)
+
+    def _on_a_shown_row(self, start_mm: Array, end_mm: Array) -> Mask:
+        axis = 1 if self._axis is None else self._axis
+        row = 0.5 * (start_mm[:, axis] + end_mm[:, axis])
+        off = np.abs(row - self.row_distance_mm * np.rint(row / self.row_distance_mm))
+        return np.asarray(off <= 0.5001 * self.pitch_mm)
+
+
+class _Segments:
+    """A growing array of moves; the owner thins it out whenever it is full."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit = limit
+        self._parts: list[Array] = []
+        self.count = 0
+
+    @property
+    def is_full(self) -> bool:
+        return self.count > self._limit
+
+    def add(self, start_mm: Array, end_mm: Array, mask: Mask, *, merged_mm: float = 0.0) -> None:
+        """The masked moves; with merged_mm, runs of them become chords of about that length."""
+        index = np.flatnonzero(mask)
+        if not index.size:
+            return
+        starts, ends = start_mm[index], end_mm[index]
+        if merged_mm > 0:
+            breaks = np.diff(index) != 1
+            along = np.cumsum(np.linalg.norm(ends - starts, axis=1)) // merged_mm
+            first = np.concatenate([[True], breaks | (np.diff(along) > 0)])
+            last = np.concatenate([first[1:], [True]])
+            starts, ends = starts[first], ends[last]
+        self._parts.append(np.stack([starts, ends], axis=1))
+        self.count += len(starts)
+
+    def segments(self) -> Array:
+        """(k, 2, 3) start and end of each move kept, in program order."""
+        if len(self._parts) > 1:
+            self._parts = [np.concatenate(self._parts)]
+        return self._parts[0] if self._parts else np.zeros((0, 2, 3))
+
+    def starts(self) -> Array:
+        return self.segments()[:, 0]
+
+    def ends(self) -> Array:
+        return self.segments()[:, 1]
+
+    def keep_only(self, mask: Mask) -> None:
+        self._parts = [self.segments()[mask]]
+        self.count = len(self._parts[0])

@@ -1,0 +1,89 @@
+"""How a command tells what it is doing: a bar per stage on a terminal, plain lines otherwise, nothing when quiet."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import TracebackType
+from typing import Protocol, Self, TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+
+Fraction = Callable[[float], None]
+
+
+class Reporter(Protocol):
+    """Told when a stage starts, how far it is (0 to 1), and when it has ended. Stages may overlap."""
+
+    def started(self, stage: str) -> None: ...
+    def reached(self, stage: str, share: float) -> None: ...
+    def ended(self, stage: str, seconds: float) -> None: ...
+
+
+class QuietReporter:
+    """Says nothing."""
+
+    def started(self, stage: str) -> None: ...
+    def reached(self, stage: str, share: float) -> None: ...
+    def ended(self, stage: str, seconds: float) -> None: ...
+
+
+class PlainReporter:
+    """One line when a stage starts and one when it has ended; for logs and pipes."""
+
+    def __init__(self, out: TextIO) -> None:
+        self._out = out
+
+    def started(self, stage: str) -> None:
+        print(f"{stage} ...", file=self._out, flush=True)
+
+    def reached(self, stage: str, share: float) -> None: ...
+
+    def ended(self, stage: str, seconds: float) -> None:
+        print(f"{stage}: {seconds:.1f} s", file=self._out, flush=True)
+
+
+class TerminalReporter:
+    """A rich bar per stage."""
+
+    def __init__(self, console: Console) -> None:
+        columns = (SpinnerColumn(), TextColumn("{task.description:<28}"), BarColumn(), TimeElapsedColumn())
+        self._progress = Progress(*columns, console=console)
+        self._tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> Self:
+        self._progress.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._progress.stop()
+
+    def started(self, stage: str) -> None:
+        self._tasks[stage] = self._progress.add_task(stage, total=1.0)
+
+    def reached(self, stage: str, share: float) -> None:
+        if stage in self._tasks:
+            self._progress.update(self._tasks[stage], completed=min(1.0, max(0.0, share)))
+
+    def ended(self, stage: str, seconds: float) -> None:
+        self.reached(stage, 1.0)
+
+
+class Stopwatch:
+    """Times stages and tells the reporter; `timings_s` is what report.json holds."""
+
+    def __init__(self, reporter: Reporter) -> None:
+        self._reporter = reporter
+        self.timings_s: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[Fraction]:
+        """Run a stage; yields the function that takes its share done."""
+        begun = time.perf_counter()
+        self._reporter.started(name)
+        yield lambda share: self._reporter.reached(name, share)
+        seconds = time.perf_counter() - begun
+        self.timings_s[name] = round(seconds, 3)
+        self._reporter.ended(name, seconds)

@@ -1,0 +1,229 @@
+"""report.html: the setup sheet a person takes to the mill, made from report.json, spec.json and the names of the files.
+
+Everything that may be missing may be missing: after `design` there are no passes, and then the page says so. The page
+has no scripts and loads nothing but the pictures beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
+from math import isfinite, radians, tan
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, Template
+
+from service.report_drawing import SetUp, side_view, top_view
+from service.report_words import duration_h_min, misplaced_in_words, number, psnr_in_words, size, whole
+
+_CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
+_SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
+_SUN_DEG = 0.533
+_PLACES_SHOWN = 6
+_COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
+
+_PICTURES = (
+    ("comparison.png", "Target, simulated caustic and the difference between them."),
+    ("through-focus.png", "The same lens with the screen at other distances. Only at the throw is it in focus."),
+    ("lens.png", "The lens surface from above, as it lies on the mill: heights with contour lines, and its relief."),
+    ("flow.png", "The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6)."),
+    (
+        "toolpath.png",
+        "Each program from above. Left: some rows of the whole part. Right: every move in a small square.",
+    ),
+)
+
+
+def render_report(
+    report: Mapping[str, Any],
+    *,
+    spec: Mapping[str, Any] | None = None,
+    files: Collection[str] = (),
+    title: str | None = None,
+) -> str:
+    """The page as HTML text.
+
+    report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
+    """
+    spec = spec or {}
+    passes = _passes(report, spec)
+    job = _set_up(report, spec)
+    warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
+    return _template().render(
+        title=title or _mapping(report.get("source")).get("file") or "lens",
+        report=report,
+        optics=_mapping(report.get("optics")),
+        spec={key: _mapping(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
+        job=job,
+        top_view=top_view(job) if job else None,
+        side_view=side_view(job) if job else None,
+        passes=passes,
+        unreached=_unreached(passes),
+        verdict=_verdict(passes),
+        total_s=sum(row["time_s"] for row in passes) if all(row.get("time_s") for row in passes) else None,
+        warnings=warnings,
+        notes=[note for note in _notes(passes) if note not in warnings],
+        coarse=0 < (_mapping(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
+        score_rows=_score_rows(report),
+        lens_rows=_lens_rows(report, spec),
+        throw=_throw(job, spec, passes),
+        highest_z_mm=max((_z_bounds(row)[1] for row in passes if _z_bounds(row)), default=None),
+        main_pictures=[name for name in ("target.png", "caustic.png", "caustic-as-milled.png") if name in files],
+        pictures=[(name, caption) for name, caption in _PICTURES if name in files],
+        files=frozenset(files),
+    )
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("service", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(number=number, whole=whole, duration=duration_h_min, size=size)
+    return environment.get_template("report.html")
+
+
+def _mapping(value: Any) -> Mapping[str, Any]:
+    return value if isinstance(value, Mapping) else {}
+
+
+def _sentences(value: Any) -> list[str]:
+    return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
+
+
+def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any]) -> SetUp | None:
+    """The sizes to draw; None where the spec does not give them."""
+    optics, stock = _mapping(spec.get("optics")), _mapping(spec.get("stock"))
+    relief_mm = _mapping(report.get("optics")).get("relief_mm")
+    try:
+        return SetUp(
+            width_mm=float(optics["width_mm"]),
+            height_mm=float(optics["height_mm"]),
+            throw_mm=float(optics["throw_mm"]),
+            thickness_mm=float(stock["thickness_mm"]),
+            margin_mm=float(stock.get("margin_mm", 0.0)),
+            deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per pass: the spec's values, the report's over them, and what follows for the tool."""
+    wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
+    rows = []
+    for k, program in enumerate(made):
+        row = {**(wanted[k] if k < len(wanted) else {}), **_mapping(program.get("settings")), **program}
+        row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
+        row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
+        if _z_bounds(row):
+            row["stick_out_mm"] = _CLEARANCE_MM - min(_z_bounds(row)[0], 0.0)
+        rows.append(row)
+    return rows
+
+
+def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [f"{row.get('file', 'a pass')}: {note}" for row in passes for note in row["notes"]]
+
+
+def _unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones take."""
+    places = (passes[-1].get("unreached") or ()) if passes else ()
+    return [place if isinstance(place, str) else _place_in_words(_mapping(place)) for place in places[:_PLACES_SHOWN]]
+
+
+def _place_in_words(place: Mapping[str, Any]) -> str:
+    return (
+        f"X {number(place.get('x_mm'), 2)} Y {number(place.get('y_mm'), 2)}: "
+        f"{number(place.get('excess_um'), 1)} µm stay, over {number(place.get('area_mm2'), 3)} mm²"
+    )
+
+
+def _rows(value: Any) -> Sequence[Mapping[str, Any]]:
+    return [_mapping(row) for row in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
+
+
+def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:
+    """(lowest, highest) Z of a program; empty where the report has none."""
+    bounds = _mapping(row.get("bounds")).get("z") or ()
+    return tuple(float(z) for z in bounds if z is not None and isfinite(z)) if len(bounds) == 2 else ()
+
+
+def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """(kind, sentence) of the box at the top."""
+    if not passes:
+        return "none", "No programs yet: this folder holds the lens only."
+    failed = [str(row.get("file", "?")) for row in passes if row["checked"] == "FAILED"]
+    if failed:
+        return "bad", f"Do not mill. The check found faults in {', '.join(failed)}."
+    if not all(row["checked"] for row in passes):
+        return "none", "No check is recorded for some of these programs: check them before you mill."
+    count = f"All {len(passes)} programs" if len(passes) > 1 else "The program"
+    return "good", f"{count} passed the check: read back from the written file and cut in simulation."
+
+
+def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Cutters that have to reach deeper than a plain end mill of their diameter can."""
+    sentences = []
+    for row in passes:
+        radius_mm, stick_out_mm = row.get("radius_mm"), row.get("stick_out_mm")
+        if radius_mm and stick_out_mm and stick_out_mm > _SLENDER * 2 * radius_mm:
+            sentences.append(
+                f"{row.get('file', 'a pass')}: a ball of {2 * radius_mm:g} mm diameter has to reach "
+                f"{stick_out_mm - _CLEARANCE_MM:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
+                f"with clearance. Use a tapered ball cutter or one with a long relieved neck, and check that it clears "
+                f"the walls of the lens."
+            )
+    return sentences
+
+
+def _score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """(what, figure, in words), first for the perfect surface, then as milled."""
+    rows = []
+    for key, prefix in (("optics", ""), ("as_milled", "As milled: ")):
+        scores = _mapping(report.get(key))
+        if scores.get("psnr_db") is not None:
+            rows.append((f"{prefix}PSNR", f"{scores['psnr_db']:.1f} dB", psnr_in_words(scores["psnr_db"])))
+        if scores.get("ssim") is not None:
+            rows.append((f"{prefix}SSIM", f"{scores['ssim']:.3f}", "likeness of local structure; 1 is identical"))
+        if scores.get("misplaced_light") is not None:
+            share = scores["misplaced_light"]
+            rows.append((f"{prefix}Misplaced light", f"{100 * share:.2f} %", misplaced_in_words(share)))
+    return rows
+
+
+def _lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[str, str]]:
+    optics, wanted = _mapping(report.get("optics")), _mapping(spec.get("optics"))
+    rows = []
+    if optics.get("relief_mm") is not None:
+        rows.append(("Relief, highest to lowest point", f"{optics['relief_mm']:.2f} mm"))
+    if optics.get("max_slope_deg") is not None:
+        rows.append(("Steepest slope", f"{optics['max_slope_deg']:.1f}°"))
+    if optics.get("min_concave_radius_mm") is not None:
+        rows.append(("Tightest hollow, radius", f"{optics['min_concave_radius_mm']:.2f} mm"))
+    if optics.get("concave_radius_99_mm") is not None:
+        rows.append(("99 % of the lens: a ball up to", f"{optics['concave_radius_99_mm']:.2f} mm radius fits"))
+    if wanted.get("refractive_index") is not None:
+        rows.append(("Refractive index", f"{wanted['refractive_index']:g}"))
+    if wanted.get("method"):
+        converged = {"True": ", converged", "False": ", NOT converged"}.get(str(optics.get("converged")), "")
+        rows.append(("Method", f"{wanted['method']}{converged}"))
+    return rows
+
+
+def _throw(job: SetUp | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """Figures for the paragraph on the distance to the wall and the lamp."""
+    if job is None:
+        return None
+    optics, image = _mapping(spec.get("optics")), _mapping(spec.get("image"))
+    sun_mm = job.throw_mm * 2 * tan(radians(_SUN_DEG) / 2)
+    screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
+    pixel_mm = screen_mm / float(image["pixels"]) if image.get("pixels") else None
+    return {
+        "one_percent_mm": 0.01 * job.throw_mm,
+        "from_back_mm": job.throw_mm + job.thickness_mm,
+        "ring_stays": job.margin_mm > 2 * max((row.get("radius_mm") or 0.0 for row in passes), default=0.0),
+        "sun_mm": sun_mm,
+        "sun_pixels": sun_mm / pixel_mm if pixel_mm else None,
+        "viewed_from": optics.get("viewed_from"),
+    }

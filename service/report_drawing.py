@@ -1,0 +1,128 @@
+"""The two line drawings of the setup sheet as inline SVG: the block from above, and the set-up from the side.
+
+Only numbers go into them, so they are safe to place in the page as they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from markupsafe import Markup
+
+_BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SetUp:
+    """Sizes of a job in mm; relief_mm is None before there is a lens."""
+
+    width_mm: float
+    height_mm: float
+    thickness_mm: float
+    margin_mm: float
+    throw_mm: float
+    deepest_mm: float | None = None
+
+
+def top_view(job: SetUp) -> Markup:
+    """The block as the operator sees it from above, the front of the mill at the bottom."""
+    block_w, block_h = job.width_mm + 2 * job.margin_mm, job.height_mm + 2 * job.margin_mm
+    scale = 230.0 / max(block_w, block_h)
+    left, top = 58.0, 14.0
+    w, h, m = block_w * scale, block_h * scale, job.margin_mm * scale
+    zero_x, zero_y = left + m, top + h - m
+    arrow = min(60.0, 0.45 * min(w, h))
+    parts = [
+        _box(left, top, w, h, _BLOCK, "#5b6b7a"),
+        _box(left + m, top + m, w - 2 * m, h - 2 * m, _LENS, "#1f2933"),
+        _arrow(zero_x, zero_y, zero_x + arrow, zero_y),
+        _arrow(zero_x, zero_y, zero_x, zero_y - arrow),
+        f'<circle cx="{zero_x:.1f}" cy="{zero_y:.1f}" r="4.5" fill="{_ACCENT}"/>',
+        _text(zero_x + arrow + 4, zero_y - 5, "X", colour=_ACCENT),
+        _text(zero_x + 6, zero_y - arrow + 4, "Y", colour=_ACCENT),
+        _text(zero_x + 9, zero_y - 9, "X0 Y0", colour=_ACCENT),
+        _text(left + w / 2, top + h / 2 - 18, "lens", anchor="middle"),
+        _text(left + w / 2, top + h / 2 - 3, f"{job.width_mm:g} × {job.height_mm:g} mm", anchor="middle"),
+        _dimension_across(left, left + w, top + h + 16, f"block {block_w:g} mm"),
+        _dimension_up(left - 14, top, top + h, f"{block_h:g} mm"),
+        _text(left + w / 2, top + h + 48, "front of the mill (operator)", anchor="middle", colour="#66727f"),
+    ]
+    if job.margin_mm > 0:
+        parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {job.margin_mm:g}"))
+    return _svg(left + 340, top + h + 58, "The block from above", parts)
+
+
+def side_view(job: SetUp) -> Markup:
+    """Light from below, through the block, to the wall. The distance to the wall is not to scale."""
+    left, width, wall, zero, back = 70.0, 190.0, 28.0, 160.0, 226.0
+    deepest = job.deepest_mm or 0.0
+    depth = min(max(deepest / job.thickness_mm, 0.0), 0.95) * (back - zero)
+    low, high = zero + depth, zero + 3
+    inner = left + 16
+    curve = (
+        f"L{inner} {zero} L{inner} {high + 8:.1f} "
+        f"C{inner + 40} {high:.1f} {inner + 55} {low:.1f} {inner + 85} {low:.1f} "
+        f"S{inner + 130} {high:.1f} {left + width - 16} {high + 10:.1f} L{left + width - 16} {zero}"
+    )
+    parts = [
+        f'<path d="M{left} {zero} {curve} L{left + width} {zero} L{left + width} {back} L{left} {back} Z" '
+        f'fill="{_BLOCK}" stroke="#5b6b7a"/>',
+        f'<line x1="{left - 40}" y1="{wall}" x2="{left + width + 20}" y2="{wall}" stroke="#1f2933" stroke-width="4"/>',
+        _text(left + width / 2, wall - 9, "wall or screen, parallel to the back", anchor="middle"),
+        f'<line x1="{left - 40}" y1="{zero}" x2="{left + width + 20}" y2="{zero}" stroke="{_ACCENT}" '
+        f'stroke-dasharray="5 4"/>',
+        _text(left + width + 24, zero + 4, "Z0 = stock top", colour=_ACCENT),
+        _dimension_up(left - 24, wall + 2, zero, f"throw {job.throw_mm:g} mm"),
+        _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
+        _text(left + width + 24, back + 1, "flat, polished back"),
+        *(_arrow(x, back + 34, x, back + 6, colour="#c77700") for x in (left + 30, left + 95, left + 160)),
+        *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
+        _text(left + width / 2, back + 50, "parallel light, square to the back", anchor="middle", colour="#8a5200"),
+    ]
+    if job.deepest_mm is not None:
+        parts.append(_text(left + width + 24, low + 4 if depth > 18 else zero + 20, f"deepest {deepest:.2f} mm"))
+    return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
+
+
+def _svg(width: float, height: float, title: str, parts: list[str]) -> Markup:
+    head = f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" aria-label="{title}">'
+    marker = (
+        '<defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" '
+        'orient="auto-start-reverse"><path d="M0 0.5 L8 4 L0 7.5 Z" fill="context-stroke"/></marker></defs>'
+    )
+    return Markup(head + marker + "".join(parts) + "</svg>")
+
+
+def _box(x: float, y: float, width: float, height: float, fill: str, stroke: str) -> str:
+    return (
+        f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" fill="{fill}" stroke="{stroke}" '
+        f'stroke-width="1.4"/>'
+    )
+
+
+def _arrow(x0: float, y0: float, x1: float, y1: float, colour: str = _ACCENT) -> str:
+    ends = f'x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"'
+    return f'<line {ends} stroke="{colour}" stroke-width="1.8" marker-end="url(#tip)"/>'
+
+
+def _ray(x0: float, y0: float, x1: float, y1: float) -> str:
+    ends = f'x1="{x0:.1f}" y1="{y0:.1f}" x2="{x1:.1f}" y2="{y1:.1f}"'
+    return f'<line {ends} stroke="#e0a040" stroke-width="1.2"/>'
+
+
+def _text(x: float, y: float, words: str, *, anchor: str = "start", colour: str = "#1f2933") -> str:
+    return f'<text x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}" fill="{colour}" font-size="12.5">{words}</text>'
+
+
+def _dimension_across(x0: float, x1: float, y: float, words: str) -> str:
+    ends = f'x1="{x0:.1f}" y1="{y:.1f}" x2="{x1:.1f}" y2="{y:.1f}"'
+    line = f'<line {ends} stroke="#66727f" marker-start="url(#tip)" marker-end="url(#tip)"/>'
+    return line + _text((x0 + x1) / 2, y + 14, words, anchor="middle")
+
+
+def _dimension_up(x: float, y0: float, y1: float, words: str) -> str:
+    ends = f'x1="{x:.1f}" y1="{y0:.1f}" x2="{x:.1f}" y2="{y1:.1f}"'
+    line = f'<line {ends} stroke="#66727f" marker-start="url(#tip)" marker-end="url(#tip)"/>'
+    middle = (y0 + y1) / 2
+    label = _text(0, 0, words, anchor="middle")
+    return f'{line}<g transform="translate({x - 6:.1f} {middle:.1f}) rotate(-90)">{label}</g>'

@@ -1,0 +1,64 @@
+"""Numbers as a person reads them, for the setup sheet."""
+
+from __future__ import annotations
+
+from typing import Any
+
+MISSING = "\N{EN DASH}"
+
+
+def number(value: Any, digits: int = 3, unit: str = "") -> str:
+    """Rounded to `digits` decimals without trailing zeros; a dash where there is none."""
+    if value is None or isinstance(value, str):
+        return MISSING if value is None else value
+    text = f"{value:.{digits}f}"
+    text = text.rstrip("0").rstrip(".") if "." in text else text
+    text = text.replace("-", "\N{MINUS SIGN}") if text not in ("-0", "0") else "0"
+    return f"{text} {unit}".rstrip()
+
+
+def whole(value: Any) -> str:
+    """1234567 -> 1 234 567, with spaces that do not break."""
+    return MISSING if value is None else f"{round(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
+
+
+def duration_h_min(seconds: Any) -> str:
+    """h:min, rounded up to a whole minute: 50000 -> 13:54."""
+    if seconds is None:
+        return MISSING
+    minutes = int(-(-float(seconds) // 60))
+    return f"{minutes // 60}:{minutes % 60:02d}"
+
+
+def size(count: Any) -> str:
+    """Bytes in the largest unit that keeps the figure above 1."""
+    if count is None:
+        return MISSING
+    value = float(count)
+    for unit in ("B", "kB", "MB"):
+        if value < 1000:
+            return f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} GB"
+
+
+def psnr_in_words(psnr_db: float) -> str:
+    """What a PSNR in dB over the target's peak means to an eye."""
+    for at_least, words in (
+        (40.0, "very close to the target; in dark parts a keen eye may still find faint streaks"),
+        (33.0, "small differences, seen only side by side"),
+        (27.0, "plainly the picture; fine detail or tones are off"),
+        (21.0, "recognisable, visibly soft or uneven"),
+    ):
+        if psnr_db >= at_least:
+            return words
+    return "hard to recognise"
+
+
+def misplaced_in_words(share: float) -> str:
+    """A share of the light that falls on the wrong place, as one part in so many."""
+    if share <= 0:
+        return "all light falls where it should"
+    if share > 1 / 3:
+        return "a third of the light or more falls where it should not"
+    return f"about 1 part in {1 / share:.0f} of the light falls where it should not"

@@ -1,0 +1,52 @@
+"""The lines printed when a command has ended: key numbers, times, warnings, and where the files are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from service.job_files import REPORT_PAGE
+
+
+def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
+    optics = report.get("optics", {})
+    if optics:
+        yield _optics_line(optics)
+    for row in report.get("passes", []):
+        deepest = row["bounds"]["z"][0]
+        yield (
+            f"{row['file']}: {row['lines']} lines, {row['path_length_mm'] / 1000:.1f} m, {duration(row['time_s'])}, "
+            f"{row['entries']} entr{'y' if row['entries'] == 1 else 'ies'}, deepest Z {deepest:.3f} mm, checked"
+        )
+    if len(report.get("passes", [])) > 1:
+        yield f"machine time of all passes: {duration(sum(row['time_s'] for row in report['passes']))}"
+    for sentence in report.get("warnings", []):
+        yield f"warning: {sentence}"
+    yield f"pictures, programs and the setup sheet: {folder / REPORT_PAGE}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a person says them: 45 s, 12 min, 3 h 20 min, 2 d 4 h."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    if minutes < 90:
+        return f"{minutes} min"
+    hours, minutes = divmod(minutes, 60)
+    if hours < 36:
+        return f"{hours} h {minutes} min"
+    days, hours = divmod(hours, 24)
+    return f"{days} d {hours} h"
+
+
+def _optics_line(optics: Mapping[str, Any]) -> str:
+    parts = []
+    if optics.get("psnr_db") is not None:
+        parts.append(f"PSNR {optics['psnr_db']:.1f} dB")
+    if "ssim" in optics:
+        parts += [f"SSIM {optics['ssim']:.3f}", f"misplaced light {100 * optics['misplaced_light']:.2f} %"]
+    parts += [f"relief {optics['relief_mm']:.2f} mm", f"steepest slope {optics['max_slope_deg']:.1f} degrees"]
+    if optics.get("min_concave_radius_mm") is not None:
+        parts.append(f"tightest valley {optics['min_concave_radius_mm']:.2f} mm radius")
+    return "lens: " + ", ".join(parts)

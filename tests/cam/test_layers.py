@@ -1,0 +1,151 @@
+"""Layers and entries: what is left out, joined, stepped down and ramped."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cam.entries import CLEARANCE_MM, RAMP_SLOPE, enter, ramp
+from cam.layers import Field, chained, plan_layers, spans
+from cam.moves import Motion
+from cam.passes import Stock, ball_pass
+from cam.raster import Rows
+from cam.stock_grid import StockGrid
+from cam.stock_touch import StockTouch
+from cam.tool_surface import ToolSurface
+
+STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2)
+ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
+FINISH = ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.3)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 3), st.integers(0, 5))
+def test_spans_cover_what_is_active_once(active, pad, gap):
+    mask = np.array(active)
+    found = spans(mask, pad=pad, gap=gap)
+    covered = np.zeros(mask.size, dtype=int)
+    for first, last in found:
+        covered[first : last + 1] += 1
+    assert (covered[mask] == 1).all()
+    assert covered.max() <= 1
+    assert all(b[0] - a[1] > gap for a, b in zip(found, found[1:], strict=False))
+    if gap == 0:
+        assert covered.sum() <= mask.sum() + 2 * pad * len(found)
+
+
+@given(st.lists(st.lists(st.booleans(), min_size=12, max_size=12), min_size=1, max_size=10), st.booleans())
+def test_every_span_is_cut_once(masks, link):
+    by_row = [spans(np.array(m), pad=0, gap=0) for m in masks]
+    wanted = sorted((row, *span) for row, row_spans in enumerate(by_row) for span in row_spans)
+    runs = list(chained(by_row, most_samples=3, link=link))
+    assert sorted((r.row, r.first, r.last) for r in runs) == wanted
+    for before, run in zip(runs, runs[1:], strict=False):
+        if run.joined:
+            assert link
+            assert run.row == before.row + 1
+            assert run.upward != before.upward
+            assert abs(run.start - before.end) <= 3
+    if not link:
+        assert all(r.upward and not r.joined for r in runs)
+
+
+@pytest.mark.parametrize("radius_mm", [0.5, 2.0])
+def test_a_ball_meets_a_flat_block_at_its_top_and_rounds_its_edge(radius_mm):
+    touch = StockTouch.of(StockGrid.block(STOCK, 0.1), radius_mm)
+    assert touch.flat
+    assert touch.at(4.0, 3.0) == 0.0
+    beside = touch.at(10.0 + 0.6 * radius_mm, 3.0)  # 0.6 R beside the block: down by R (1 - 0.8)
+    assert beside == pytest.approx(-0.2 * radius_mm, abs=0.03 * radius_mm)
+    assert touch.at(10.0 + 2 * radius_mm, 3.0) < -1e3
+
+
+def test_a_ball_meets_shaped_stock(make_bumps):
+    """Against the definition: the highest of top(q) - (R - sqrt(R^2 - |q - c|^2)) over the lens, within the slack."""
+    block = StockGrid.block(STOCK, 0.1)
+    spline = make_bumps(7, relief_mm=1.5).spline().extended(3.0)
+    top_mm = spline.heights_mm(block.x_mm[None, :], block.y_mm[:, None])
+    top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=0.1, top_mm=top_mm)
+    touch = StockTouch.of(top, 0.8)
+    fine = np.linspace(-0.79, 0.79, 301)
+    dx, dy = np.meshgrid(fine, fine)
+    bump = 0.8 - np.sqrt(np.maximum(0.64 - dx**2 - dy**2, 0))
+    for x, y in np.random.default_rng(7).uniform((0, 0), (8, 6), (40, 2)):
+        exact = (spline.heights_mm(x + dx, y + dy) - bump).max()
+        assert exact - touch.slack_mm <= touch.at(x, y) <= exact + touch.slack_mm
+
+
+def field(lens, spec, top) -> tuple[Field, StockTouch]:
+    surface = ToolSurface.over(lens, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    met = StockTouch.of(top, spec.radius_mm)
+    return Field.along(Rows.over(STOCK, spec), surface, met), met
+
+
+@pytest.mark.parametrize("spec", [ROUGH, FINISH])
+def test_a_flat_block_comes_off_in_planes(make_bumps, spec):
+    """Planes one step-down apart, the last at or below the deepest target; a finish keeps a skin for exact rows."""
+    plan = plan_layers(*field(make_bumps(1, relief_mm=3.0), spec, StockGrid.block(STOCK, 0.1)), spec)
+    levels = [layer.level_mm for layer in plan.layers]
+    np.testing.assert_allclose(levels, -spec.step_down_mm * (1 + np.arange(len(levels))))
+    assert plan.exact_rows is spec.finishes
+    assert all((layer.offset_mm > 0) is spec.finishes for layer in plan.layers)
+
+
+def test_no_layers_where_one_step_does_it(make_bumps):
+    shallow = make_bumps(1, relief_mm=0.1)
+    plan = plan_layers(*field(shallow, FINISH, StockGrid.block(STOCK, 0.1)), FINISH)
+    assert plan.layers == ()
+    assert plan.exact_rows
+
+
+def test_a_shaped_block_comes_off_parallel_to_the_target(make_bumps):
+    block = StockGrid.block(STOCK, 0.1)
+    stepped = block.top_mm - 0.2 * (block.x_mm > 4)[None, :]
+    top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=0.1, top_mm=stepped)
+    spread, met = field(make_bumps(1, relief_mm=1.0), FINISH, top)
+    plan = plan_layers(spread, met, FINISH)
+    deepest = (spread.stock_mm - spread.target_mm).max() + met.slack_mm
+    assert [layer.offset_mm for layer in plan.layers] == pytest.approx(
+        [0.3 * k for k in range(len(plan.layers), 0, -1)]
+    )
+    assert plan.layers[0].offset_mm + 0.3 >= deepest
+    assert plan.exact_rows
+
+
+@given(
+    z=st.lists(st.floats(-3, -0.2), min_size=2, max_size=12),
+    step_mm=st.floats(0.1, 3.0),
+    stock_mm=st.floats(-4.0, 0.0),
+)
+def test_the_tool_enters_stock_on_a_shallow_ramp(z, step_mm, stock_mm):
+    """Straight down only in air; then no steeper than 3 degrees or the path, never below it; ends where it starts."""
+    line = np.column_stack([np.arange(len(z)) * step_mm, np.zeros(len(z)), z])
+    across, down, *ramps = enter(line, stock_mm, ROUGH, safe_z_mm=5.0)
+    assert across.motion is Motion.RAPID
+    np.testing.assert_array_equal(across.points_mm, [[0, 0, 5.0]])
+    reached = down.points_mm[-1, 2]
+    assert down.feed_mm_per_min == ROUGH.plunge_mm_per_min
+    if stock_mm <= z[0]:
+        assert reached == z[0]
+        assert not ramps
+        return
+    assert reached == stock_mm + CLEARANCE_MM
+    points = np.concatenate([down.points_mm[-1:], ramps[0].points_mm])
+    run, fall = np.abs(np.diff(points[:, 0])), -np.diff(points[:, 2])
+    path = np.interp(points[:, 0], line[:, 0], line[:, 2])
+    assert (fall <= np.maximum(RAMP_SLOPE * run, -np.diff(path)) + 1e-9).all()
+    assert (points[1:, 2] >= path[1:] - 1e-9).all()
+    np.testing.assert_array_equal(points[-1], line[0])
+
+
+def test_a_ramp_cuts_its_whole_stretch():
+    """When it is done nothing stands above the stretch it ran on: the last leg lies on the path."""
+    line = np.column_stack([np.linspace(0, 40, 81), np.zeros(81), np.full(81, -1.5)])
+    points = ramp(line, 0.1)
+    assert points[:, 0].max() <= 15.5
+    assert (points[-1] == line[0]).all()
+    sinks = -np.diff(points[:, 2])
+    assert sinks.max() <= RAMP_SLOPE * 0.5 + 1e-9
+    legs = np.flatnonzero(np.diff(np.sign(np.diff(points[:, 0]))))
+    assert points[legs[-1] + 1 :, 2].min() == pytest.approx(-1.5)

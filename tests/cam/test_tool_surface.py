@@ -1,0 +1,120 @@
+"""A ball rests on the lens: it touches, it never digs in, and it sees everything under it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cam.tool_surface import ToolSurface
+from optics.heightfield import Heightfield
+
+NM = 1e-6
+
+
+@pytest.mark.parametrize("slope_deg", [0, 10, 30, 45, 60])
+@pytest.mark.parametrize("along", ["x", "y"])
+def test_ball_on_an_incline_rides_above_it(make_lens, slope_deg, along):
+    """On a plane at angle a the tip is R (1/cos a - 1) above the surface: exact."""
+    a = np.radians(slope_deg)
+    plane = make_lens(lambda x, y: np.tan(a) * (x if along == "x" else y))
+    surface = ToolSurface.over(plane, radius_mm=0.5)
+    lift = surface.tip_heights_mm([4.0], [3.0]) - np.tan(a) * (4.0 if along == "x" else 3.0)
+    assert lift == pytest.approx(0.5 * (1 / np.cos(a) - 1), abs=1e-4 * NM)
+
+
+@pytest.mark.parametrize("allowance_mm", [0.0, 0.2])
+@pytest.mark.parametrize("bend", [-0.2, -0.05, 0.05, 0.15])
+def test_tip_over_a_paraboloid(make_lens, bend, allowance_mm):
+    """From a contact p the tip stands at p + (R + a) N - (0, 0, R): exact, as the spline holds every quadratic."""
+    lens = make_lens(lambda x, y: bend / 2 * ((x - 4) ** 2 + 0.5 * (y - 3) ** 2))
+    surface = ToolSurface.over(lens, radius_mm=2.0, allowance_mm=allowance_mm, run_out_mm=0.0)
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(2.5, 5.5, 13), np.linspace(2, 4, 9)))
+    zx, zy = bend * (x - 4), bend / 2 * (y - 3)
+    w = 1 / np.sqrt(1 + zx**2 + zy**2)
+    ball = 2.0 + allowance_mm
+    tip = bend / 2 * ((x - 4) ** 2 + 0.5 * (y - 3) ** 2) + ball * w - 2.0
+    got = surface.contacts_mm(x - ball * w * zx, y - ball * w * zy)
+    np.testing.assert_allclose(got[:, 2], tip, atol=1e-3 * NM)
+    np.testing.assert_allclose(got[:, :2], np.column_stack([x, y]), atol=1e-4)
+
+
+def test_tip_in_a_spherical_bowl(make_lens):
+    """Ball in a bowl of radius B: its centre runs on a sphere of radius B - R."""
+    bowl, r = 12.0, 3.0
+    lens = make_lens(lambda x, y: -np.sqrt(bowl**2 - (x - 4) ** 2 - (y - 3) ** 2))
+    surface = ToolSurface.over(lens, radius_mm=r, run_out_mm=0.0)
+    x = np.linspace(3, 5, 21)
+    tips = surface.tip_heights_mm(x, np.full(21, 3.2))
+    exact = -np.sqrt((bowl - r) ** 2 - (x - 4) ** 2 - 0.2**2) - r
+    np.testing.assert_allclose(tips, exact, atol=1 * NM)
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(seed=st.integers(0, 10**6), slope=st.floats(0.02, 1.5), radius_mm=st.sampled_from([0.5, 1.0, 2.0]))
+def test_no_point_of_the_lens_is_inside_the_ball(brute_force, seed, slope, radius_mm):
+    """On any spline up to this steepest slope the ball lies as low as brute force allows, and no lower.
+
+    The blocks of random height have curvatures far above 1/R: hardly any place has one contact only.
+    """
+    rng = np.random.default_rng(seed)
+    nodes = np.kron(rng.uniform(-1, 0, (6, 7)), np.ones((4, 4)))[:21, :25]
+    rough = Heightfield.on_aperture(nodes, width_mm=6.0, height_mm=5.0).spline().extended(2 * radius_mm, fade_mm=6.0)
+    jets = rough.jets(*np.meshgrid(np.linspace(-2, 8, 300), np.linspace(-2, 7, 300)))
+    lens = Heightfield.on_aperture(nodes * slope / np.hypot(jets[1], jets[2]).max(), width_mm=6.0, height_mm=5.0)
+    surface = ToolSurface.over(lens, radius_mm=radius_mm)
+    spline = lens.spline().extended(2 * radius_mm + 1, fade_mm=6.0)
+    x, y = rng.uniform((0, 0), (6, 5), (6, 2)).T
+    for cx, cy, (_, _, tip) in zip(x, y, surface.contacts_mm(x, y), strict=True):
+        coarse = brute_force(spline, cx, cy, radius_mm) - radius_mm
+        assert tip >= coarse - 1 * NM  # no gouge
+        assert tip <= coarse + 1e-3  # and it touches, as well as the samples can tell
+
+
+def test_the_contact_lies_on_ball_and_lens(make_bumps):
+    """Contact and tip belong together: the point is on the lens, one radius from the centre."""
+    lens = make_bumps(3, relief_mm=2.0)
+    surface = ToolSurface.over(lens, radius_mm=0.5)
+    x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 8, 40), np.linspace(0, 6, 30)))
+    px, py, tip = surface.contacts_mm(x, y).T
+    spline = lens.spline().extended(1.0, fade_mm=6.0)
+    drop = tip + 0.5 - spline.heights_mm(px, py)
+    np.testing.assert_allclose((px - x) ** 2 + (py - y) ** 2 + drop**2, 0.25, atol=0.01 * NM)
+
+
+def test_two_hills_hold_a_ball_that_newton_alone_would_sink(make_lens, brute_force):
+    """In a groove narrower than the ball a local solution exists at the bottom; the ball must rest on the shoulders."""
+    groove = make_lens(lambda x, y: -1.0 / np.cosh((x - 4) / 0.25) ** 2)
+    surface = ToolSurface.over(groove, radius_mm=1.0)
+    truth = brute_force(groove.spline(), 4.0, 3.0, 1.0) - 1.0
+    assert surface.tip_heights_mm([4.0], [3.0])[0] == pytest.approx(truth, abs=1e-4)
+    assert truth > -0.5
+    naive = surface.kernel._replace(guarded=np.zeros_like(surface.kernel.guarded))
+    sunk = ToolSurface(
+        radius_mm=1.0, allowance_mm=0.0, lowest_mm=0.0, highest_mm=0.0, guarded_share=0.0, kernel=naive
+    )
+    assert sunk.tip_heights_mm([4.0], [3.0])[0] <= truth + 1e-4
+    shallow = make_lens(lambda x, y: -0.1 * np.exp(-(((x - 4) / 2) ** 2)))
+    assert ToolSurface.over(shallow, radius_mm=1.0).guarded_share == 0.0
+
+
+def test_far_hill_beats_the_valley_that_fits(make_lens, brute_force):
+    """The contact nearest to the guess is a true local rest, but a spike at the ball's flank carries it higher."""
+    spike = make_lens(lambda x, y: 0.9 * np.exp(-(((x - 4.9) / 0.12) ** 2)) + 0.0 * y)
+    surface = ToolSurface.over(spike, radius_mm=1.2)
+    truth = brute_force(spike.spline(), 4.0, 3.0, 1.2, samples=1201) - 1.2
+    naive = surface.kernel._replace(guarded=np.zeros_like(surface.kernel.guarded))
+    sunk = ToolSurface(
+        radius_mm=1.2, allowance_mm=0.0, lowest_mm=0.0, highest_mm=0.0, guarded_share=0.0, kernel=naive
+    )
+    x = np.linspace(2.5, 4.0, 60)
+    assert sunk.tip_heights_mm(x, np.full(60, 3.0))[-1] < truth - 0.05  # what the guard is for
+    assert surface.tip_heights_mm(x, np.full(60, 3.0))[-1] == pytest.approx(truth, abs=2e-5)
+
+
+def test_a_v_groove_is_touched_on_both_flanks(make_lens):
+    """Two planes at 45 degrees: along the valley the tip is R (sqrt 2 - 1) above the bottom line of the planes."""
+    groove = make_lens(lambda x, y: np.abs(x - 4.0))
+    tip = ToolSurface.over(groove, radius_mm=1.0).tip_heights_mm([4.0], [3.0])[0]
+    assert tip == pytest.approx(np.sqrt(2) - 1, abs=1e-3)  # the spline overshoots the planes a little near the kink

@@ -1,0 +1,93 @@
+"""Vertices: every chord keeps its slope error, its sag and its length; what is left out was not needed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from cam.contact import touch
+from cam.tool_surface import ToolSurface
+from cam.vertices import TICKS_PER_MM, finish_rule, march_row, most_vertices, rough_rule, thinned
+
+
+def row(surface: ToolSurface, rule, y: float, start: float, end: float) -> np.ndarray:
+    out = np.empty((most_vertices(abs(end - start), rule), 3))
+    return out[: march_row(surface.kernel, rule, y, start, end, out, 0)]
+
+
+def slopes(surface: ToolSurface, x: np.ndarray, y: float) -> np.ndarray:
+    return np.array([touch(surface.kernel, a, y, a, y)[3] for a in x])
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    seed=st.integers(0, 10**6),
+    relief_mm=st.floats(0.0, 1.5),
+    y=st.floats(0, 6),
+    error=st.sampled_from([0.2e-3, 0.5e-3, 2e-3]),
+    forward=st.booleans(),
+)
+def test_chords_of_a_finishing_row(make_bumps, seed, relief_mm, y, error, forward):
+    """Slope within the bound (5 % for what lies between probes), sag within nanometres, at every point of the row."""
+    surface = ToolSurface.over(make_bumps(seed, relief_mm=relief_mm), radius_mm=0.5)
+    rule = finish_rule(error, 0.1)
+    ends = (-0.4, 8.4) if forward else (8.4, -0.4)
+    points = row(surface, rule, y, *ends)
+    assert points[[0, -1], 0] == pytest.approx(ends)
+    assert (points[:, 1] == y).all()
+    np.testing.assert_array_equal(np.round(points[:, 0] * TICKS_PER_MM) / TICKS_PER_MM, points[:, 0])
+    steps = np.diff(points[:, 0])
+    assert (np.sign(steps) == np.sign(ends[1] - ends[0])).all()
+    assert np.abs(steps).max() <= rule.max_mm + 1e-9
+
+    x = np.linspace(-0.39, 8.39, 1500)
+    order = np.argsort(points[:, 0])
+    xs, zs = points[order, 0], points[order, 2]
+    chord = np.searchsorted(xs, x) - 1
+    error_of_slope = np.abs(slopes(surface, x, y) - (np.diff(zs) / np.diff(xs))[chord])
+    free = np.diff(xs)[chord] > rule.min_mm + 1.5e-4  # the shortest chords may miss it
+    assert (error_of_slope[free] <= 1.05 * error).all()
+    sag = np.interp(x, xs, zs) - surface.tip_heights_mm(x, np.full(x.size, y))
+    assert sag[free].min() >= -1.1 * rule.sag_mm  # no chord gouges
+    assert np.abs(sag[free]).max() <= 1.1 * rule.sag_mm
+    np.testing.assert_allclose(zs, surface.tip_heights_mm(xs, np.full(xs.size, y)), atol=1e-9)
+
+
+def test_few_vertices_where_it_is_straight_and_as_many_as_the_curvature_asks_for(make_lens):
+    """s = 2 e / k: on z = k x^2 / 2 under a small ball the spacing follows the formula within 15 %."""
+    flat = row(ToolSurface.over(make_lens(lambda x, y: -1.0 + 0 * x), radius_mm=0.5), finish_rule(1e-3, 0.1), 3, 0, 8)
+    assert len(flat) == 9
+    k = 0.05
+    bowl = ToolSurface.over(make_lens(lambda x, y: k / 2 * (x - 4) ** 2), radius_mm=0.1)
+    points = row(bowl, finish_rule(0.5e-3, 0.1), 3.0, 3.5, 4.5)
+    assert np.median(np.diff(points[:, 0])) == pytest.approx(2 * 0.5e-3 / k, rel=0.15)
+
+
+def test_rough_rows_keep_a_share_of_what_is_left(make_bumps):
+    surface = ToolSurface.over(make_bumps(5, relief_mm=2.0), radius_mm=0.5, allowance_mm=0.03)
+    points = row(surface, rough_rule(0.03, 0.1), 2.0, -0.4, 8.4)
+    x = np.linspace(-0.4, 8.4, 5000)
+    sag = np.interp(x, points[:, 0], points[:, 2]) - surface.tip_heights_mm(x, np.full(x.size, 2.0))
+    assert np.abs(sag).max() <= 0.05 * 0.03
+    assert len(points) < len(row(surface, finish_rule(0.5e-3, 0.1), 2.0, -0.4, 8.4)) / 4
+
+
+@given(
+    z=st.lists(st.floats(-1, 1), min_size=2, max_size=60),
+    tolerance=st.floats(1e-4, 0.3),
+    upward=st.booleans(),
+)
+def test_thinning_stays_within_its_tolerance(z, tolerance, upward):
+    x = np.arange(len(z)) * 0.1
+    points = np.column_stack([x, np.zeros(len(z)), z])
+    kept = thinned(points if upward else points[::-1], tolerance)
+    order = np.argsort(kept[:, 0])
+    assert np.abs(np.interp(x, kept[order, 0], kept[order, 2]) - z).max() <= tolerance + 1e-12
+    assert {0.0, x[-1]} <= set(kept[:, 0])
+
+
+def test_thinning_merges_a_straight_run():
+    points = np.column_stack([np.linspace(0, 100, 1000), np.zeros(1000), np.full(1000, -1.5)])
+    assert len(thinned(points, 0.01)) == 2

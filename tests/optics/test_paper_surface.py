@@ -1,0 +1,136 @@
+"""The surface of the paper's method: Snell's gradient on the moved mesh, the datum, and the light it makes."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from optics.caustic import simulate_caustic
+from optics.errors import TotalReflectionError
+from optics.metrics import score_caustic
+from optics.paper_surface import paper_lens, solve_paper_surface
+from optics.refraction import slope_for_shift
+from optics.screen import Screen
+
+INDEX = 1.49
+
+
+def soft_picture(ny: int = 40, nx: int = 40):
+    y, x = np.mgrid[:ny, :nx] / max(ny, nx)
+    picture = 1 + 0.7 * np.sin(5 * x + 2 * y + 0.3) * np.cos(4 * y - x)
+    return picture / picture.mean()
+
+
+def lens_for(picture, *, width_mm=40.0, height_mm=40.0, throw_mm=60.0, screen=(40.0, 40.0), skim_mm=0.2):
+    ny, nx = picture.shape
+    return paper_lens(
+        picture,
+        width_mm=width_mm,
+        height_mm=height_mm,
+        throw_mm=throw_mm,
+        refractive_index=INDEX,
+        screen_width_mm=screen[0],
+        screen_height_mm=screen[1],
+        skim_mm=skim_mm,
+        vertices_x=2 * nx + 1,
+        vertices_y=2 * ny + 1,
+    )
+
+
+def score(lens, picture, *, throw_mm=60.0, screen=(40.0, 40.0)):
+    rectangle = Screen(
+        width_mm=screen[0],
+        height_mm=screen[1],
+        centre_x_mm=lens.heightfield.width_mm / 2,
+        centre_y_mm=lens.heightfield.height_mm / 2,
+    )
+    caustic = simulate_caustic(
+        lens.heightfield, throw_mm=throw_mm, refractive_index=INDEX, screen=rectangle, pixels=picture.shape
+    )
+    return score_caustic(caustic.irradiance, picture)
+
+
+def test_a_uniform_picture_gives_a_flat_lens_at_the_skim():
+    lens = lens_for(np.ones((16, 16)))
+    np.testing.assert_allclose(lens.heightfield.z_mm, -0.2, atol=1e-12)
+    assert lens.converged and lens.surface.misfit_rms == 0.0
+
+
+def test_at_convergence_the_gradient_is_snells():
+    """Eq. 8 with the final heights: the gradient read off the mesh misses N by its curl and the grid, both small."""
+    lens = lens_for(soft_picture())
+    assert lens.surface.converged
+    assert lens.surface.h_mm.max() == pytest.approx(-0.2, abs=1e-12)
+    assert lens.surface.misfit_rms < 3e-3  # slopes are up to 0.2, and a P1 gradient is one for the whole triangle
+    x, y = lens.flow.x_mm, lens.flow.y_mm
+    spline = lens.heightfield.spline()
+    p = lens.flow.lens_mm[5:-5, 5:-5]
+    _, zx, zy, *_ = spline.jets(p[..., 0], p[..., 1])
+    shift = np.stack(np.meshgrid(x, y), axis=-1)[5:-5, 5:-5] - p
+    wanted = slope_for_shift(shift, 60.0 - lens.surface.h_mm[5:-5, 5:-5], refractive_index=INDEX)
+    assert np.abs(wanted).max() > 0.05
+    np.testing.assert_allclose(np.stack([zx, zy], axis=-1), wanted, atol=2e-3)
+
+
+def test_sweeps_shrink_the_change_as_a_contraction():
+    """The paper needs three; each sweep here takes at least two thirds of what is left."""
+    changes = lens_for(soft_picture()).surface.changes_mm
+    assert changes[-1] <= 1e-6
+    assert all(b < a / 3 for a, b in pairwise(changes))
+
+
+def test_an_even_magnification_gives_the_closed_form_of_a_weak_lens():
+    """q = c + m (p - c): for slight m the lens is the parabola of focal length H / (1 - m), sag r^2 / (2 (n - 1) f)."""
+    x = np.linspace(0.0, 10.0, 21)
+    points = np.stack(np.meshgrid(x, x), axis=-1)
+    surface = solve_paper_surface(5 + 0.99 * (points - 5), points, throw_mm=100.0, refractive_index=INDEX, skim_mm=0.0)
+    radius2 = ((points - 5) ** 2).sum(axis=-1)
+    parabola = -radius2 * 0.01 / (2 * (INDEX - 1) * 100.0)
+    np.testing.assert_allclose(surface.h_mm - surface.h_mm[10, 10], parabola, rtol=0.01, atol=1e-6)
+
+
+def test_the_light_makes_the_picture_also_on_an_oblong_lens():
+    """One pass of the paper's method on a soft picture: better than 30 dB, and not its mirror image."""
+    picture = soft_picture(30, 48)
+    lens = lens_for(picture, width_mm=48.0, height_mm=30.0, screen=(48.0, 30.0))
+    right = score(lens, picture, screen=(48.0, 30.0))
+    assert right.psnr_db > 30.0
+    assert right.misplaced_light < 0.02
+    assert score(lens, picture[:, ::-1], screen=(48.0, 30.0)).psnr_db < 20.0
+
+
+def test_a_screen_of_another_size_gets_the_same_picture():
+    picture = soft_picture()
+    lens = lens_for(picture, screen=(50.0, 44.0))
+    assert score(lens, picture, screen=(50.0, 44.0)).psnr_db > 30.0
+    assert lens.screen_mm[0, 0] == pytest.approx([-5.0, -2.0]) and lens.screen_mm[-1, -1] == pytest.approx([45.0, 42.0])
+
+
+def test_half_a_turn_of_the_picture_turns_the_lens():
+    picture = soft_picture(28, 28)
+    lens, turned = lens_for(picture), lens_for(picture[::-1, ::-1])
+    np.testing.assert_allclose(turned.heightfield.z_mm[::-1, ::-1], lens.heightfield.z_mm, atol=1e-3)
+
+
+def test_a_stuck_mesh_still_gives_a_lens_whose_picture_is_recognisable():
+    """White shapes on black: contrast is lost, but the light is where the shapes are (paper, section 5)."""
+    picture = np.zeros((48, 48))
+    picture[14:30, 20:36] = 1.0
+    picture[5:9, 5:40] = 1.0
+    picture /= picture.mean()
+    lens = lens_for(picture)
+    assert not lens.converged and "stuck" in lens.message
+    assert lens.heightfield.z_mm.max() <= -0.2 + 1e-12
+    rectangle = Screen(width_mm=40.0, height_mm=40.0, centre_x_mm=20.0, centre_y_mm=20.0)
+    caustic = simulate_caustic(
+        lens.heightfield, throw_mm=60.0, refractive_index=INDEX, screen=rectangle, pixels=(48, 48)
+    )
+    assert np.corrcoef(caustic.irradiance.ravel(), picture.ravel())[0, 1] > 0.8
+    assert lens.history()[-1]["stage"] == "surface"
+
+
+def test_light_that_would_be_reflected_is_an_error_with_its_numbers():
+    picture = soft_picture()
+    with pytest.raises(TotalReflectionError) as caught:
+        lens_for(picture, throw_mm=2.0, skim_mm=0.0, screen=(80.0, 80.0))
+    assert caught.value.shortest_throw_mm > caught.value.throw_mm == 2.0

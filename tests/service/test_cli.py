@@ -1,0 +1,198 @@
+"""The command line: every bad input is one line on stderr and an exit code, with nothing left on disk.
+
+The commands run in this process (service.cli.run is all that the installed command calls).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from service.cli import run
+
+SMALL = [
+    part
+    for value in ("image.pixels=32", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=20")
+    for part in ("--set", value)
+]
+
+
+@pytest.fixture
+def picture(tmp_path: Path) -> Path:
+    ramp = np.linspace(60, 255, 64).astype(np.uint8)
+    path = tmp_path / "in" / "ramp.png"
+    path.parent.mkdir()
+    Image.fromarray(np.add.outer(ramp // 2, ramp // 2).astype(np.uint8)).save(path)
+    return path
+
+
+def refused(capsys: pytest.CaptureFixture[str], code: int, arguments: list[str], *words: str) -> None:
+    """The command ends with `code` and one line on stderr that holds all words."""
+    capsys.readouterr()
+    assert run([str(a) for a in arguments]) == code
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1, lines
+    assert lines[0].startswith("error: ")
+    assert all(word in lines[0] for word in words), lines[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--set", "optics.widht_mm=3"], ["optics.widht_mm", "width_mm"]),
+        (["--set", "optics.width_mm=wide"], ["optics.width_mm", "'wide'", "2000"]),
+        (["--set", "passes.1.pitch_mm=0"], ["passes.1.pitch_mm", "0", "0.002"]),
+        (["--set", "nonsense"], ["--set", "key=value"]),
+        (["--preset", "recommended"], ["preset", "not available yet", "'paper', 'draft'"]),
+        (["--preset", "best"], ["preset", "'best'", "'paper', 'draft'"]),
+        (["--spec", "/nowhere/job.toml"], ["/nowhere/job.toml", "no such file"]),
+        (["--bogus"], ["--bogus"]),
+        (["--set", "machine.profile=haas"], ["machine.profile", "'haas'", "'grbl'"]),
+    ],
+)
+@pytest.mark.parametrize("command", ["make", "design"])
+def test_bad_options_are_input_errors(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    picture: Path,
+    command: str,
+    options: list[str],
+    words: list[str],
+) -> None:
+    refused(capsys, 2, [command, str(picture), "-o", str(tmp_path / "out"), *options], *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
+
+
+def png_header(width: int, height: int) -> bytes:
+    head = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    parts = [struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in [(b"IHDR", head)]]
+    return b"\x89PNG\r\n\x1a\n" + parts[0] + b"\0\0\1\0IDAT"
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", ["empty"]),
+        (b"GIF89a garbage", ["a.png"]),
+        (png_header(30_000, 30_000), ["900000000", "at most 100000000"]),
+        (png_header(1, 1), ["1 x 1", "at least 8 x 8"]),
+        (png_header(64, 64), ["damaged"]),
+    ],
+)
+def test_bad_pictures_are_input_errors(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, content: bytes, words: list[str]
+) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(content)
+    refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), *SMALL, "--quiet"], "a.png", *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.png"]
+
+
+def test_an_all_black_picture_has_no_light_to_aim(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "black.png"
+    Image.new("L", (64, 64)).save(path)
+    refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), *SMALL, "--quiet"], "no light to aim")
+
+
+def test_a_missing_picture_and_a_folder(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    out = ["-o", str(tmp_path / "out"), "--quiet"]
+    refused(capsys, 2, ["make", str(tmp_path / "none.png"), *out], "none.png", "no such file")
+    refused(capsys, 2, ["make", str(tmp_path), *out], "folder")
+
+
+def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "grey.png"
+    Image.new("L", (64, 64), 128).save(path)
+    assert run(["design", str(path), "-o", str(tmp_path / "out"), *SMALL]) == 0
+    assert "lens will be flat" in capsys.readouterr().out
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["optics"]["relief_mm"] < 1e-3
+    assert any("flat" in sentence for sentence in report["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["optics.throw_mm=1", "optics.screen_width_mm=60"], ["throw", "1"]),
+        (["stock.thickness_mm=2.05"], ["relief", "stock.thickness_mm", "2.05", "or more"]),
+        (["machine.travel_mm=[12,300,80]"], ["machine.travel_mm.0", "12", "X", "at least 16.0 mm"]),
+        (["machine.travel_mm=[300,300,5]"], ["machine.travel_mm.2", "Z", "at least"]),
+        (["passes=[{radius_mm=25,pitch_mm=0.5}]", "machine.travel_mm=[900,900,90]"], ["25", "largest that fits"]),
+    ],
+)
+def test_jobs_that_cannot_be_made(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path, options: list[str], words: list[str]
+) -> None:
+    settings = [part for option in options for part in ("--set", option)]
+    refused(capsys, 2, ["make", str(picture), "-o", str(tmp_path / "out"), *SMALL, *settings, "--quiet"], *words)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
+
+
+def test_an_output_that_holds_other_files_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path
+) -> None:
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "thesis.tex").write_text("x")
+    refused(capsys, 2, ["design", str(picture), "-o", str(tmp_path / "out"), *SMALL, "--quiet"], "--force")
+    assert run(["design", str(picture), "-o", str(tmp_path / "out"), *SMALL, "--quiet", "--force"]) == 0
+    assert (tmp_path / "out" / "thesis.tex").read_text() == "x"
+
+
+def test_an_output_under_a_file_is_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path) -> None:
+    refused(capsys, 2, ["design", str(picture), "-o", str(picture / "out"), *SMALL, "--quiet"], "ramp.png is a file")
+
+
+def test_cam_and_caustic_need_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for command in ("cam", "caustic"):
+        refused(capsys, 2, [command, str(tmp_path)], "spec.json", "design")
+
+
+def test_design_then_caustic_gives_the_same_scores(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path
+) -> None:
+    out = tmp_path / "out"
+    assert run(["design", str(picture), "-o", str(out), *SMALL]) == 0
+    text = capsys.readouterr().out
+    assert "PSNR" in text
+    assert str(out / "report.html") in text
+    first = json.loads((out / "report.json").read_text())
+    (out / "caustic.png").unlink()
+    assert run(["caustic", str(out), "--quiet"]) == 0
+    second = json.loads((out / "report.json").read_text())
+    assert capsys.readouterr().out == ""
+    assert second["optics"] == first["optics"]
+    assert (out / "caustic.png").is_file()
+    assert (out / "spec.json").is_file()
+
+
+def test_cam_refuses_another_lens(capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path) -> None:
+    out = tmp_path / "out"
+    assert run(["design", str(picture), "-o", str(out), *SMALL, "--quiet"]) == 0
+    before = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
+    refused(capsys, 2, ["cam", str(out), "--set", "optics.throw_mm=50"], "optics.throw_mm", "20.0", "design")
+    assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == before
+
+
+def test_help_answers_at_once_and_imports_nothing_heavy() -> None:
+    """The wall time is the reason, the imports are what can be held: numba alone takes half a second."""
+    code = (
+        "import sys, service.cli; service.cli.run(['--help'])\n"
+        "sys.exit(any(name in sys.modules for name in ('numba', 'numpy', 'matplotlib')))"
+    )
+    begun = time.perf_counter()
+    assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.DEVNULL, check=False).returncode == 0
+    assert time.perf_counter() - begun < 10
+
+
+def test_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["version"]) == 0
+    assert capsys.readouterr().out.startswith("causticmill ")

@@ -1,0 +1,186 @@
+"""Pictures: one exposure, the right way up, and a path sample that keeps what matters in bounded memory."""
+
+import io
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from optics.flow import FlowSnapshot
+from optics.irradiance import picture_from_irradiance, target_irradiance
+from service.figures import comparison_png, picture_png, rounded_up, srgb_levels, through_focus_png
+from service.figures_lens import flow_png, heightfield_png, raking_light
+from service.figures_paths import PathSample, toolpath_png
+
+
+def pixels(png: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(png)))
+
+
+def test_every_srgb_level_survives_the_way_through_linear_light():
+    levels = np.arange(256) / 255
+    linear = np.where(levels <= 0.04045, levels / 12.92, ((levels + 0.055) / 1.055) ** 2.4)
+    assert np.array_equal(srgb_levels(7.0 * linear, white=7.0), np.arange(256))
+
+
+def test_target_and_caustic_share_one_exposure_and_brighter_light_is_clipped():
+    target = np.array([[0.0, 1.0], [2.0, 4.0]])
+    shown = pixels(picture_png(target, white=4.0))
+    caustic = pixels(picture_png(np.array([[0.0, 1.0], [2.0, 40.0]]), white=4.0))
+    assert np.array_equal(shown, caustic)
+    assert shown[1, 1] == 255
+    assert shown[0, 0] == 0
+    assert pixels(picture_png(target / 2, white=4.0))[1, 1] < 255
+
+
+@pytest.mark.parametrize("white", [0.0, -1.0, np.nan, np.inf])
+def test_an_exposure_without_light_is_refused(white):
+    with pytest.raises(ValueError, match="white"):
+        srgb_levels(np.ones((2, 2)), white=white)
+
+
+@pytest.mark.parametrize("viewed_from", ["lens", "behind"])
+def test_the_saved_picture_is_what_the_viewer_sees(viewed_from):
+    picture = np.arange(12.0).reshape(3, 4)  # no symmetry: any flip shows
+    irradiance = target_irradiance(picture, viewed_from=viewed_from)
+    seen = picture_from_irradiance(irradiance, viewed_from=viewed_from)
+    expected = srgb_levels(picture, white=picture.max())
+    assert np.array_equal(pixels(picture_png(seen, white=irradiance.max())), expected)
+
+
+def test_a_scaled_picture_repeats_whole_pixels():
+    picture = np.arange(6.0).reshape(2, 3)
+    shown = pixels(picture_png(picture, white=5.0, scale=4))
+    assert shown.shape == (8, 12)
+    assert np.array_equal(shown[::4, ::4], pixels(picture_png(picture, white=5.0)))
+    assert np.array_equal(shown[3::4, 3::4], shown[::4, ::4])
+
+
+@given(st.floats(1e-6, 1e6))
+def test_a_rounded_scale_is_the_next_one_two_or_five(value):
+    limit = rounded_up(value)
+    assert value <= limit * (1 + 1e-9)
+    assert limit <= 2.5 * value * (1 + 1e-6)
+    assert f"{limit:e}"[0] in "125"
+
+
+def test_figures_are_pngs_even_for_flat_and_equal_input():
+    picture = np.ones((20, 30))
+    axis = np.linspace(0, 10, 12)
+    for png in (
+        comparison_png(picture, picture),
+        through_focus_png([(0.5, picture), (1.0, picture)], throw_mm=100, white=1.0),
+        heightfield_png(axis, axis, np.full((12, 12), -0.1)),
+        toolpath_png([], width_mm=10, height_mm=10, margin_mm=0),
+    ):
+        assert pixels(png).ndim == 3
+
+
+def test_light_from_the_upper_left_brightens_the_upper_left_flank_of_a_hill():
+    axis = np.linspace(-5, 5, 41)
+    hill = np.exp(-(axis[None, :] ** 2 + axis[:, None] ** 2) / 6)  # row 0 at the lowest y
+    shade = raking_light(axis, axis, hill)
+    assert shade[26, 14] > shade[20, 20] > shade[14, 26]
+
+
+def test_the_flow_is_mirrored_for_a_viewer_on_the_lens_side():
+    u, v = np.meshgrid(np.linspace(0, 10, 33), np.linspace(0, 10, 33))
+    left_only = np.where(u < 3, 1.0, 0.0)
+    step = FlowSnapshot(step=1, lens_mm=np.stack([u, v], axis=-1), difference=left_only)
+    behind, lens = (pixels(flow_png([step], viewed_from=side)).astype(int) for side in ("behind", "lens"))
+    lower = slice(behind.shape[0] // 2, None)
+
+    def red_column(shown):
+        redness = (shown[lower, :330, 0] - shown[lower, :330, 2]).sum(axis=0)
+        return np.average(np.arange(330), weights=np.maximum(redness, 0))
+
+    assert red_column(behind) + 50 < red_column(lens)
+
+
+def serpentine(rows: int, per_row: int, *, pitch_mm: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """(n + 1, 3) points and (n,) rapid flags: in from above, rows along x, out again."""
+    rng = np.random.default_rng(seed)
+    x = np.tile(np.linspace(0, 20, per_row), (rows, 1))
+    x[1::2] = x[1::2, ::-1].copy()
+    y = np.repeat(np.arange(rows) * pitch_mm, per_row)
+    cut = np.column_stack([x.ravel(), y, rng.uniform(-3, 0, y.size)])
+    points = np.concatenate([[[0, 0, 5]], cut, cut[-1:] + np.array([0, 0, 9])])
+    rapid = np.zeros(len(points) - 1, dtype=bool)
+    rapid[-1] = True
+    return points, rapid
+
+
+def sampled(points: np.ndarray, rapid: np.ndarray, *, batch: int, pitch_mm: float, limit: int) -> PathSample:
+    sample = PathSample(label="p", pitch_mm=pitch_mm, radius_mm=0.5, width_mm=20, height_mm=20, limit=limit)
+    for k in range(0, len(rapid), batch):
+        last = min(k + batch, len(rapid))
+        sample.add(points[k:last], points[k + 1 : last + 1], rapid[k:last])
+    return sample
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.integers(2, 120), st.integers(2, 60), st.integers(1, 500), st.integers(10, 3000), st.integers(0, 99))
+def test_thinning_keeps_the_extremes_and_the_limit(rows, per_row, batch, limit, seed):
+    points, rapid = serpentine(rows, per_row, pitch_mm=0.2, seed=seed)
+    sample = sampled(points, rapid, batch=batch, pitch_mm=0.2, limit=limit)
+    cutting = points[:-1]  # the last point belongs to the rapid alone
+    kept = sample.cuts_mm()
+    for corner, extreme in ((sample.bounds_mm()[0], np.min), (sample.bounds_mm()[1], np.max)):
+        assert np.array_equal(corner, extreme(cutting, axis=0))
+        assert np.array_equal(corner, extreme(kept, axis=(0, 1)))
+    assert len(kept) <= limit + 6
+    assert (sample.moves, sample.rapids, sample.entries) == (len(rapid), 1, 1)
+
+
+def test_the_sample_does_not_depend_on_the_size_of_the_batches():
+    points, rapid = serpentine(100, 50, pitch_mm=0.2)
+    one, many = (sampled(points, rapid, batch=batch, pitch_mm=0.2, limit=100_000) for batch in (10**6, 7))
+    assert np.array_equal(one.zoomed_mm()[0], many.zoomed_mm()[0])
+    assert np.array_equal(one.bounds_mm(), many.bounds_mm())
+    assert np.array_equal(one.entry_points_mm(), many.entry_points_mm())
+    assert set(one.cuts_mm()[:-6, 0, 1]) == set(many.cuts_mm()[:-6, 0, 1])
+
+
+def test_the_window_holds_every_move_that_meets_it_and_no_other():
+    points, rapid = serpentine(100, 400, pitch_mm=0.2)
+    sample = sampled(points, rapid, batch=1000, pitch_mm=0.2, limit=100_000)
+    window, cuts = sample.window, sample.zoomed_mm()[0]
+    low = np.minimum(points[:-2], points[1:-1])[:, :2]
+    high = np.maximum(points[:-2], points[1:-1])[:, :2]
+    inside = (low <= [window.x1_mm, window.y1_mm]).all(axis=1) & (high >= [window.x0_mm, window.y0_mm]).all(axis=1)
+    assert 0 < inside.sum() == len(cuts) < len(points) / 4
+
+
+def test_entries_are_where_a_rapid_ends_and_cutting_begins_and_pauses_are_none():
+    points = np.array([[0, 0, 5], [0, 0, -1], [9, 0, -1], [9, 0, 5], [9, 3, 5], [9, 3, 5], [9, 3, -1], [0, 3, -1.0]])
+    rapid = np.array([False, False, True, True, False, False, False])  # the fifth is a pause
+    sample = sampled(points, rapid, batch=3, pitch_mm=1, limit=100)
+    assert sample.entries == 2
+    assert np.array_equal(sample.entry_points_mm(), [[0, 0, 5], [9, 3, 5]])
+    assert sample.moves == 6
+
+
+def test_many_entries_are_thinned_but_counted():
+    n = 9001
+    start = np.column_stack([np.linspace(0, 20, n), np.zeros(n), np.zeros(n)])
+    sample = PathSample(label="p", pitch_mm=1, radius_mm=1, width_mm=20, height_mm=20)
+    for point in np.array_split(start, 50):
+        pairs = np.repeat(point, 2, axis=0)
+        sample.add(pairs, pairs + np.array([0.1, 0, -1]), np.tile([True, False], len(point)))
+    assert sample.entries == n
+    assert len(sample.entry_points_mm()) <= 2000
+
+
+def test_a_toolpath_picture_shows_rapids_and_only_rapids_in_red():
+    points, rapid = serpentine(40, 30, pitch_mm=0.5)
+
+    def red(sample):
+        shown = pixels(toolpath_png([sample], width_mm=20, height_mm=20, margin_mm=2)).astype(int)
+        above = shown[: int(0.9 * len(shown))]  # the legend has its own red
+        return int(((above[..., 0] > 180) & (above[..., 1] < 80)).sum())
+
+    hops = np.concatenate([points, [[0, 20, 9], [20, 0, 9]]])
+    without = red(sampled(points, rapid, batch=99, pitch_mm=0.5, limit=10**5))
+    assert red(sampled(hops, np.append(rapid, [True, True]), batch=99, pitch_mm=0.5, limit=10**5)) > without + 50

@@ -1,0 +1,148 @@
+"""Nothing half-written: files and folders appear whole or not at all, and foreign files are left alone."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service import job_files
+from service.errors import InputError
+from service.job_files import (
+    atomic_file,
+    is_job_folder,
+    program_name,
+    require_usable_output,
+    staging_folder,
+    write_bytes,
+    write_program,
+)
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def job(folder: Path, **files: str) -> Path:
+    """A folder as an earlier command leaves it."""
+    folder.mkdir(parents=True)
+    (folder / "spec.json").write_text("{}")
+    (folder / "report.json").write_text(json.dumps({"versions": {"causticmill": "0"}}))
+    for name, text in files.items():
+        (folder / name.replace("__", ".").replace("_", "-")).write_text(text)
+    return folder
+
+
+@given(st.lists(st.binary(max_size=50), max_size=10))
+def test_a_program_is_counted_and_hashed_as_it_stands_on_disk(chunks: list[bytes]) -> None:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "pass-1-rough.nc"
+        written = write_program(path, chunks)
+        data = path.read_bytes()
+    assert data == b"".join(chunks)
+    assert (written.bytes, written.lines) == (len(data), data.count(b"\n"))
+    assert written.sha256 == hashlib.sha256(data).hexdigest()
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "a.nc"
+    write_bytes(path, b"old")
+
+    def chunks():  # type: ignore[no-untyped-def]
+        yield b"new"
+        assert path.read_bytes() == b"old"
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_program(path, chunks())
+    assert path.read_bytes() == b"old"
+    assert names(tmp_path) == {"a.nc"}
+
+
+def test_a_name_appears_only_when_the_file_is_whole(tmp_path: Path) -> None:
+    with atomic_file(tmp_path / "a") as file:
+        file.write(b"x")
+        assert not (tmp_path / "a").exists()
+    assert (tmp_path / "a").read_bytes() == b"x"
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, OSError])
+def test_a_failed_job_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
+    """Neither the output, nor the staging folder, nor the parents made for it."""
+    with pytest.raises(error), staging_folder(tmp_path / "a" / "b" / "out") as folder:
+        (folder / "spec.json").write_text("{}")
+        raise error
+    assert names(tmp_path) == set()
+
+
+def test_a_failed_job_leaves_the_earlier_one_as_it_was(tmp_path: Path) -> None:
+    out = job(tmp_path / "out", pass_1_rough__nc="G0", notes__txt="mine")
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    with pytest.raises(ValueError), staging_folder(out, keep=["pass-1-rough.nc"]) as folder:
+        write_bytes(folder / "pass-1-rough.nc", b"G1")
+        write_bytes(folder / "report.json", b"{}")
+        raise ValueError
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert names(tmp_path) == {"out"}
+
+
+def test_a_new_job_replaces_the_old_one_s_files_and_keeps_foreign_ones(tmp_path: Path) -> None:
+    out = job(tmp_path / "out", pass_3_finish__nc="old", notes__txt="mine", lens__stl="kept")
+    with staging_folder(out, keep=["lens.stl", "none.png"]) as folder:
+        assert names(folder) == {"lens.stl"}
+        write_bytes(folder / "report.json", b"new")
+        write_bytes(folder / "pass-1-rough.nc", b"new")
+    assert names(out) == {"notes.txt", "lens.stl", "report.json", "pass-1-rough.nc"}
+    assert (out / "report.json").read_bytes() == b"new"
+    assert (out / "lens.stl").read_text() == "kept"
+    assert names(tmp_path) == {"out"}
+
+
+def test_a_killed_job_s_staging_folder_is_cleared_by_the_next(tmp_path: Path) -> None:
+    abandoned = tmp_path / ".out.999999.part"
+    abandoned.mkdir()
+    (abandoned / "x").write_text("x")
+    mine = tmp_path / ".out.mine.part"
+    mine.mkdir()
+    with staging_folder(tmp_path / "out") as folder, staging_folder(tmp_path / "other"):
+        (folder / "a").write_text("a")
+    assert names(tmp_path) == {"out", "other", ".out.mine.part"}
+
+
+def test_a_running_job_s_staging_folder_is_left_alone(tmp_path: Path) -> None:
+    with staging_folder(tmp_path / "out") as running:
+        running = running.rename(tmp_path / ".out.999999.part")  # as if another process ran it
+        job_files._remove_abandoned(tmp_path / "out")
+        assert running.is_dir()
+        running.rename(tmp_path / f".out.{os.getpid()}.part")
+
+
+def test_output_folders_that_are_refused_and_taken(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.tex").write_text("x")
+    earlier = job(tmp_path / "job")
+    assert is_job_folder(earlier)
+    for taken in (tmp_path / "new", tmp_path / "empty", earlier):
+        require_usable_output(taken, force=False)
+    require_usable_output(tmp_path / "mine", force=True)
+    with pytest.raises(InputError, match=r"holds other files; allowed: .*--force"):
+        require_usable_output(tmp_path / "mine", force=False)
+    for force in (False, True):
+        with pytest.raises(InputError, match="is a file"):
+            require_usable_output(tmp_path / "file", force=force)
+
+
+def test_names_of_programs() -> None:
+    assert program_name(3, "finish", ".nc") == "pass-3-finish.nc"
+    assert job_files.is_program("pass-3-finish.nc")
+    assert not job_files.is_program("pass-x.nc")
+    assert not job_files.is_program("../pass-1-a.nc")

@@ -1,0 +1,182 @@
+"""The setup sheet: complete, safe against hostile names, and honest where something is missing."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from service.report import render_report
+from service.report_words import duration_h_min, misplaced_in_words, number, psnr_in_words, size, whole
+
+SPEC = {
+    "preset": "paper",
+    "image": {"pixels": 512},
+    "optics": {
+        "width_mm": 100.0, "height_mm": 80.0, "throw_mm": 250.0, "refractive_index": 1.49,
+        "method": "transport", "viewed_from": "lens",
+    },
+    "stock": {"thickness_mm": 40.0, "margin_mm": 5.0, "skim_mm": 0.1, "material": "pmma"},
+    "machine": {"profile": "grbl"},
+    "passes": [{"name": "rough", "radius_mm": 3.0, "pitch_mm": 0.5}, {"name": "finish", "radius_mm": 0.5}],
+}  # fmt: skip
+PROGRAM = {
+    "file": "pass-1-rough.nc", "sha256": "ab" * 32, "lines": 1234567, "bytes": 20_000_000, "path_length_mm": 5e5,
+    "time_s": 50_000.0, "entries": 1, "max_engagement_mm": 1.5, "gouge_um": 0.01,
+    "bounds": {"x": [-3, 103], "y": [-3, 83], "z": [-14.2, 5.0]}, "ok": True,
+}  # fmt: skip
+REPORT = {
+    "source": {"file": "face.png", "width": 512, "height": 410},
+    "optics": {
+        "psnr_db": 43.1, "ssim": 0.991, "misplaced_light": 0.003, "relief_mm": 14.1, "max_slope_deg": 20.0,
+        "min_concave_radius_mm": None, "converged": True, "history": [],
+    },
+    "passes": [PROGRAM, PROGRAM | {"file": "pass-2-finish.nc"}],
+    "timings_s": {"lens": 4.0}, "peak_rss_mb": 900.0, "versions": {"causticmill": "0.1.0"},
+}  # fmt: skip
+FILES = ["target.png", "caustic.png", "toolpath.png", "pass-1-rough.nc", "pass-2-finish.nc", "lens.stl"]
+
+
+class Page(HTMLParser):
+    """Tags, attributes and text of a page; fails on tags that do not close."""
+
+    VOID = frozenset({"meta", "img", "br", "link", "input"})
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict]] = []
+        self.words: list[str] = []
+        self._open: list[str] = []
+        self.feed(html)
+        assert self._open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self._open.pop() == tag
+
+    def handle_startendtag(self, tag, attrs):
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data):
+        if "style" not in self._open:
+            self.words.append(data)
+
+    @property
+    def text(self) -> str:
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    @property
+    def links(self) -> list[str]:
+        return [value for _, attrs in self.tags for key, value in attrs.items() if key in ("href", "src")]
+
+
+def test_the_page_says_what_the_operator_needs():
+    text = Page(render_report(REPORT, spec=SPEC, files=FILES)).text
+    for words in (
+        "face.png", "110 × 90 × 40 mm", "250 mm from the stock top", "290 mm", "radius 3 mm", "diameter 6 mm",
+        "diameter 1 mm", "13:54", "27:47", "16.2 mm", "43.1 dB", "about 7 dB", "(2.5 mm)", "ab" * 32, "passed",
+        "on the lens's side",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_the_page_needs_no_network_and_no_scripts():
+    page = Page(render_report(REPORT, spec=SPEC, files=FILES))
+    assert not {"script", "iframe", "link", "object"} & {tag for tag, _ in page.tags}
+    assert sorted(page.links) == sorted(FILES)  # each file present is shown or linked once, and nothing else
+
+
+def test_pictures_that_are_not_there_are_not_shown():
+    page = Page(render_report(REPORT, spec=SPEC, files=["target.png"]))
+    assert page.links == ["target.png"]
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        {},
+        {"optics": {"relief_mm": 3.0, "converged": False, "history": []}},
+        {"passes": []},
+        {"passes": [{}]},
+        {"passes": [{"file": "a.nc", "bounds": None, "time_s": None}]},
+        {"optics": {"psnr_db": None}, "versions": {}, "warnings": None, "as_milled": {}},
+    ],
+)
+@pytest.mark.parametrize("spec", [None, {}, SPEC, {"optics": {"width_mm": 5.0}}])
+def test_a_page_comes_out_of_every_unfinished_job(report, spec):
+    text = Page(render_report(report, spec=spec)).text
+    assert "Setup sheet" in text
+    assert "None" not in text
+    assert "passed the check" not in text
+
+
+def test_the_verdict_follows_the_check():
+    assert "All 2 programs passed" in Page(render_report(REPORT, spec=SPEC)).text
+    failed = REPORT | {"passes": [PROGRAM, PROGRAM | {"file": "bad.nc", "ok": False, "faults": ["gouge of 3 µm"]}]}
+    text = Page(render_report(failed, spec=SPEC)).text
+    assert "Do not mill" in text
+    assert "bad.nc: gouge of 3 µm" in text
+    silent = REPORT | {"passes": [{key: value for key, value in PROGRAM.items() if key != "ok"}]}
+    assert "No check is recorded" in Page(render_report(silent, spec=SPEC)).text
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.text(min_size=1, max_size=40))
+def test_no_name_can_put_markup_or_a_foreign_link_into_the_page(name):
+    hostile = f"<script>alert(1)</script>\"'&{name}"
+    report = REPORT | {
+        "source": {"file": hostile},
+        "warnings": [hostile],
+        "passes": [PROGRAM | {"file": "javascript:alert(1)//" + hostile, "name": hostile, "faults": [hostile]}],
+        "timings_s": {hostile: 1.0},
+        "versions": {hostile: hostile},
+    }
+    spec = SPEC | {"machine": {"profile": hostile}, "stock": SPEC["stock"] | {"material": hostile}}
+    files = [*FILES, report["passes"][0]["file"]]
+    plain = Page(render_report(REPORT | {"passes": [PROGRAM]}, spec=SPEC, files=files))
+    page = Page(render_report(report, spec=spec, files=files))
+    assert "script" not in {tag for tag, _ in page.tags}
+    assert {key for _, attrs in page.tags for key in attrs} == {key for _, attrs in plain.tags for key in attrs}
+    assert not any(":" in link or link.startswith("//") for link in page.links)
+
+
+def test_a_thin_cutter_that_has_to_reach_deep_is_named():
+    text = Page(render_report(REPORT, spec=SPEC)).text
+    assert "pass-2-finish.nc: a ball of 1 mm diameter has to reach 14.2 mm deep" in text
+    assert "pass-1-rough.nc: a ball" not in text
+
+
+def test_only_what_the_last_ball_cannot_reach_is_listed():
+    first = PROGRAM | {"unreached": [{"x_mm": 1.0, "y_mm": 2.0, "excess_um": 9.0, "area_mm2": 1.0}]}
+    last = PROGRAM | {"unreached": [{"x_mm": 31.25, "y_mm": 40.5, "excess_um": 3.14, "area_mm2": 0.02}]}
+    text = Page(render_report(REPORT | {"passes": [first, last]}, spec=SPEC)).text
+    assert "X 31.25 Y 40.5: 3.1 µm stay, over 0.02 mm²" in text
+    assert "X 1 Y 2" not in text
+
+
+def test_without_a_ring_left_at_the_stock_top_the_wall_is_measured_from_the_back():
+    def page(margin_mm):
+        return Page(render_report(REPORT, spec=SPEC | {"stock": SPEC["stock"] | {"margin_mm": margin_mm}})).text
+
+    assert "ring around the lens stays at Z0" in page(6.5)
+    assert "measure from the back" in page(5.0)  # the ball's flank reaches two radii beyond the lens: 6 mm
+
+
+def test_words_for_numbers():
+    assert [number(value, 2, "mm") for value in (1.0, -14.256, -0.001, None)] == ["1 mm", "−14.26 mm", "0 mm", "–"]
+    assert number(100, 0) == "100"
+    assert [duration_h_min(value) for value in (0, 1, 3600, 3601, 360_000, None)] == [
+        "0:00", "0:01", "1:00", "1:01", "100:00", "–",
+    ]  # fmt: skip
+    assert [size(value) for value in (12, 1500, 2.5e6, 3e9, None)] == ["12 B", "1.5 kB", "2.5 MB", "3 GB", "–"]
+    assert whole(1234567).split() == ["1", "234", "567"]
+    assert [misplaced_in_words(share) for share in (0, 0.0029)] == [
+        "all light falls where it should",
+        "about 1 part in 345 of the light falls where it should not",
+    ]
+    assert len({psnr_in_words(psnr) for psnr in (45, 35, 30, 25, 10)}) == 5

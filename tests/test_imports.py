@@ -1,0 +1,94 @@
+"""The arrows between the packages point one way, and the pure ones touch neither files nor clocks nor the web."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("optics", "cam", "machines", "service")
+WEB = {"pydantic", "pydantic_settings", "fastapi", "typer", "rich", "uvicorn", "httpx", "jinja2"}
+FILE_CALLS = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "savez", "save", "tofile", "unlink"}
+FILE_MODULES = {"pathlib", "shutil", "tempfile", "io", "socket", "sqlite3", "subprocess"}
+
+
+def modules(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def imported(path: Path) -> set[str]:
+    """Full names of the modules a file imports, `from a import b` as both a and a.b."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}: relative import"
+            names |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return names
+
+
+def roots(path: Path) -> set[str]:
+    return {name.partition(".")[0] for name in imported(path)}
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_package_has_modules(package: str) -> None:
+    """Guards the other tests: an empty list of modules would pass them all."""
+    assert len(modules(package)) >= 2
+
+
+@pytest.mark.parametrize("package", ["optics", "machines"])
+def test_optics_and_machines_import_no_sibling(package: str) -> None:
+    siblings = set(PACKAGES) - {package}
+    assert {str(path): roots(path) & siblings for path in modules(package) if roots(path) & siblings} == {}
+
+
+def test_cam_imports_the_heightfield_of_optics_and_nothing_else_of_ours() -> None:
+    for path in modules("cam"):
+        ours = {name for name in imported(path) if name.partition(".")[0] in set(PACKAGES) - {"cam"}}
+        assert all(f"{name}.".startswith("optics.heightfield.") for name in ours), (path, ours)
+
+
+@pytest.mark.parametrize("package", ["optics", "cam", "machines"])
+def test_web_and_validation_libraries_live_only_in_service(package: str) -> None:
+    assert {str(path): roots(path) & WEB for path in modules(package) if roots(path) & WEB} == {}
+
+
+@pytest.mark.parametrize("package", ["optics", "cam"])
+def test_nothing_in_optics_or_cam_opens_a_file(package: str) -> None:
+    for path in modules(package):
+        assert not roots(path) & FILE_MODULES, path
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call):
+                name = getattr(node.func, "id", getattr(node.func, "attr", ""))
+                assert name not in FILE_CALLS, f"{path}:{node.lineno}: {name}()"
+
+
+def test_no_cycle_between_modules() -> None:
+    """A module that is imported at the top of another must not, through any chain, import it at its own top."""
+    names = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for p in PACKAGES for path in modules(p)}
+    edges = {name: _top_level(path) & set(names) for name, path in names.items()}
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, " -> ".join((*trail, name))
+        if name not in done:
+            for target in edges[name]:
+                visit(target, (*trail, name))
+            done.add(name)
+
+    for name in names:
+        visit(name, ())
+
+
+def _top_level(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.parse(path.read_text(encoding="utf-8")).body:
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            found |= {str(node.module)} | {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
