@@ -112,7 +112,11 @@ def _climb(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _highest(b, cx, cy):  # type: ignore[no-untyped-def]
-    """The highest contact in the whole footprint, without a guess; returns what `_newton` does but for `found`."""
+    """The highest contact in the whole footprint, without a guess; returns what `_newton` does but for `found`.
+
+    Climbs start at a lattice maximum and at its eight neighbours: two true maxima closer than two steps (at the end of
+    a crease) show as one.
+    """
     n = int(math.ceil(b.radius / b.node_step)) + 1
     my, mx = b.node_z.shape
     ic = int(math.floor((cx - b.node_x0) / b.node_step + 0.5))
@@ -144,11 +148,15 @@ def _highest(b, cx, cy):  # type: ignore[no-untyped-def]
                 f[a - 1, e - 1], f[a - 1, e + 1], f[a + 1, e - 1], f[a + 1, e + 1],
             ):  # fmt: skip
                 continue
-            t, qx, qy = _climb(
-                b, cx, cy, b.node_x0 + (ic + e - n) * b.node_step, b.node_y0 + (jc + a - n) * b.node_step
-            )
-            if t > top:
-                top, px, py = t, qx, qy
+            for da in range(-1, 2):
+                for de in range(-1, 2):
+                    if f[a + da, e + de] == -np.inf:
+                        continue
+                    qx = b.node_x0 + (ic + e + de - n) * b.node_step
+                    qy = b.node_y0 + (jc + a + da - n) * b.node_step
+                    t, qx, qy = _climb(b, cx, cy, qx, qy)
+                    if t > top:
+                        top, px, py = t, qx, qy
     found, qx, qy, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
     if found and tip >= top - b.below - 1e-9:
         return qx, qy, tip, slope, curvature, dpx, dpy

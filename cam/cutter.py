@@ -63,9 +63,7 @@ def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:
     rank = int(NEARLY_EVERYWHERE * (curvature.size - 1))
     nearly = float(np.partition(curvature, rank)[rank])
     most = float(curvature.max())
-    return FittingRadius(
-        everywhere_mm=1.0 / most if most > 0 else inf, nearly_mm=1.0 / nearly if nearly > 0 else inf
-    )
+    return FittingRadius(everywhere_mm=1.0 / most if most > 0 else inf, nearly_mm=1.0 / nearly if nearly > 0 else inf)
 
 
 def reached_share(heightfield: Heightfield, radius_mm: float) -> float:

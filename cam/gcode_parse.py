@@ -106,8 +106,6 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                 else:
                     break
                 p += 1
-            if p == size:
-                break  # the line goes on in the next piece
             if digits == 0 or digits > 17:
                 return begin, n, NO_NUMBER, begin
             value = mantissa / powers[decimals]

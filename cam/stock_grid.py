@@ -48,14 +48,17 @@ class StockGrid:
         object.__setattr__(self, "top_mm", top_mm)
 
     @classmethod
-    def block(cls, stock: BlockSize, cell_mm: float) -> StockGrid:
+    def block(cls, stock: BlockSize, cell_mm: float | None = None) -> StockGrid:
         """The uncut block, aperture and margin, all at Z0.
 
+        cell_mm : by default 1/1100 of the longer side, between 0.02 and 0.2 mm: 0.1 mm for a lens of 100 mm
         Whole cells: where cell_mm does not divide the block, the grid grows evenly on both
         sides by less than one cell, so every point of the block lies in a cell.
         """
         width_mm = stock.width_mm + 2 * stock.margin_mm
         height_mm = stock.height_mm + 2 * stock.margin_mm
+        if cell_mm is None:
+            cell_mm = min(max(max(width_mm, height_mm) / 1100, 0.02), 0.2)
         nx, ny = (max(1, ceil(size / cell_mm - 1e-9)) for size in (width_mm, height_mm))
         return cls(
             x0_mm=-stock.margin_mm - (nx * cell_mm - width_mm) / 2,

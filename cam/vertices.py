@@ -44,9 +44,7 @@ def rough_sag_mm(leave_mm: float) -> float:
 
 
 def rough_rule(leave_mm: float, probe_mm: float) -> VertexRule:
-    return VertexRule(
-        slope_rad=math.inf, sag_mm=rough_sag_mm(leave_mm), min_mm=0.01, max_mm=2.0, probe_mm=probe_mm
-    )
+    return VertexRule(slope_rad=math.inf, sag_mm=rough_sag_mm(leave_mm), min_mm=0.01, max_mm=2.0, probe_mm=probe_mm)
 
 
 def most_vertices(length_mm: float, rule: VertexRule) -> int:
@@ -157,7 +155,5 @@ def thinned(points_mm: Array, tolerance_mm: float) -> Array:
     """The fewest of the points (n, 3) of one row, in order along X, that stay within the tolerance in Z."""
     if len(points_mm) < 3:
         return points_mm
-    keep = _thin(
-        np.ascontiguousarray(points_mm[:, 0]), np.ascontiguousarray(points_mm[:, 2]), max(tolerance_mm, 1e-9)
-    )
+    keep = _thin(np.ascontiguousarray(points_mm[:, 0]), np.ascontiguousarray(points_mm[:, 2]), max(tolerance_mm, 1e-9))
     return points_mm[keep]

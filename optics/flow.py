@@ -43,7 +43,7 @@ class FlowSettings:
     converged_rms: float = 0.0025  # rms of D over the mean intensity
     settled_gain: float = 0.02  # converged, too, once full steps lower the rms by less than this share ...
     settled_steps: int = 3  # ... so many times running: what is left is finer than the mesh can move
-    stuck_dt: float = 1e-3  # a step this small moves nothing
+    stuck_dt: float = 5e-3  # a step this small moves nothing
     floor: float = 0.01  # least target, as a share of the mean
     solver_tolerance: float = 1e-4
 

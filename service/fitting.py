@@ -10,31 +10,31 @@ from math import isfinite
 from pathlib import Path
 
 from cam.passes import PassSpec, Stock
+from cam.program import LEAST_REACHED
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError, InputError
 from service.lens_facts import LensFacts
 
-MOST_UNREACHABLE = 0.2
-_BYTES_PER_MM = 450.0  # of path: a 22 byte line every 0.05 mm, measured on photographs; within a factor of two
+_FINISH_BYTES_PER_MM, _ROUGH_BYTES_PER_MM = 160.0, 20.0  # of path, measured on a photograph; within a factor of three
 
 
 def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...]) -> str | None:
-    """A warning when the finishing ball does not fit everywhere; InputError when it misses a fifth of the lens."""
-    radius_mm = min(spec.radius_mm for spec in passes if spec.finishes) if any(s.finishes for s in passes) else None
-    if radius_mm is None or radius_mm <= facts.min_concave_radius_mm:
+    """A warning when the finishing ball does not fit everywhere; InputError when it touches too little of the lens."""
+    radius_mm = min((spec.radius_mm for spec in passes if spec.finishes), default=0.0)
+    if radius_mm <= facts.min_concave_radius_mm:
         return None
-    share = facts.unreachable_share(radius_mm)
+    share = facts.reached_share(radius_mm)
     fits = f"the largest that fits everywhere has {facts.min_concave_radius_mm:.3g} mm"
     for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):
         fits += f", on {name} of the area {radius:.3g} mm" if isfinite(radius) else f", on {name} of the area any"
-    if share > MOST_UNREACHABLE:
+    if share < LEAST_REACHED:
         raise InputError(
-            f"radius_mm = {radius_mm:g} of the finish pass touches only {100 * (1 - share):.0f} % of the lens; "
-            f"allowed: at least {100 * (1 - MOST_UNREACHABLE):.0f} %; {fits}"
+            f"radius_mm = {radius_mm:g} of the finish pass touches only {100 * share:.0f} % of the lens; "
+            f"allowed: at least {100 * LEAST_REACHED:.0f} %; {fits}"
         )
     return (
-        f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * share:.2g} % of the lens; {fits}; "
+        f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * (1 - share):.2g} % of the lens; {fits}; "
         f"optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
     )
 
@@ -61,7 +61,7 @@ def require_travel(
 def expected_bytes(stock: Stock, spec: PassSpec) -> float:
     """About how large a program becomes."""
     length_mm = (stock.width_mm + 2 * spec.radius_mm) * (stock.height_mm + 2 * spec.radius_mm) / spec.pitch_mm
-    return length_mm * _BYTES_PER_MM
+    return length_mm * (_FINISH_BYTES_PER_MM if spec.finishes else _ROUGH_BYTES_PER_MM)
 
 
 def shortage(folder: Path, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from service.errors import InputError
+from service.errors import FailedError, InputError, sentence_of_os_error
 
 SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
@@ -91,7 +91,10 @@ def write_json(path: Path, data: object) -> None:
 
 @contextlib.contextmanager
 def atomic_file(path: Path) -> Iterator[BinaryIO]:
-    """A file that takes its name when the block ends well, and is removed when it does not."""
+    """A file that takes its name when the block ends well, and is removed when it does not.
+
+    Raises FailedError, one line, where the disk refuses.
+    """
     hidden = path.with_name(f".{path.name}.{os.getpid()}{_STAGING}")
     try:
         with hidden.open("wb") as file:
@@ -99,8 +102,11 @@ def atomic_file(path: Path) -> Iterator[BinaryIO]:
             file.flush()
             os.fsync(file.fileno())
         hidden.replace(path)
-    except BaseException:
+    except BaseException as error:
         hidden.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            error.filename = None  # the hidden name says nothing to the person
+            raise FailedError(sentence_of_os_error(error, doing=f"cannot write {path.name}")) from error
         raise
 
 

@@ -10,20 +10,22 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cam.errors import CamError
+from cam.errors import CamError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
 from optics.errors import OpticsError
 from optics.heightfield import Heightfield
 from service import job_files
 from service.errors import FailedError, InputError
 from service.progress import Reporter, Stopwatch
 from service.report_stage import report_stage
-from service.solid import SolidError
+from service.solid import ReliefTooDeep, SolidError
 from service.spec import JobSpec
 from service.stages_cam import mill_stage, require_millable, toolpath_stage
 from service.stages_optics import caustic_stage, design_stage, read_target, require_fit_in_stock, solid_stage
 from service.workshop import Part, Workshop, load_heightfield, load_target
 
-_INPUT_ERRORS = ("TargetError", "TotalReflectionError", "ReliefTooDeep", "SafeHeightError", "StockTooThinError")
+_INPUT_ERRORS = (
+    OpticsError, ReliefTooDeep, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError,
+)  # fmt: skip
 
 
 def make(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
@@ -32,8 +34,8 @@ def make(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, forc
     with _workshop(output, spec, reporter) as shop:
         heightfield = _lens(shop, picture)
         require_millable(shop, heightfield)
-        samples = mill_stage(shop, heightfield)
-        toolpath_stage(shop, samples)
+        mill_stage(shop, heightfield)
+        toolpath_stage(shop)
         report_stage(shop)
     return shop.report
 
@@ -54,8 +56,8 @@ def cam(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
         heightfield = load_heightfield(shop.folder / job_files.HEIGHTFIELD)
         require_fit_in_stock(shop, heightfield)
         require_millable(shop, heightfield)
-        samples = mill_stage(shop, heightfield)
-        toolpath_stage(shop, samples)
+        mill_stage(shop, heightfield)
+        toolpath_stage(shop)
         solid_stage(shop, heightfield)  # the stock may have changed
         report_stage(shop)
     return shop.report
@@ -94,7 +96,7 @@ def _workshop(output: Path, spec: JobSpec, reporter: Reporter, *, keep: Iterable
         try:
             yield shop
         except (OpticsError, CamError, SolidError) as error:
-            kind = InputError if type(error).__name__ in _INPUT_ERRORS else FailedError
+            kind = InputError if isinstance(error, _INPUT_ERRORS) else FailedError
             raise kind(" ".join(str(error).split())) from error
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
             shop.note("passes", f"the last pass leaves {left:g} mm of stock: no pass makes the optical surface")
 
 
-def mill_stage(shop: Workshop, heightfield: Heightfield) -> list[PathSample]:
+def mill_stage(shop: Workshop, heightfield: Heightfield) -> None:
     """All programs, each written and then checked from its text; fills report `passes`.
 
     FailedError with the faults at the first program that does not pass; the staging folder, and the program with it,
@@ -50,20 +50,22 @@ def mill_stage(shop: Workshop, heightfield: Heightfield) -> list[PathSample]:
     """
     stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
     stock_top = first_stock(stock)
-    samples: list[PathSample] = []
     shop.report["passes"] = []
     for number, spec in enumerate(cam_passes_of(shop.spec), 1):
         path = shop.folder / program_name(number, spec.name, _POSTS[machine.dialect].suffix)
         row, stock_top = _one_pass(shop, number, spec, path, heightfield, stock, stock_top, machine)
         shop.report["passes"].append(row)
-        samples.append(_sample(path, number, spec, stock))
-    return samples
 
 
-def toolpath_stage(shop: Workshop, samples: Sequence[PathSample]) -> None:
-    """toolpath.png."""
-    with shop.watch.stage("toolpath picture"):
-        stock = cam_stock_of(shop.spec)
+def toolpath_stage(shop: Workshop) -> None:
+    """toolpath.png, drawn from the text of the programs."""
+    stock = cam_stock_of(shop.spec)
+    with shop.watch.stage("toolpath picture") as reached:
+        samples = []
+        for number, spec in enumerate(cam_passes_of(shop.spec), 1):
+            path = shop.folder / shop.report["passes"][number - 1]["file"]
+            samples.append(_sample(path, number, spec, stock))
+            reached(number / (len(shop.spec.passes) + 1))
         picture = figures_paths.toolpath_png(
             samples, width_mm=stock.width_mm, height_mm=stock.height_mm, margin_mm=stock.margin_mm
         )
@@ -136,17 +138,14 @@ def _one_pass(
         verdict = simulate(path, spec, heightfield, stock, stock_top, machine, reached)
     if not verdict.ok:
         raise FailedError("\n".join(f"{path.name}: {fault}" for fault in verdict.faults))
-    for sentence in verdict.notes:
+    for sentence in verdict.notes if spec.finishes else ():
         shop.note("passes", f"{path.name}: {sentence}")
-    figures = verdict.as_report()
     row = {
         "file": written.file,
         "sha256": written.sha256,
-        **figures,
+        **verdict.as_report(),
         "lines": written.lines,
         "bytes": written.bytes,
-        "unreached": [str(place) for place in verdict.unreached],
-        "unreached_places": figures["unreached"],
         "settings": shop.spec.passes[number - 1].model_dump(),
     }
     return row, verdict.stock_top

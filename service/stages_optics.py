@@ -48,6 +48,9 @@ def design_stage(shop: Workshop, target: Array) -> LensDesign:
         "history": design.history,
         **_facts(facts),
     }
+    if design.flow is not None:
+        picture = figures_lens.flow_png(design.flow.snapshots, viewed_from=shop.spec.optics.viewed_from)
+        shop.save("flow.png", picture)
     if not design.converged:
         shop.note("optics", f"the lens design has not converged: {design.message}")
     return design

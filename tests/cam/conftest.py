@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -57,7 +57,6 @@ class SlowMill:
     deepest_mm: float = 0.0  # most stock one feed move took
     deepest_plunge_mm: float = 0.0  # the same, straight down
     rapid_cut_mm: float = 0.0
-    cuts: list = field(default_factory=list)
 
     def move(self, to_mm: np.ndarray, *, rapid: bool) -> None:
         start = to_mm if self.tip_mm is None else self.tip_mm
@@ -70,7 +69,7 @@ class SlowMill:
         if not before.size:
             return
         after = before.copy()
-        for t in np.linspace(0, 1, 2 + int(np.linalg.norm(to_mm - start) / (cell / 2))):
+        for t in np.linspace(0, 1, 2 + int(np.linalg.norm(to_mm - start) / cell)):
             tip = start + t * (to_mm - start)
             left = r * r - (x - tip[0]) ** 2 - (y - tip[1]) ** 2
             bottom = np.where(left > 0, tip[2] + r - np.sqrt(np.maximum(left, 0)), np.inf)

@@ -21,7 +21,8 @@ from cam.tool_surface import ToolSurface
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "tiny-pass.nc"
 REWRITE = "CAUSTICMILL_REWRITE_GOLDEN"
-CELL_MM = 0.05
+CELL_MM = 0.06
+W, H = 4.0, 3.0
 
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.7)
 MIDDLE = ball_pass("semi-finish", radius_mm=0.5, pitch_mm=0.15, stock_to_leave_mm=0.03, step_down_mm=0.25)
@@ -29,14 +30,14 @@ FINISH = ball_pass("finish", radius_mm=0.5, pitch_mm=0.08, stock_to_leave_mm=0.0
 
 
 def block(margin_mm: float = 1.0) -> Stock:
-    return Stock(width_mm=6, height_mm=5, thickness_mm=10, margin_mm=margin_mm)
+    return Stock(width_mm=W, height_mm=H, thickness_mm=10, margin_mm=margin_mm)
 
 
 @pytest.fixture(scope="module")
 def small():
     from tests.cam.conftest import bumps
 
-    return bumps(4, relief_mm=1.8, width_mm=6.0, height_mm=5.0, spread_mm=0.9)
+    return bumps(4, relief_mm=1.1, width_mm=W, height_mm=H, spread_mm=0.7)
 
 
 def paths(lens, spec, stock, top, **options):
@@ -58,13 +59,12 @@ def judge(mill, spec):
     assert mill.deepest_plunge_mm <= 1e-3
 
 
-@pytest.mark.parametrize("margin_mm", [0.0, 1.0])
-@pytest.mark.parametrize("link", ["u-turn", "retract"])
+@pytest.mark.parametrize(("margin_mm", "link"), [(0.0, "u-turn"), (1.0, "u-turn"), (0.5, "retract")])
 def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
     """Each within its step-down, no rapid in stock, nothing below the lens, and what is left is what was asked for."""
     stock = block(margin_mm)
     top = StockGrid.block(stock, CELL_MM)
-    inside_x, inside_y = ((a > 0) & (a < size) for a, size in ((top.x_mm, 6), (top.y_mm, 5)))
+    inside_x, inside_y = ((a > 0) & (a < size) for a, size in ((top.x_mm, W), (top.y_mm, H)))
     lens = small.spline().heights_mm(top.x_mm[None, inside_x], top.y_mm[inside_y][:, None])
     for spec in (ROUGH, MIDDLE, FINISH):
         spec = replace(spec, link=link)
@@ -95,8 +95,8 @@ def test_no_wall_is_left_around_the_lens(small, slow_mill):
     """The rough pass clears one radius beyond the aperture, so that the next ball meets no deep wall there."""
     stock = block(3.0)
     mill, top = cut_block(slow_mill, paths(small, ROUGH, stock, top_of(stock)), ROUGH, top_of(stock))
-    ring_x = (top.x_mm > -0.9) & (top.x_mm < 6.9)
-    ring_y = (top.y_mm > -0.9) & (top.y_mm < 5.9)
+    ring_x = (top.x_mm > -0.9) & (top.x_mm < W + 0.9)
+    ring_y = (top.y_mm > -0.9) & (top.y_mm < H + 0.9)
     ring = top.top_mm[np.ix_(ring_y, ring_x)]
     spline = small.spline().extended(3.0, fade_mm=6.0)
     over = ring - spline.heights_mm(top.x_mm[None, ring_x], top.y_mm[ring_y][:, None])
@@ -143,14 +143,14 @@ def test_local_rest_gets_layers_of_its_own(small, slow_mill):
     z = small.spline().extended(4.0, fade_mm=6.0)
     top = top_of(stock)
     even = z.heights_mm(top.x_mm[None, :], top.y_mm[:, None]) + 0.03
-    post = np.hypot(top.x_mm[None, :] - 3, top.y_mm[:, None] - 2.5) < 0.4
+    post = np.hypot(top.x_mm[None, :] - 2, top.y_mm[:, None] - 1.5) < 0.4
     left = StockGrid(x0_mm=top.x0_mm, y0_mm=top.y0_mm, cell_mm=CELL_MM, top_mm=even + 0.5 * post)
     moves = paths(small, FINISH, stock, left)
     mill, _ = cut_block(slow_mill, moves, FINISH, left)
     judge(mill, FINISH)
-    layered = [p.points_mm for p in moves if p.motion is Motion.CUT][:-3]
-    across = np.concatenate(layered)
-    assert np.hypot(across[:, 0] - 3, across[:, 1] - 2.5).max() < 3.0 or len(moves) > 10
+    lifts = [n for n, path in enumerate(moves) if path.motion is Motion.RAPID and n > 0]
+    layered = np.concatenate([path.points_mm for path in moves[1 : lifts[-3]] if path.motion is Motion.CUT])
+    assert np.hypot(layered[:, 0] - 2, layered[:, 1] - 1.5).max() < 0.4 + 0.5 + 1.0  # post, ball, pad
 
 
 def test_program_reads_back_in_an_independent_parser(small):
@@ -177,27 +177,24 @@ def test_program_reads_back_in_an_independent_parser(small):
     assert parsed[-1].command == ("M", 2)
     r = ROUGH.radius_mm
     assert (low >= np.array([-r, -r, small.z_mm.min() - 0.5])).all()
-    assert (high <= np.array([6 + r, 5 + r, 6.0])).all()
+    assert (high <= np.array([W + r, H + r, 6.0])).all()
     assert (low[:2] <= -r + ROUGH.pitch_mm / 2 + 1e-9).all()
 
 
 def test_written_finish_lies_on_the_exact_surface(small):
     """z is the only thing rounded: 2.9 nm rms, 5 nm at most."""
     stock = block()
-    left = StockGrid(
-        x0_mm=-1, y0_mm=-1, cell_mm=0.1, top_mm=np.full((70, 80), float(small.z_mm.min())) * np.ones((70, 80))
-    )
+    left = StockGrid(x0_mm=-1, y0_mm=-1, cell_mm=0.1, top_mm=np.full((50, 60), float(small.z_mm.min())))
     text = b"".join(generate_program(small, FINISH, stock, stock_top=left, post=GRBL)).decode()
     at, points, feed = {"X": 0.0, "Y": 0.0, "Z": 0.0}, [], None
     for line in text.splitlines():
         words = dict(re.findall(r"([GXYZFM])(-?[\d.]+)", line))
         feed = words.get("F", feed)
         at.update({axis: float(words[axis]) for axis in "XYZ" if axis in words})
-        if "G" in words and words["G"] != "1":
-            points.clear()
+        if words.get("G") == "0" and points:
+            last, points = np.array(points), []
         elif feed == "600" and "M" not in words:
             points.append([at["X"], at["Y"], at["Z"]])
-            last = np.array(points)
     x, y, z = last.T
     assert len(last) > 10_000
     error_nm = 1e6 * (z - ToolSurface.over(small, radius_mm=0.5).tip_heights_mm(x, y))
@@ -208,7 +205,7 @@ def test_written_finish_lies_on_the_exact_surface(small):
 def test_text_comes_in_pieces_and_progress_rises_to_one(small):
     stock = block()
     seen: list[float] = []
-    spec = replace(FINISH, pitch_mm=0.01)
+    spec = replace(FINISH, pitch_mm=0.005)
     pieces = generate_program(
         small, spec, stock, stock_top=top_of(stock), post=GRBL, slope_error_rad=1e-4, on_progress=seen.append
     )
@@ -229,14 +226,14 @@ def test_jobs_that_cannot_be_done_are_refused_before_the_first_block(small, make
 
     with pytest.raises(StockTooThinError) as thin:
         first(stock=replace(stock, thickness_mm=1.0))
-    assert thin.value.lowest_mm < -1.8
+    assert thin.value.lowest_mm < -1.1
     with pytest.raises(SafeHeightError):
         first(safe_z_mm=0.2)
     with pytest.raises(PassValueError):
         first(stock=replace(stock, width_mm=7.0))
     with pytest.raises(PassValueError):
         first(slope_error_rad=0.0)
-    ripples = make_lens(lambda x, y: 0.05 * np.sin(9 * x) - 0.2 + 0 * y, width_mm=6.0, height_mm=5.0)
+    ripples = make_lens(lambda x, y: 0.05 * np.sin(9 * x) - 0.2 + 0 * y, width_mm=W, height_mm=H)
     with pytest.raises(CutterTooLargeError) as large:
         first(lens=ripples, spec=replace(FINISH, radius_mm=2.0))
     assert large.value.largest_mm == pytest.approx(1 / (81 * 0.05), rel=0.1)

@@ -68,6 +68,23 @@ def test_a_mesh_that_only_grows_or_drifts_has_no_largest_step():
     assert mesh.largest_step(np.ones_like(mesh.points_mm)) == np.inf
 
 
+@pytest.mark.parametrize(
+    ("second", "third", "step"),
+    [
+        ((0, 1), (1, 0), 1.0),  # area 1/2 (1 - t^2): still at first, then falling
+        ((2, 0), (0, -0.5), 2.0),  # 1/2 (1 + 2 t)(1 - t / 2): growing at first
+        ((-1, 0), (0, -0.25), 1.0),  # 1/2 (1 - t)(1 - t / 4): the smaller of two roots
+        ((-1, 0), (0, 0), 1.0),  # linear
+        ((0, 1), (-1, 0), np.inf),  # 1/2 (1 + t^2)
+    ],
+)
+def test_the_largest_step_of_one_triangle_is_its_first_root(second, third, step):
+    """Corners (0, 0), (1, 0), (0, 1), the first at rest."""
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    mesh = TriangleMesh(points_mm=points, triangles=np.array([[0, 1, 2]], dtype=np.int32))
+    assert mesh.largest_step(np.array([(0, 0), second, third], dtype=float)) == pytest.approx(step, rel=1e-14)
+
+
 @given(seed=st.integers(0, 10_000))
 @settings(max_examples=20, deadline=None)
 def test_every_point_is_found_in_the_triangle_that_holds_it(seed):

@@ -81,15 +81,15 @@ def test_the_mean_of_the_load_is_removed_and_the_answer_is_the_same_bits_each_ti
     assert not problem.solve(mesh, np.full_like(load, 3.0)).values.any()
 
 
-def test_thin_triangles_do_not_stop_the_solver():
-    """A mesh squeezed 1:50 in places, as the flow leaves it before it sticks."""
+def test_thin_and_sheared_triangles_do_not_stop_the_solver():
+    """A mesh squeezed 1:50 and sheared, as the flow leaves it before it sticks: 35 cycles at most for six digits."""
     n = 64
     x = np.linspace(0.0, 1.0, n + 1)
-    squeezed = x - 0.98 * np.sin(2 * np.pi * x) / (2 * np.pi)
-    mesh = TriangleMesh.structured(squeezed, x)
-    u, y = mesh.points_mm.T
-    mesh = mesh.moved(np.stack([u, y + 0.1 * np.sin(np.pi * y) * np.sin(2 * np.pi * u)], axis=1))
-    assert mesh.areas().min() > 0.0
+    mesh = TriangleMesh.structured(x, x)
+    u, v = mesh.points_mm.T
+    squeezed, sheared = u - 0.98 * np.sin(2 * np.pi * u) / (2 * np.pi), v - 0.2 * np.sin(np.pi * u) * np.sin(np.pi * v)
+    mesh = mesh.moved(np.stack([squeezed, sheared], axis=1))
+    assert 0.0 < mesh.areas().min() < 0.02 * mesh.areas().max()
     solution = NeumannPoisson(mesh).solve(mesh, np.random.default_rng(0).normal(size=(n + 1) ** 2), tolerance=1e-6)
     assert solution.residual <= 1e-6
-    assert solution.iterations < 60
+    assert solution.iterations <= 35

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -12,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service import job_files
-from service.errors import InputError
+from service.errors import FailedError, InputError
 from service.job_files import (
     atomic_file,
     is_job_folder,
@@ -64,6 +65,23 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> 
         write_program(path, chunks())
     assert path.read_bytes() == b"old"
     assert names(tmp_path) == {"a.nc"}
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(errno.ENOSPC, "no space left on the disk"), (errno.EROFS, "read-only"), (errno.EIO, "error")]
+)
+def test_what_the_disk_refuses_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int, words: str
+) -> None:
+    def refuse(_descriptor: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(os, "fsync", refuse)
+    with pytest.raises(FailedError) as caught:
+        write_bytes(tmp_path / "pass-1-rough.nc", b"G0")
+    assert str(caught.value).startswith("cannot write pass-1-rough.nc: ")
+    assert words in str(caught.value)
+    assert names(tmp_path) == set()
 
 
 def test_a_name_appears_only_when_the_file_is_whole(tmp_path: Path) -> None:
