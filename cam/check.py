@@ -29,6 +29,8 @@ from optics.heightfield import Heightfield
 
 GOUGE_ALLOWED_UM = 1.0
 GAP_ALLOWED_PITCHES = 2.0
+UNCUT_ALLOWED_MM = 0.005
+"""Within reach, above the cusps: whether the ball fits is only sampled, which is good to a few micrometres."""
 Progress = Callable[[float], None]
 Bounds = dict[str, list[float]]
 
@@ -263,7 +265,7 @@ class _Run:
         return gap_mm
 
     def _judge_excess(self, excess: ExcessFound) -> None:
-        allowed_mm = 0.002 + 0.25 * self.spec.stock_to_leave_mm
+        allowed_mm = UNCUT_ALLOWED_MM + 0.25 * self.spec.stock_to_leave_mm
         if excess.uncut_mm > allowed_mm:
             self.rules.add_fault(
                 f"{1000 * excess.uncut_mm:.1f} µm more than the cusps are left at X{excess.x_mm:.3f} "

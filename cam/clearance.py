@@ -117,7 +117,7 @@ class SurfaceWitness:
     """Watches one pass against one lens; keeps the last contact as the next start."""
 
     def __init__(self, heightfield: Heightfield, *, radius_mm: float) -> None:
-        self._surface = heightfield.spline().extended(2 * radius_mm)
+        self._surface = heightfield.spline_with_run_out(2 * radius_mm)
         self._size = heightfield.width_mm, heightfield.height_mm
         self._radius_mm = radius_mm
         self._offset = np.zeros(2)

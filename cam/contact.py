@@ -4,8 +4,9 @@ Theory. The ball's centre above (cx, cy) touches the surface at p where p + R N_
 up; the centre stands at h(p) + R N_z. Newton solves this in one or two steps from a neighbour's p. Newton is local: if
 f(p) = h(p) + sqrt(R^2 - |p - c|^2) has more than one maximum inside the footprint the ball rests on the highest. f is
 concave, so has one maximum only, where the largest eigenvalue of the Hessian of h stays below 1/R all over the
-footprint (the ball's own is at least 1/R). Elsewhere ("guarded") all local maxima of f on a lattice that could win are
-polished and the highest is taken.
+footprint (the ball's own is at least 1/R). Elsewhere ("guarded") Newton climbs f from every lattice node
+that could lie below the highest maximum, and the highest is taken. The lattice sees what slopes below about 1.5 do;
+beyond that f is too peaked for it.
 
 With an allowance a the ball is R + a large and the centre is kept: exactly a is left along the normal.
 """
@@ -74,8 +75,12 @@ def _newton(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _climb(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
-    """A local maximum of f from p by safeguarded Newton: never downhill, never out of the footprint -> (f, px, py)."""
+def _climb(b, cx, cy, px, py, top, tx, ty):  # type: ignore[no-untyped-def]
+    """A local maximum of f from p by safeguarded Newton: never downhill, never out of the footprint -> (f, px, py).
+
+    Given up, with f = -inf, as soon as it heads for the known maximum `top` at (tx, ty) or for a lower one.
+    """
+    near = 0.05 * b.node_step
     r2 = b.radius * b.radius
     ux, uy = px - cx, py - cy
     z, zx, zy, zxx, zxy, zyy = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)
@@ -87,6 +92,8 @@ def _climb(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
         det = hxx * hyy - hxy * hxy
         if hxx < 0.0 and det > 0.0:
             sx, sy = (hxy * gy - hyy * gx) / det, (hxy * gx - hxx * gy) / det
+            if math.hypot(cx + ux + sx - tx, cy + uy + sy - ty) < near or f + gx * sx + gy * sy < top:
+                return -np.inf, px, py  # the quadratic's gain is half of g . s
         else:
             sx, sy = r * gx, r * gy
         length = math.hypot(sx, sy)
@@ -95,17 +102,17 @@ def _climb(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
         scale = min(1.0, 0.25 * b.radius / length)
         moved = False
         while scale * length > 1e-10 * b.radius:
-            tx, ty = ux + scale * sx, uy + scale * sy
-            left = r2 - tx * tx - ty * ty
+            vx, vy = ux + scale * sx, uy + scale * sy
+            left = r2 - vx * vx - vy * vy
             if left > 1e-6 * r2:
-                z, zx, zy, zxx, zxy, zyy = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, cx + tx, cy + ty)
+                z, zx, zy, zxx, zxy, zyy = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, cx + vx, cy + vy)
                 if z + math.sqrt(left) >= f:
                     moved = True
                     break
             scale *= 0.5
         if not moved:
             break
-        ux, uy, r = tx, ty, math.sqrt(left)
+        ux, uy, r = vx, vy, math.sqrt(left)
         f = z + r
     return f, cx + ux, cy + uy
 
@@ -114,8 +121,8 @@ def _climb(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
 def _highest(b, cx, cy):  # type: ignore[no-untyped-def]
     """The highest contact in the whole footprint, without a guess; returns what `_newton` does but for `found`.
 
-    Climbs start at a lattice maximum and at its eight neighbours: two true maxima closer than two steps (at the end of
-    a crease) show as one.
+    Climbs start from every node that may lie below the true maximum, not from lattice maxima only: two true maxima a
+    few steps apart, at the end of a crease, show as one.
     """
     n = int(math.ceil(b.radius / b.node_step)) + 1
     my, mx = b.node_z.shape
@@ -138,25 +145,16 @@ def _highest(b, cx, cy):  # type: ignore[no-untyped-def]
                 f[a, e] = b.node_z[j, i] + math.sqrt(left)
                 best = max(best, f[a, e])
     top, px, py = -np.inf, cx, cy
-    for a in range(1, size - 1):
-        for e in range(1, size - 1):
-            here = f[a, e]
-            if here < best - b.slack or here == -np.inf:
-                continue
-            if here < max(
-                f[a - 1, e], f[a + 1, e], f[a, e - 1], f[a, e + 1],
-                f[a - 1, e - 1], f[a - 1, e + 1], f[a + 1, e - 1], f[a + 1, e + 1],
-            ):  # fmt: skip
-                continue
-            for da in range(-1, 2):
-                for de in range(-1, 2):
-                    if f[a + da, e + de] == -np.inf:
-                        continue
-                    qx = b.node_x0 + (ic + e + de - n) * b.node_step
-                    qy = b.node_y0 + (jc + a + da - n) * b.node_step
-                    t, qx, qy = _climb(b, cx, cy, qx, qy)
-                    if t > top:
-                        top, px, py = t, qx, qy
+    for first in (True, False):  # the best node first: most others are then given up at once
+        for a in range(1, size - 1):
+            for e in range(1, size - 1):
+                here = f[a, e]
+                if here < best - b.slack or here == -np.inf or (here == best) != first:
+                    continue
+                qx, qy = b.node_x0 + (ic + e - n) * b.node_step, b.node_y0 + (jc + a - n) * b.node_step
+                t, qx, qy = _climb(b, cx, cy, qx, qy, top, px, py)
+                if t > top:
+                    top, px, py = t, qx, qy
     found, qx, qy, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
     if found and tip >= top - b.below - 1e-9:
         return qx, qy, tip, slope, curvature, dpx, dpy

@@ -31,7 +31,7 @@ class BallEndMill:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FittingRadius:
-    """Largest ball whose curvature fits the hollows: everywhere, and on 99.9 % of the area; inf if nothing is hollow."""
+    """Largest ball whose curvature fits the hollows: everywhere, and on 99.9 % of the area; inf without hollows."""
 
     everywhere_mm: float
     nearly_mm: float

@@ -41,9 +41,10 @@ def leave(x_mm: float, y_mm: float, *, safe_z_mm: float) -> Path:
 
 
 def ramp(polyline_mm: Array, start_mm: float) -> Array:
-    """(m, 3) there and back along the first stretch, sinking at RAMP_SLOPE, never below the polyline; ends at its start.
+    """(m, 3) there and back on the first stretch, sinking at RAMP_SLOPE, never below the polyline, to its start.
 
-    The polyline is part of one row: y is constant. Long drops over short polylines go back and forth often. What sinks below the path follows the path.
+    The polyline is part of one row: its y is constant. Long drops over short polylines go back and forth often. Where
+    the path is higher than the ramp the tool follows the path.
     """
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(polyline_mm[:, :2], axis=0).T))])
     longest = min(float(run[-1]), RAMP_STRETCH_MM)

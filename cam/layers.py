@@ -168,10 +168,11 @@ def layer_paths(
     pad, gap, reach = ceil(per_radius / 4), round(2 * per_radius), round(4 * per_radius)
     sag = rough_sag_mm(surface.allowance_mm + layer.offset_mm)
     by_row = [spans(row, pad=pad, gap=gap) for row in active]
-    total, done = sum(map(len, by_row)), 0
+    total = sum(map(len, by_row))
     before: Run | None = None
     place = np.empty(3)
-    for run in chained(by_row, most_samples=reach, link=spec.link == "u-turn"):
+    runs = chained(by_row, most_samples=reach, link=spec.link == "u-turn")
+    for done, run in enumerate(runs, start=1):
         samples = slice(run.first, run.last + 1)
         points = np.column_stack(
             [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
@@ -186,7 +187,6 @@ def layer_paths(
             yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
         yield cut(points, spec.feed_mm_per_min)
         before, place = run, points[-1]
-        done += 1
         on_progress(done / total)
     if before is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)

@@ -59,7 +59,7 @@ def _between(low: CuttingData, high: CuttingData, radius_mm: float) -> CuttingDa
     return CuttingData(
         radius_mm=radius_mm,
         flutes=high.flutes,
-        spindle_rpm=round(mix(low.spindle_rpm, high.spindle_rpm), -2),
+        spindle_rpm=100 * round(mix(low.spindle_rpm, high.spindle_rpm) / 100),
         feed_mm_per_tooth=round(mix(low.feed_mm_per_tooth, high.feed_mm_per_tooth), 4),
         step_down_mm=round(mix(low.step_down_mm, high.step_down_mm), 3),
         plunge_share=mix(low.plunge_share, high.plunge_share),

@@ -89,7 +89,7 @@ def remarks(spec: PassSpec, stock: Stock) -> tuple[str, ...]:
         f"pass {spec.name}: ball end mill radius {n(spec.radius_mm)} mm, pitch {n(spec.pitch_mm)} mm",
         f"leaves {n(spec.stock_to_leave_mm)} mm, step-down {n(spec.step_down_mm)} mm",
         f"block {block} x {n(stock.thickness_mm)} mm, margin {n(stock.margin_mm)} mm",
-        "X0 Y0: lower left corner of the lens aperture; Z0: top of the block; mm",
+        "X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm",
     )
 
 

@@ -48,8 +48,8 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
 
 
 @njit(cache=True, nogil=True)
-def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, radius, rings):  # type: ignore[no-untyped-def]
-    """How far a ball touching the surface at (x, y) lies in it elsewhere in the aperture."""
+def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
+    """How far a ball touching the surface at (x, y) lies in it elsewhere, run-out included."""
     h, hx, hy, _hxx, _hxy, _hyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)
     q = math.sqrt(1.0 + hx * hx + hy * hy)
     cx = x - radius * hx / q
@@ -62,7 +62,7 @@ def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, radius, ring
             px = cx + i * step
             py = cy + j * step
             flat2 = (px - cx) ** 2 + (py - cy) ** 2
-            if flat2 >= radius * radius or px < 0.0 or py < 0.0 or px > width or py > height:
+            if flat2 >= radius * radius:
                 continue
             hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
             if hp > cz:
@@ -72,9 +72,9 @@ def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, radius, ring
 
 
 @njit(cache=True, nogil=True)
-def _reaches(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
+def _reaches(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
     for k in range(x.size):
-        out[k] = _deepest_in(coefs, x0, y0, inv_dx, inv_dy, width, height, x[k], y[k], radius, rings) <= _TOUCH_MM
+        out[k] = _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k], radius, rings) <= _TOUCH_MM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -147,7 +147,7 @@ def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, s
     rings = int(np.clip(radius_mm / max(heightfield.dx_mm, 1e-9), 16, 40))
     out = np.empty(cells.size, dtype=np.bool_)
     _reaches(
-        *(*heightfield.spline().kernel_arguments, heightfield.width_mm, heightfield.height_mm),
+        *heightfield.spline_with_run_out(2 * radius_mm).kernel_arguments,
         *(grid.x_mm[columns], grid.y_mm[rows], radius_mm, rings, out),
     )
     return out

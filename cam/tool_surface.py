@@ -14,10 +14,6 @@ from cam.contact import Ball, touch_points, touch_rows
 from cam.moves import Array
 from optics.heightfield import Heightfield, spline_jet
 
-FADE_MM = 6.0
-"""Run-out: the slope at the rim dies out over this length. Longer than two rough balls, so that a 3 mm ball fits the
-bend (slope 0.5 over 6 mm is 0.08 /mm) and all passes share one run-out."""
-
 GUARD_SHARE = 0.6
 """Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
 
@@ -40,7 +36,7 @@ class ToolSurface:
         """For tips up to run_out_mm (default: one radius) outside the aperture."""
         ball_mm = radius_mm + allowance_mm
         run_out_mm = radius_mm if run_out_mm is None else run_out_mm
-        spline = heightfield.spline().extended(run_out_mm + ball_mm + 2 * ball_mm / 8, fade_mm=FADE_MM)
+        spline = heightfield.spline_with_run_out(run_out_mm + ball_mm + 2 * ball_mm / 8)
         step = min(heightfield.dx_mm, heightfield.dy_mm, ball_mm / 8)
         reach = run_out_mm + ball_mm + step
         x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]

@@ -67,14 +67,15 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
 
     From an anchor (the last vertex) probes go ahead; the farthest one whose chord keeps the rule becomes the next
     vertex. A chord's slope error is judged by the extremes of the exact slope at its probes, and between two probes
-    of opposite curvature by the extreme of the quadratic through them.
+    of opposite curvature by the extreme of the quadratic through them. Its sag is at most k s^2 / 8 on a smooth path;
+    where the ball changes flanks the slope jumps by d without curvature and the sag is at most d s / 4.
     """
     ticks = int(math.floor(x_from * 10_000 + 0.5))
     last = int(math.floor(x_to * 10_000 + 0.5))
     way = 1 if last > ticks else -1
     x = ticks / 10_000
     px, py, z, s, k, dpx, dpy = touch(b, x, y, x, y)
-    ax, az, a_s, ak = x, z, s, k  # anchor
+    ax, az = x, z  # anchor
     low, high, bend = s, s, abs(k)
     has_candidate = False
     out[count, 0], out[count, 1], out[count, 2] = x, y, z
@@ -99,7 +100,7 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
             chord = (nz - az) / (nx - ax)
             good = (
                 max(n_high - chord, chord - n_low) <= rule.slope_rad
-                and n_bend * length * length <= 8.0 * rule.sag_mm
+                and max(n_bend * length, n_high - n_low) * length <= 8.0 * rule.sag_mm
                 and length <= rule.max_mm + 1e-9
             )
             if good or not has_candidate:

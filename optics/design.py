@@ -108,7 +108,7 @@ def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> Le
         heightfield=lens.heightfield,
         transport_map=TransportMap(screen_mm=lens.screen_mm, lens_mm=lens.lens_mm),
         converged=lens.converged,
-        history=lens.flow.history(),
+        history=lens.history(),
         message=lens.message,
         seconds=time.perf_counter() - started,
         flow=lens.flow,

@@ -8,9 +8,9 @@ What the paper leaves open, and what is done here:
 - The source of the Poisson equation is the excess light of each dual face, D times its area on the screen. The sources
   then add up to zero exactly, and dt = 1 is a full Newton step for L J = C: moving by grad(phi) changes a face by
   (its area) x laplace(phi) dt. Reading D as a density per area of the lens instead overshoots where J > 2 (a bright
-  spot six times the mean never settles).
+  spot of 14 times the mean never settles).
 - grad(phi) at a vertex is the mean over its triangles weighted by their areas on the *screen*. With areas on the lens
-  the big bright triangles pull thin ones flat, and photographs stick at 1.4 times the difference.
+  the big bright triangles pull thin ones flat, and photographs stick at up to 1.4 times the difference.
 - dt is half the largest step that flips no triangle, as in the paper, and never more than the Newton step.
 - The mean over triangles cannot see a checkerboard, so D keeps the part of it that alternates from pixel to pixel.
 - Vertices stand on the centres of their pixels, so that faces are pixels; the outermost ones stand on the frame, where

@@ -64,6 +64,10 @@ class Heightfield:
         """Highest minus lowest vertex."""
         return float(np.ptp(self.z_mm))
 
+    def spline_with_run_out(self, by_mm: float) -> BicubicSpline:
+        """The spline and, around the aperture, the surface on which all passes run out: the one definition of both."""
+        return self.spline().extended(by_mm)
+
     def spline(self) -> BicubicSpline:
         """The not-a-knot bicubic spline through the vertices."""
         return BicubicSpline.through(

@@ -137,15 +137,17 @@ class BicubicSpline:
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
         return self.jets(x_mm, y_mm)[0]
 
-    def extended(self, by_mm: float, *, fade_mm: float = 1.0) -> BicubicSpline:
+    def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3) -> BicubicSpline:
         """The same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.
 
-        New coefficients continue the outermost difference, shrunk by exp(-d / fade_mm): the slope across the rim dies
-        out instead of running up or down without bound.
+        New coefficients continue the slope across the rim, which dies out as exp(-d / fade_mm) instead of running up or
+        down without bound; what the rim's curvature adds to it dies out within a few cells, or a crease that runs out
+        of the lens would go on as a ridge. Within 1 mm the run-out also turns down by `droop`, so that it does not lift
+        a ball that touches the rim: a dark frame makes half a valley of the rim.
         """
         pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
-        coefs = _continued(self.coefs, pad_y, math.exp(-self.dy_mm / fade_mm))
-        coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, math.exp(-self.dx_mm / fade_mm)).T)
+        coefs = _continued(self.coefs, pad_y, self.dy_mm, fade_mm, droop)
+        coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, self.dx_mm, fade_mm, droop).T)
         coefs.setflags(write=False)
         return BicubicSpline(
             coefs=coefs,
@@ -156,9 +158,20 @@ class BicubicSpline:
         )
 
 
-def _continued(coefs: Array, rows: int, ratio: float) -> Array:
-    """`rows` more rows before the first and after the last, their differences shrinking by `ratio` each."""
-    reach = np.cumsum(ratio ** np.arange(1, rows + 1))[:, None]
-    before = coefs[0] + reach[::-1] * (coefs[0] - coefs[1])
-    after = coefs[-1] + reach * (coefs[-1] - coefs[-2])
-    return np.concatenate([before, coefs, after])
+def _continued(coefs: Array, rows: int, spacing: float, fade: float, droop: float) -> Array:
+    """`rows` more rows before the first and after the last; C2 whatever they are.
+
+    The k-th new difference is s exp(-k spacing / fade) + (e - s) / 3^k, less the droop: e the outermost difference,
+    which belongs to half a cell beyond the rim, and s the slope at the rim itself, per cell.
+    """
+    k = np.arange(1, rows + 1)
+    slow = np.cumsum(np.exp(-k * spacing / fade))[:, None]
+    quick = np.cumsum((1 / 3) ** k)[:, None]
+    sag = np.cumsum(droop * spacing * np.minimum(k * spacing, 1.0))[:, None]
+
+    def beyond(outer: Array, rim: Array, inner: Array) -> Array:
+        slope = (outer - inner) / 2
+        return np.asarray(outer + slow * slope + quick * (outer - rim - slope) - sag)
+
+    before = beyond(coefs[0], coefs[1], coefs[2])[::-1]
+    return np.concatenate([before, coefs, beyond(coefs[-1], coefs[-2], coefs[-3])])

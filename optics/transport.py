@@ -174,7 +174,14 @@ def solve_transport(
             rim_x, rim_y = _stretched(rim_x, shape[0]), _stretched(rim_y, shape[1])
         finest = number == len(shapes) - 1
         c, rim_x, rim_y, record, met_reflection = _solve_level(
-            box_averaged(g, shape), c, rim_x, rim_y, bench, skim_mm, tolerance, most_iterations if finest else _MOST_COARSE
+            box_averaged(g, shape),
+            c,
+            rim_x,
+            rim_y,
+            bench,
+            skim_mm,
+            tolerance,
+            most_iterations if finest else _MOST_COARSE,
         )
         records.append(record)
         converged = record.rms <= tolerance

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, EXIT_INTERRUPTED, JobError, sentence_of_os_error
+from service.kernel_cache import use_current_kernels
 
 if TYPE_CHECKING:
     from service.progress import Reporter
@@ -168,6 +169,7 @@ def main() -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code; every error becomes one line on stderr."""
+    use_current_kernels()
     return _told(lambda: app(args=list(arguments), prog_name="causticmill", standalone_mode=False))
 
 

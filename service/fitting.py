@@ -19,7 +19,7 @@ from service.lens_facts import LensFacts
 _FINISH_BYTES_PER_MM, _ROUGH_BYTES_PER_MM = 160.0, 20.0  # of path, measured on a photograph; within a factor of three
 
 
-def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...]) -> str | None:
+def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
     """A warning when the finishing ball does not fit everywhere; InputError when it touches too little of the lens."""
     radius_mm = min((spec.radius_mm for spec in passes if spec.finishes), default=0.0)
     if radius_mm <= facts.min_concave_radius_mm:
@@ -33,9 +33,10 @@ def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...]) -> str | None:
             f"radius_mm = {radius_mm:g} of the finish pass touches only {100 * share:.0f} % of the lens; "
             f"allowed: at least {100 * LEAST_REACHED:.0f} %; {fits}"
         )
+    remedy = "" if shaped_for_mm >= radius_mm else f"; optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
     return (
-        f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * (1 - share):.2g} % of the lens; {fits}; "
-        f"optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
+        f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * (1 - share):.2g} % of the lens; "
+        f"{fits}{remedy}"
     )
 
 

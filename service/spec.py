@@ -59,7 +59,7 @@ class OpticsSpec(Section):
     refractive_index: Annotated[float, Field(ge=1.05, le=3.0)] = 1.49
     screen_width_mm: Annotated[float, Field(gt=0, le=20_000)] | None = None
     screen_height_mm: Annotated[float, Field(gt=0, le=20_000)] | None = None
-    min_radius_mm: Annotated[float, Field(ge=0, le=25)] = 0.0
+    min_radius_mm: Annotated[float, Field(ge=0, le=25)] = 0.5  # valleys tighter than this ball are filled; 0: none are
     method: Literal["transport", "paper"] = "transport"
     viewed_from: Literal["lens", "behind"] = "lens"
     corrections: Annotated[int, Field(ge=0, le=3)] = 2
@@ -78,7 +78,7 @@ class StockSpec(Section):
     """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies."""
 
     thickness_mm: Annotated[float, Field(gt=0, le=500)] = 40.0
-    margin_mm: Annotated[float, Field(ge=0, le=200)] = 5.0
+    margin_mm: Annotated[float, Field(ge=0, le=200)] = 8.0  # keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears
     skim_mm: Annotated[float, Field(gt=0, le=10)] = 0.1
     material: Literal["pmma"] = "pmma"
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from cam.check import PassCheck, check_program
 from cam.duration import Kinematics
-from cam.gcode import read_program
+from cam.gcode import ProgramError, read_program
 from cam.passes import PassSpec, Stock
 from cam.posts.grbl import GRBL
 from cam.posts.post import Post
@@ -34,7 +34,8 @@ def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
     passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
     with shop.watch.stage("fit"):
         require_travel(heightfield, stock, passes, machine_of(shop.spec))
-        for sentence in (unfit_ball(measure_lens(heightfield), passes), shortage(shop.folder, stock, passes)):
+        unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.optics.min_radius_mm)
+        for sentence in (unfit, shortage(shop.folder, stock, passes)):
             if sentence:
                 shop.note("passes", sentence)
         if not passes[-1].finishes:
@@ -135,7 +136,10 @@ def _one_pass(
         )
         written = write_program(path, chunks)
     with shop.watch.stage(f"check pass {number} {spec.name}") as reached:
-        verdict = simulate(path, spec, heightfield, stock, stock_top, machine, reached)
+        try:
+            verdict = simulate(path, spec, heightfield, stock, stock_top, machine, reached)
+        except ProgramError as error:
+            raise FailedError(f"{path.name}: {error}") from error
     if not verdict.ok:
         raise FailedError("\n".join(f"{path.name}: {fault}" for fault in verdict.faults))
     for sentence in verdict.notes if spec.finishes else ():

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from hypothesis import settings
 
-# Kernels compile on their first call, so single examples may take seconds; example order is fixed to keep CI repeatable.
+from service.kernel_cache import use_current_kernels
+
+use_current_kernels()  # before any test module imports numba
+
+# Kernels compile on their first call, so an example may take seconds; their order is fixed to keep CI repeatable.
 settings.register_profile("causticmill", deadline=None, derandomize=True, max_examples=50, print_blob=True)
 settings.load_profile("causticmill")

@@ -26,7 +26,9 @@ def figures() -> Iterator[Figure]:
     peer = _opencamlib_points_per_second(lens)
     yield Figure("CL points, opencamlib BatchDropCutter, facets 0.1 mm", peer / 1e6, "M/s/thread", "10 mm tile")
     yield Figure("ratio of the two", ours / peer, "x")
-    yield Figure("CL error against a contact found by brute force", _worst_error_nm(lens, surface), "nm", "worst of 200")
+    yield Figure(
+        "CL error against a contact found by brute force", _worst_error_nm(lens, surface), "nm", "worst of 200"
+    )
 
 
 def _opencamlib_points_per_second(lens) -> float:  # type: ignore[no-untyped-def]
@@ -37,7 +39,8 @@ def _opencamlib_points_per_second(lens) -> float:  # type: ignore[no-untyped-def
     solid = ocl.STLSurf()
     for j in range(axis.size - 1):
         for i in range(axis.size - 1):
-            a, b, c, d = (ocl.Point(axis[i + p], axis[j + q], z[j + q, i + p]) for q, p in ((0, 0), (0, 1), (1, 1), (1, 0)))
+            corners = ((0, 0), (1, 0), (1, 1), (0, 1))
+            a, b, c, d = (ocl.Point(axis[i + p], axis[j + q], z[j + q, i + p]) for p, q in corners)
             solid.addTriangle(ocl.Triangle(a, b, c))
             solid.addTriangle(ocl.Triangle(a, c, d))
     cutter = ocl.BallCutter(2 * RADIUS_MM, 10.0)  # kept: the batch holds a bare pointer to it

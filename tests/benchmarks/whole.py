@@ -18,7 +18,13 @@ from tests.benchmarks.timing import Figure
 def figures() -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "job"
-        command = [str(Path(sys.executable).with_name("causticmill")), "make", str(EXAMPLES / "camera.png"), "-o", str(out)]
+        command = [
+            str(Path(sys.executable).with_name("causticmill")),
+            "make",
+            str(EXAMPLES / "camera.png"),
+            "-o",
+            str(out),
+        ]
         started = time.perf_counter()
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
         wall = time.perf_counter() - started

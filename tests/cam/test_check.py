@@ -66,7 +66,7 @@ def tips(surface, x, y, radius_mm=RADIUS):
 
 def raster(lens, *, step=0.04, rows=None):
     """(n, 3) zigzag over the aperture grown by the radius, tips on the lens; `rows` picks some of the rows."""
-    surface = lens.spline().extended(2 * RADIUS)
+    surface = lens.spline_with_run_out(2 * RADIUS)
     x = np.linspace(-RADIUS, WIDTH + RADIUS, round((WIDTH + 2 * RADIUS) / step) + 1)
     y = np.linspace(-RADIUS, HEIGHT + RADIUS, round((HEIGHT + 2 * RADIUS) / PITCH) + 1)
     lines = [np.column_stack([x, np.full(x.size, v)])[:: 1 - 2 * (k % 2)] for k, v in enumerate(y)]
@@ -91,7 +91,7 @@ def over(lens, leave) -> StockGrid:
     """Stock that stands `leave` over the lens, and fills the margin up to just under the run-out's tips."""
     grid = StockGrid.block(STOCK, CELL)
     x, y = np.meshgrid(grid.x_mm, grid.y_mm)
-    return replace(grid, top_mm=lens.spline().extended(3.0).heights_mm(x, y) + leave)
+    return replace(grid, top_mm=lens.spline_with_run_out(3.0).heights_mm(x, y) + leave)
 
 
 def check(lines, lens, *, leave=0.03, spec=SPEC, before=None, **changes) -> PassCheck:
@@ -236,7 +236,7 @@ def test_a_row_left_out_is_a_gap(lens):
 
 def test_a_pit_the_ball_cannot_enter_is_named_and_is_no_fault():
     pitted = bumpy(hollow=0.2)
-    surface = pitted.spline().extended(2 * RADIUS)
+    surface = pitted.spline_with_run_out(2 * RADIUS)
     points = raster(bumpy())
     # the highest ball by brute force near the pit, where the contact is not a contraction
     u = np.linspace(-1, 1, 161) * RADIUS * 0.999
@@ -257,7 +257,7 @@ def test_a_pit_the_ball_cannot_enter_is_named_and_is_no_fault():
 def test_stock_to_leave_is_watched(lens):
     """A roughing pass that should leave 0.05 mm but leaves 0.04: no gouge, but said."""
     spec = replace(SPEC, stock_to_leave_mm=0.05)
-    surface = lens.spline().extended(2 * RADIUS)
+    surface = lens.spline_with_run_out(2 * RADIUS)
     points = raster(lens)
     points[:, 2] = tips(surface, points[:, 0], points[:, 1], RADIUS + 0.04) + 0.04
     result = check(program(points), lens, spec=spec, leave=0.12)

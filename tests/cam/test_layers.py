@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -30,7 +32,7 @@ def test_spans_cover_what_is_active_once(active, pad, gap):
         covered[first : last + 1] += 1
     assert (covered[mask] == 1).all()
     assert covered.max() <= 1
-    assert all(b[0] - a[1] > gap for a, b in zip(found, found[1:], strict=False))
+    assert all(b[0] - a[1] > gap for a, b in pairwise(found))
     if gap == 0:
         assert covered.sum() <= mask.sum() + 2 * pad * len(found)
 
@@ -41,7 +43,7 @@ def test_every_span_is_cut_once(masks, link):
     wanted = sorted((row, *span) for row, row_spans in enumerate(by_row) for span in row_spans)
     runs = list(chained(by_row, most_samples=3, link=link))
     assert sorted((r.row, r.first, r.last) for r in runs) == wanted
-    for before, run in zip(runs, runs[1:], strict=False):
+    for before, run in pairwise(runs):
         if run.joined:
             assert link
             assert run.row == before.row + 1
@@ -64,7 +66,7 @@ def test_a_ball_meets_a_flat_block_at_its_top_and_rounds_its_edge(radius_mm):
 def test_a_ball_meets_shaped_stock(make_bumps):
     """Against the definition: the highest of top(q) - (R - sqrt(R^2 - |q - c|^2)) over the lens, within the slack."""
     block = StockGrid.block(STOCK, 0.1)
-    spline = make_bumps(7, relief_mm=1.5).spline().extended(3.0)
+    spline = make_bumps(7, relief_mm=1.5).spline_with_run_out(3.0)
     top_mm = spline.heights_mm(block.x_mm[None, :], block.y_mm[:, None])
     top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=0.1, top_mm=top_mm)
     touch = StockTouch.of(top, 0.8)
@@ -141,6 +143,7 @@ def test_the_tool_enters_stock_on_a_shallow_ramp(z, step_mm, stock_mm):
 
 def test_a_ramp_cuts_its_whole_stretch():
     """When it is done nothing stands above the stretch it ran on: the last leg lies on the path."""
+    assert np.degrees(np.arctan(RAMP_SLOPE)) <= 3.0 + 1e-9
     line = np.column_stack([np.linspace(0, 40, 81), np.zeros(81), np.full(81, -1.5)])
     points = ramp(line, 0.1)
     assert points[:, 0].max() <= 15.5

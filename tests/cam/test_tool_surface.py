@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import gaussian_filter
 
 from cam.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
@@ -60,11 +61,11 @@ def test_no_point_of_the_lens_is_inside_the_ball(brute_force, seed, slope, radiu
     """
     rng = np.random.default_rng(seed)
     nodes = np.kron(rng.uniform(-1, 0, (6, 7)), np.ones((4, 4)))[:21, :25]
-    rough = Heightfield.on_aperture(nodes, width_mm=6.0, height_mm=5.0).spline().extended(2 * radius_mm, fade_mm=6.0)
+    rough = Heightfield.on_aperture(nodes, width_mm=6.0, height_mm=5.0).spline_with_run_out(2 * radius_mm)
     jets = rough.jets(*np.meshgrid(np.linspace(-2, 8, 300), np.linspace(-2, 7, 300)))
     lens = Heightfield.on_aperture(nodes * slope / np.hypot(jets[1], jets[2]).max(), width_mm=6.0, height_mm=5.0)
     surface = ToolSurface.over(lens, radius_mm=radius_mm)
-    spline = lens.spline().extended(2 * radius_mm + 1, fade_mm=6.0)
+    spline = lens.spline_with_run_out(2 * radius_mm + 1)
     x, y = rng.uniform((0, 0), (6, 5), (6, 2)).T
     for cx, cy, (_, _, tip) in zip(x, y, surface.contacts_mm(x, y), strict=True):
         coarse = brute_force(spline, cx, cy, radius_mm) - radius_mm
@@ -78,7 +79,7 @@ def test_the_contact_lies_on_ball_and_lens(make_bumps):
     surface = ToolSurface.over(lens, radius_mm=0.5)
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 8, 40), np.linspace(0, 6, 30)))
     px, py, tip = surface.contacts_mm(x, y).T
-    spline = lens.spline().extended(1.0, fade_mm=6.0)
+    spline = lens.spline_with_run_out(1.0)
     drop = tip + 0.5 - spline.heights_mm(px, py)
     np.testing.assert_allclose((px - x) ** 2 + (py - y) ** 2 + drop**2, 0.25, atol=0.01 * NM)
 
@@ -114,3 +115,26 @@ def test_a_v_groove_is_touched_on_both_flanks(make_lens):
     groove = make_lens(lambda x, y: np.abs(x - 4.0))
     tip = ToolSurface.over(groove, radius_mm=1.0).tip_heights_mm([4.0], [3.0])[0]
     assert tip == pytest.approx(np.sqrt(2) - 1, abs=1e-3)  # the spline overshoots the planes a little near the kink
+
+
+def test_where_creases_end_two_rests_lie_close_together(make_lens, brute_force):
+    """Roofs and valleys that meet: the ball hops between rests a few lattice steps apart; the higher one counts."""
+
+    def roofs(x, y):
+        ridges = np.maximum(0.35 * np.abs(x - 4) + 0.1 * y, 0.3 * np.abs(y - 3))
+        return -np.minimum(ridges, 0.45 * np.hypot(x - 2, y - 4.5) + 0.1)
+
+    sharp = make_lens(roofs)
+    lens = Heightfield(x_mm=sharp.x_mm, y_mm=sharp.y_mm, z_mm=gaussian_filter(sharp.z_mm, 0.6))
+    surface = ToolSurface.over(lens, radius_mm=0.5)
+    spline = lens.spline_with_run_out(2.0)
+    x, y = np.random.default_rng(3).uniform((1, 1), (7, 5), (20_000, 2)).T
+    tight = surface.kernel.guarded[tuple(_cells(surface, x, y))]
+    x, y = x[tight][:400], y[tight][:400]
+    for cx, cy, tip in zip(x, y, surface.tip_heights_mm(x, y), strict=True):
+        assert tip >= brute_force(spline, cx, cy, 0.5, samples=251) - 0.5 - 1 * NM
+
+
+def _cells(surface: ToolSurface, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    k = surface.kernel
+    return tuple(np.rint((a - o) / k.node_step).astype(int) for a, o in ((y, k.node_y0), (x, k.node_x0)))

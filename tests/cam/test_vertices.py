@@ -88,6 +88,23 @@ def test_thinning_stays_within_its_tolerance(z, tolerance, upward):
     assert {0.0, x[-1]} <= set(kept[:, 0])
 
 
+@pytest.mark.parametrize("rule", [rough_rule(0.03, 0.1), finish_rule(0.5e-3, 0.1)])
+def test_no_chord_cuts_a_corner_off(make_lens, rule):
+    """Between two flanks the slope jumps without curvature at either probe; the chord across it is short all the same.
+
+    d s / 4 <= 2 sag, or as short as chords get.
+    """
+    allowance = 0.03 if rule.slope_rad == np.inf else 0.0
+    surface = ToolSurface.over(
+        make_lens(lambda x, y: 0.3 * np.abs(x - 4.02) - 2), radius_mm=0.5, allowance_mm=allowance
+    )
+    points = row(surface, rule, 3.0, 0.0, 8.0)
+    x = np.linspace(3, 5, 4001)
+    sag = np.interp(x, points[:, 0], points[:, 2]) - surface.tip_heights_mm(x, np.full(x.size, 3.0))
+    assert np.abs(sag).max() <= max(2 * rule.sag_mm, 0.6 * rule.min_mm / 4)
+    assert len(points) < 200
+
+
 def test_thinning_merges_a_straight_run():
     points = np.column_stack([np.linspace(0, 100, 1000), np.zeros(1000), np.full(1000, -1.5)])
     assert len(thinned(points, 0.01)) == 2

@@ -10,15 +10,15 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from gcodeparser import parse_gcode_lines
 from numpy.typing import NDArray
 from PIL import Image
+from pygcode import Line, Machine
 
 from optics.heightfield import Heightfield
 from service.workshop import load_heightfield
@@ -111,21 +111,24 @@ def test_the_heightfield_file_is_as_promised(job: tuple[Path, str]) -> None:
     assert z.max() == pytest.approx(-0.1)  # the skim
 
 
-def positions(text: str) -> Iterator[tuple[int, dict[str, float]]]:
-    """(0 or 1, position) after each motion, read by gcodeparser.
+_MOTION = 1  # pygcode's number for the group of G0, G1, G2, G3
 
-    It knows no modal motion, so the word a line leaves out is put back; all numbers and letters are its reading.
-    """
-    motion, lines = "G0", []
+
+@cache
+def positions(text: str) -> list[tuple[int, dict[str, float]]]:
+    """(0 or 1, position) after each motion, as pygcode's virtual machine has it; modal words are its own business."""
+    mill = Machine()
+    axes: set[str] = set()
+    reached = []
     for line in text.splitlines():
-        found = re.match(r"G[01](?!\d)", line)
-        motion = found.group() if found else motion
-        lines.append(motion + line if re.match(r"[XYZ]", line) else line)
-    here: dict[str, float] = {}
-    for block in parse_gcode_lines("\n".join(lines)):
-        if block.command in (("G", 0), ("G", 1)):
-            here |= {axis: float(block.params[axis]) for axis in "XYZ" if axis in block.params}
-            yield block.command[1], dict(here)
+        block = Line(line).block
+        mill.process_block(block)
+        moved = {word.letter for word in block.words} & set("XYZ")
+        axes |= moved
+        if moved:
+            position = {axis: mill.pos.values[axis] for axis in axes}
+            reached.append((int(mill.mode.modal_groups[_MOTION].word.value), position))
+    return reached
 
 
 def test_an_independent_parser_reads_every_line_within_the_declared_bounds(

@@ -1,0 +1,43 @@
+"""Where numba keeps compiled kernels: one folder for each state of the sources.
+
+numba's file cache notices a change in a kernel's own file, but not in a kernel of another file that it calls; after an
+update it would go on with the old one, and on a mill an old kernel is a wrong cut.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+
+_KEPT = 3  # states of the sources
+
+
+def use_current_kernels() -> None:
+    """Point numba's cache at this source state's folder; to be called before numba is imported.
+
+    A NUMBA_CACHE_DIR set by the user stays.
+    """
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill"
+    folder = home / f"kernels-{_state_of_sources()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.touch()
+        states = sorted(home.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
+        for old in states[:-_KEPT]:
+            shutil.rmtree(old, ignore_errors=True)
+    except OSError:
+        return  # no home to write to: numba falls back to its own choice
+    os.environ["NUMBA_CACHE_DIR"] = str(folder)
+
+
+def _state_of_sources() -> str:
+    root = Path(__file__).parents[1]
+    digest = hashlib.sha256()
+    for package in ("optics", "cam"):
+        for source in sorted((root / package).rglob("*.py")):
+            digest.update(source.read_bytes())
+    return digest.hexdigest()[:16]
