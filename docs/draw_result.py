@@ -1,4 +1,4 @@
-"""Draws docs/result.jpg, the README's picture, from the folder of a finished job:  python docs/draw_result.py out/demo"""
+"""Draws docs/result.jpg, the README's picture, from a finished job:  python docs/draw_result.py out/demo"""
 
 from __future__ import annotations
 
