@@ -28,7 +28,13 @@ from cam.windows import Window, place_windows
 from optics.heightfield import Heightfield
 
 GOUGE_ALLOWED_UM = 1.0
-GAP_ALLOWED_PITCHES = 2.0
+GAP_ALLOWED_PITCHES = 1.5
+"""One row left out makes a gap of two."""
+
+SHARES = 2
+RAPID_CLEARANCE_MM = 0.5
+"""A rapid may go straight down below the safe height where the stock, as simulated so far, stays this far away."""
+
 UNCUT_ALLOWED_MM = 0.005
 """Within reach, above the cusps: whether the ball fits is only sampled, which is good to a few micrometres."""
 Progress = Callable[[float], None]
@@ -124,7 +130,7 @@ def check_program(
     total_bytes : length of the program if known; then on_progress is told the share done
     """
     run = _Run(heightfield, spec, stock, stock_top, kinematics, safe_z_mm)
-    with ThreadPoolExecutor(max_workers=2) as pool:
+    with ThreadPoolExecutor(max_workers=SHARES) as pool:
         waiting: _Pending | None = None
         for batch in read_program(chunks):
             if waiting is not None:
@@ -160,10 +166,14 @@ class _Run:
         safe_z_mm: float,
     ) -> None:
         self.heightfield, self.spec, self.stock, self.before = heightfield, spec, stock, before
-        self.whole = RemovalGrid(before, radius_mm=spec.radius_mm, shares=2)
+        self.whole = RemovalGrid(
+            before, radius_mm=spec.radius_mm, rapid_clearance_mm=RAPID_CLEARANCE_MM, shares=SHARES
+        )
         self.places = place_windows(heightfield, spec, before)
         self.windows = [RemovalGrid(place.stock, radius_mm=spec.radius_mm) for place in self.places]
-        self.witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm)
+        # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
+        self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
+        self.witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
         self.duration = DurationModel(kinematics)
         self.rules = MoveRules(
@@ -172,10 +182,9 @@ class _Run:
             stock,
             highest_mm=float(before.top_mm.max()),
             safe_z_mm=safe_z_mm,
+            rapid_clearance_mm=RAPID_CLEARANCE_MM,
             gouge_allowed_um=GOUGE_ALLOWED_UM,
         )
-        # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
-        self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
 
     def begin(self, batch: MoveBatch, pool: ThreadPoolExecutor) -> _Pending:
         self.whole.refresh()
@@ -252,7 +261,7 @@ class _Run:
         return 1000 * max(0.0, -lowest_mm)
 
     def _gap(self, left: StockLeft) -> float:
-        """Widest gap between tracks where there was stock to take off; a fault when it is two pitches or more."""
+        """Widest gap between tracks where there was stock to take off; a fault when a row is missing."""
         start = StockLeft.of(self.before, self.heightfield, self.spec)
         with np.errstate(invalid="ignore"):
             wanted = start.over_mm > 2 * left.cusp_mm + 0.001

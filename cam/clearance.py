@@ -19,6 +19,7 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end
 _CLOSE_MM = 1e-5  # a Newton step this short changes the overlap by its square over R
 _TRIES = 12
+_OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  # in radii, when the usual one is clear
 
 
 @njit(cache=True, nogil=True)
@@ -78,7 +79,9 @@ def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, 
 
 
 @njit(cache=True, nogil=True)
-def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, offset, depth, place):  # type: ignore[no-untyped-def] # fmt: skip
+def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place):  # type: ignore[no-untyped-def] # fmt: skip
+    """depth (n,) and place (n, 2) of every move. offset (2,): from the tip to the last contact, kept between calls."""
+    trial = np.zeros(2)
     for k in range(depth.size):
         depth[k] = -math.inf
         if rapid[k] or pause[k] >= 0.0:
@@ -99,6 +102,19 @@ def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause
                 depth[k] = found
                 place[k, 0] = px
                 place[k, 1] = py
+        if depth[k] > -near or depth[k] == -math.inf:
+            continue
+        for start_x, start_y in _OTHER_STARTS:  # it may rest on another flank than the one that was followed
+            trial[0] = start_x * radius
+            trial[1] = start_y * radius
+            x, y, tip = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
+            found, px, py = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, trial)
+            if found > depth[k]:
+                depth[k] = found
+                place[k, 0] = px
+                place[k, 1] = py
+                offset[0] = trial[0]
+                offset[1] = trial[1]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -114,18 +130,21 @@ class Overlaps:
 
 
 class SurfaceWitness:
-    """Watches one pass against one lens; keeps the last contact as the next start."""
+    """Watches one pass against one lens; keeps the last contact as the next start.
 
-    def __init__(self, heightfield: Heightfield, *, radius_mm: float) -> None:
+    near_mm : a move farther than this above the surface is tried from other starts before that is believed
+    """
+
+    def __init__(self, heightfield: Heightfield, *, radius_mm: float, near_mm: float) -> None:
         self._surface = heightfield.spline_with_run_out(2 * radius_mm)
         self._size = heightfield.width_mm, heightfield.height_mm
-        self._radius_mm = radius_mm
+        self._radius_mm, self._near_mm = radius_mm, near_mm
         self._offset = np.zeros(2)
 
     def overlaps(self, batch: MoveBatch) -> Overlaps:
         depth, place = np.empty(len(batch)), np.full((len(batch), 2), np.nan)
         _overlaps(
             *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
-            *(self._radius_mm, self._offset, depth, place),
+            *(self._radius_mm, self._near_mm, self._offset, depth, place),
         )
         return Overlaps(depth_mm=depth, place_mm=place)

@@ -179,7 +179,7 @@ def layer_paths(
         )
         points = thinned(points if run.upward else points[::-1], sag)
         if run.joined and before is not None:
-            yield cut(_link(field, surface, layer, before, run), spec.feed_mm_per_min)
+            yield cut(_link(field, surface, layer, before, run, sag), spec.feed_mm_per_min)
         else:
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
@@ -192,9 +192,12 @@ def layer_paths(
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
 
 
-def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run) -> Array:
+def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run, tolerance_mm: float) -> Array:
     """Half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool went
     as far as the run-out allows.
+
+    At the end of the run-out that is straight across: rows cannot end earlier, as the next layer's ball would then
+    meet a wall beside this layer's turns that reaches up to the top of the block.
     """
     x0, x1 = field.x_mm[before.end], field.x_mm[run.start]
     y0, y1 = field.rows.y_mm[before.row], field.rows.y_mm[run.row]
@@ -203,4 +206,5 @@ def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Ru
     bulge = field.rows.turn_mm * np.sin(angle) * (1 if before.upward else -1)
     x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
     y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
-    return np.column_stack([x, y, layer.tips_mm(surface.tip_heights_mm(x, y))])
+    points = np.column_stack([x, y, layer.tips_mm(surface.tip_heights_mm(x, y))])
+    return thinned(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points

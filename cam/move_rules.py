@@ -52,6 +52,7 @@ class MoveRules:
         *,
         highest_mm: float,
         safe_z_mm: float,
+        rapid_clearance_mm: float,
         gouge_allowed_um: float,
     ) -> None:
         slopes = np.hypot(*np.gradient(heightfield.z_mm, heightfield.dy_mm, heightfield.dx_mm))
@@ -66,9 +67,16 @@ class MoveRules:
                 f"{spec.step_down_mm:g} mm and the cusps of the layer before)"
             )
         )
-        self._rapid = Finding(says=lambda v: f"is a rapid through stock, {v:.3f} mm deep (allowed: none)")
+        self._rapid = Finding(
+            says=lambda v: (
+                f"is a rapid through stock or near it, {v:.3f} mm too deep (allowed: none in stock; straight down "
+                f"to {rapid_clearance_mm:g} mm above it)"
+            )
+        )
         self._low = Finding(
-            says=lambda v: f"is a rapid at Z{-v:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})"
+            says=lambda v: (
+                f"is a rapid across at Z{-v:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})"
+            )
         )
         self._still = Finding(says=lambda v: f"cuts {v:.3f} mm with the spindle off (allowed: only after M3)")
         self._bottom = Finding(
@@ -185,7 +193,7 @@ class MoveRules:
     def _judge_places(self, batch: MoveBatch, low_z: Array, step: Array) -> None:
         end = batch.end_mm
         across = (step[:, :2] != 0).any(axis=1)
-        low_rapid = batch.is_rapid & (low_z < self._safe_z_mm - 1e-6) & (across | (step[:, 2] < 0))
+        low_rapid = batch.is_rapid & across & (low_z < self._safe_z_mm - 1e-6)
         self._low.note_moves(low_rapid, -low_z, batch.line, end)
         self._bottom.note_moves(low_z < -self._stock.thickness_mm - 1e-6, -low_z, batch.line, end)
         x_lo, x_hi, y_lo, y_hi = self._region

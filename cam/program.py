@@ -18,7 +18,7 @@ from cam.raster import Rows, continuous_rows, separate_rows
 from cam.stock_grid import StockGrid
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
-from cam.vertices import finish_rule, rough_rule
+from cam.vertices import VertexRule, finish_rule, rough_rule
 from optics.heightfield import Heightfield
 
 Progress = Callable[[float], None]
@@ -130,9 +130,11 @@ def pass_paths(
     report(1.0)
 
 
-def _vertex_rule(heightfield: Heightfield, spec: PassSpec, slope_error_rad: float):  # type: ignore[no-untyped-def]
+def _vertex_rule(heightfield: Heightfield, spec: PassSpec, slope_error_rad: float) -> VertexRule:
     probe = min(heightfield.dx_mm, spec.radius_mm / 2)
-    return finish_rule(slope_error_rad, probe) if spec.finishes else rough_rule(spec.stock_to_leave_mm, probe)
+    if not spec.finishes:
+        return rough_rule(spec.stock_to_leave_mm, probe)
+    return finish_rule(slope_error_rad, probe, aperture_x_mm=(0.0, heightfield.width_mm))
 
 
 def _check_job(

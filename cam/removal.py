@@ -99,6 +99,7 @@ def _sweep(  # type: ignore[no-untyped-def]
     line,
     owner_line,
     radius,
+    keep_off,
     first_row,
     row_step,
     corner,
@@ -106,6 +107,8 @@ def _sweep(  # type: ignore[no-untyped-def]
     places,
 ):
     """Move the ball along points; cells of rows first_row, first_row + row_step, ... only.
+
+    keep_off : where a rapid along Z ends the ball counts as this much lower, so that coming too near shows as a drop
 
     drops, places (n + 1) : greatest drop and its cell; slot k + 1 is move k, slot 0 the last move before these
     corner                : carried between calls; owner_line is the line of that last move
@@ -145,11 +148,13 @@ def _sweep(  # type: ignore[no-untyped-def]
             if not smooth:
                 mine = k if corner[_KIND] == _NONE else owner
                 number = line[mine] if mine >= 0 else owner_line
-                deep, place = _cap(top, by_line, x0, y0, cell, high, ax, ay, az, radius, first_row, row_step, number)
+                foot = az - keep_off if corner[_KIND] == _VERTICAL and corner[_WAS_RAPID] == 1.0 else az
+                deep, place = _cap(top, by_line, x0, y0, cell, high, ax, ay, foot, radius, first_row, row_step, number)
                 if deep > drops[mine + 1]:
                     drops[mine + 1] = deep
                     places[mine + 1] = place
-            rise = high - min(az, bz)
+            lowest = min(az, bz)
+            rise = high - lowest
             if kind == _ALONG and rise > 0.0:
                 wide = radius if rise >= radius else math.sqrt(rise * (2.0 * radius - rise))
                 thin = math.sqrt(max(0.0, radius * radius - wide * wide))  # least rho in the strip
@@ -188,7 +193,8 @@ def _sweep(  # type: ignore[no-untyped-def]
                         u = dx * ex + dy * ey
                         w = dy * ex - dx * ey
                         rho2 = radius * radius - w * w
-                        if rho2 <= 0.0:
+                        over = lowest + radius - top[j, i]  # the ball is nowhere lower than this less rho
+                        if rho2 <= 0.0 or (over > 0.0 and rho2 <= over * over):
                             continue
                         rho = math.sqrt(rho2)
                         s = u - rho * tilt
@@ -234,13 +240,16 @@ class Drops:
 class RemovalGrid:
     """The stock that is left under one ball, cut down batch by batch. Not a value: it changes with every batch."""
 
-    def __init__(self, stock: StockGrid, *, radius_mm: float, shares: int = 1) -> None:
-        """shares: into how many sets of rows the work may be split."""
+    def __init__(self, stock: StockGrid, *, radius_mm: float, rapid_clearance_mm: float = 0.0, shares: int = 1) -> None:
+        """rapid_clearance_mm: a rapid straight down that ends nearer to stock takes some off; shares: sets of rows into
+        which the work may be split.
+        """
         self.x0_mm, self.y0_mm, self.cell_mm = stock.x0_mm, stock.y0_mm, stock.cell_mm
         self.top_mm = stock.top_mm.copy()
         self.cut_by_line = np.zeros(self.top_mm.shape, dtype=np.int32)  # 0: not touched
         self.radius_mm = radius_mm
         self.shares = shares
+        self._keep_off_mm = rapid_clearance_mm
         self._tile_cells = max(1, round(radius_mm / 2 / stock.cell_mm))
         self._corners = np.zeros((shares, 5))
         self._owner_line = 0
@@ -267,7 +276,7 @@ class RemovalGrid:
         _sweep(
             *(self.top_mm, self.cut_by_line, self.x0_mm, self.y0_mm, self.cell_mm),
             *(self._ceiling, self._tile_cells * self.cell_mm),
-            *(batch.points_mm, batch.is_rapid, batch.line, self._owner_line, self.radius_mm),
+            *(batch.points_mm, batch.is_rapid, batch.line, self._owner_line, self.radius_mm, self._keep_off_mm),
             *(share, self.shares, self._corners[share], drops, cells),
         )
         return Drops(depth_mm=drops, cell=cells)

@@ -16,6 +16,9 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _JUDGED = 20_000  # cells whose reach is worked out, at most
 _NAMED = 8  # places out of reach that are named
 _TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
+_BESIDE_A_CREASE = 4.0
+"""Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
+be a whole pitch away instead of half of one; that a row is missing is for `cam.coverage` to say."""
 
 
 @njit(cache=True, nogil=True)
@@ -49,13 +52,17 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
 
 @njit(cache=True, nogil=True)
 def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
-    """How far a ball touching the surface at (x, y) lies in it elsewhere, run-out included."""
+    """How far a ball touching the surface at (x, y) lies in it elsewhere, run-out included.
+
+    The deepest node of a lattice, then of ever finer 5 x 5 lattices around it.
+    """
     h, hx, hy, _hxx, _hxy, _hyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)
     q = math.sqrt(1.0 + hx * hx + hy * hy)
     cx = x - radius * hx / q
     cy = y - radius * hy / q
     cz = h + radius / q
     nearest = radius
+    deep_x, deep_y = x, y
     step = radius / rings
     for j in range(-rings, rings + 1):
         for i in range(-rings, rings + 1):
@@ -67,7 +74,20 @@ def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ig
             hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
             if hp > cz:
                 return radius
-            nearest = min(nearest, math.sqrt(flat2 + (hp - cz) ** 2))
+            away = math.sqrt(flat2 + (hp - cz) ** 2)
+            if away < nearest:
+                nearest, deep_x, deep_y = away, px, py
+    for _ in range(4):
+        step *= 0.5
+        mid_x, mid_y = deep_x, deep_y
+        for j in range(-2, 3):
+            for i in range(-2, 3):
+                px = mid_x + i * step
+                py = mid_y + j * step
+                hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
+                away = math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (hp - cz) ** 2)
+                if away < nearest:
+                    nearest, deep_x, deep_y = away, px, py
     return radius - nearest
 
 
@@ -144,7 +164,7 @@ def within_reach(cells: np.ndarray, grid: StockGrid, heightfield: Heightfield, s
     """Which of the cells (flat indices) a ball of the pass's radius, grown by what it leaves, can touch."""
     rows, columns = np.divmod(cells, grid.top_mm.shape[1])
     radius_mm = spec.radius_mm + spec.stock_to_leave_mm
-    rings = int(np.clip(radius_mm / max(heightfield.dx_mm, 1e-9), 16, 40))
+    rings = int(np.clip(radius_mm / (2 * min(heightfield.dx_mm, heightfield.dy_mm)), 12, 24))
     out = np.empty(cells.size, dtype=np.bool_)
     _reaches(
         *heightfield.spline_with_run_out(2 * radius_mm).kernel_arguments,
@@ -158,7 +178,7 @@ class ExcessFound:
     """Where stock stands too high: within the ball's reach (it was not cut) and out of it (it cannot be).
 
     excess_um      : greatest height above the wanted surface within reach, cusps included; at x_mm, y_mm
-    uncut_mm       : greatest height beyond the allowed cusp among reachable cells under suspicion (0: none)
+    uncut_mm       : greatest height beyond the allowed cusps among reachable cells under suspicion (0: none)
     """
 
     excess_um: float
@@ -183,9 +203,9 @@ def find_excess(left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> Ex
     cell = int(regular.argmax())
     excess_mm, uncut_mm = float(regular.flat[cell]), 0.0
     if forgotten.size:
-        beyond = left.over_mm.flat[forgotten] - left.cusp_mm.flat[forgotten]
+        beyond = left.over_mm.flat[forgotten] - _BESIDE_A_CREASE * left.cusp_mm.flat[forgotten]
         cell = int(forgotten[beyond.argmax()])
-        excess_mm, uncut_mm = max(excess_mm, float(left.over_mm.flat[cell])), float(beyond.max())
+        excess_mm, uncut_mm = max(excess_mm, float(left.over_mm.flat[cell])), max(0.0, float(beyond.max()))
     row, column = divmod(cell, left.over_mm.shape[1])
     whole = max(1, int(left.in_aperture.sum()))
     return ExcessFound(

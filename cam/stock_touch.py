@@ -49,7 +49,11 @@ class StockTouch:
             met = left > 0
             height[met] = float(top[0, 0]) - radius_mm + np.sqrt(left[met])
         else:
-            _dilate(top, cell, radius_mm, stride, pad, height)
+            wide = ceil(top.shape[1] / stride) * stride
+            by_column = np.full((top.shape[0], wide), AIR_MM)
+            by_column[:, : top.shape[1]] = top
+            phases = by_column.reshape(top.shape[0], -1, stride).transpose(2, 0, 1)
+            _dilate(np.ascontiguousarray(phases), cell, radius_mm, pad, height)
         return cls(
             x0_mm=x0,
             y0_mm=y0,
@@ -76,24 +80,30 @@ def _outside(values: Array, low: float, high: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _dilate(top, cell, radius, stride, pad, out):  # type: ignore[no-untyped-def]
-    n = int(radius / cell)
-    ny, nx = top.shape
-    bump = np.full((2 * n + 1, 2 * n + 1), np.inf)
-    for a in range(-n, n + 1):
-        for e in range(-n, n + 1):
-            left = radius * radius - (a * a + e * e) * cell * cell
-            if left > 0.0:
-                bump[a + n, e + n] = radius - np.sqrt(left)
+def _dilate(phases, cell, radius, pad, out):  # type: ignore[no-untyped-def]
+    """phases (stride, ny, n): the stock's columns, every stride-th of them together, so that inner loops run straight.
+
+    out (my, mx) : node [j, i] stands over cell [(j - pad) stride, (i - pad) stride]
+    """
+    stride, ny, n = phases.shape
+    reach = int(radius / cell)
     for j in range(out.shape[0]):
+        below = out[j]
+        below[:] = AIR_MM
         jc = (j - pad) * stride
-        for i in range(out.shape[1]):
-            ic = (i - pad) * stride
-            best = AIR_MM
-            for a in range(max(-n, -jc), min(n, ny - 1 - jc) + 1):
-                for e in range(max(-n, -ic), min(n, nx - 1 - ic) + 1):
-                    best = max(best, top[jc + a, ic + e] - bump[a + n, e + n])
-            out[j, i] = best
+        for a in range(max(-reach, -jc), min(reach, ny - 1 - jc) + 1):
+            for e in range(-reach, reach + 1):
+                left = radius * radius - (a * a + e * e) * cell * cell
+                if left <= 0.0:
+                    continue
+                bump = radius - np.sqrt(left)
+                shift = e // stride - pad
+                first, last = max(0, -shift), min(below.size, n - shift)
+                row = phases[e % stride, jc + a, first + shift : last + shift]
+                for i in range(row.size):
+                    height = row[i] - bump
+                    here = below[first + i]
+                    below[first + i] = height if height > here else here
 
 
 @njit(cache=True, nogil=True)

@@ -2,7 +2,8 @@
 
 Light sees slopes. Vertices s apart on curvature k make a chord that is off by k s / 2 in slope and k s^2 / 8 in height;
 at 0.5 mrad that is some nanometres, a thousand times finer than a usual tolerance. Both are bounded here, from the
-exact slope and curvature that the contact gives at every probe.
+exact slope and curvature that the contact gives at every probe. Where the ball touches the run-out no light goes, and
+a larger sag will do: the run-out bends far more than the lens, and at its slope error a tenth of all vertices lay there.
 """
 
 from __future__ import annotations
@@ -20,22 +21,43 @@ TICKS_PER_MM = 10_000
 """x and y are written with four decimals, so contact is solved on that raster and only z is ever rounded."""
 
 
+BESIDE_MM = 0.1
+"""So near to the aperture the run-out is followed as closely as the lens: beyond, a ball of R = 5 mm is clear by 1 µm."""
+
+RUN_OUT_SAG_MM = 0.5e-3
+
+
 class VertexRule(NamedTuple):
     """Bounds of one chord: slope error, sag, length; and how far apart the surface is probed at most.
 
     min_mm wins over slope and sag: a shorter chord would only show the last decimal of z.
+    optical_from_mm, optical_to_mm : where slope_rad and sag_mm rule, in x of the contact; beyond, run_out_sag_mm alone
     """
 
     slope_rad: float
     sag_mm: float
+    run_out_sag_mm: float
+    optical_from_mm: float
+    optical_to_mm: float
     min_mm: float
     max_mm: float
     probe_mm: float
 
 
-def finish_rule(slope_error_rad: float, probe_mm: float) -> VertexRule:
+def finish_rule(
+    slope_error_rad: float, probe_mm: float, *, aperture_x_mm: tuple[float, float] = (-math.inf, math.inf)
+) -> VertexRule:
     """For the optical surface. A sag of 12 nm is 9 nm rms over a chord; it rules where the lens is nearly flat."""
-    return VertexRule(slope_rad=slope_error_rad, sag_mm=12e-6, min_mm=0.01, max_mm=1.0, probe_mm=probe_mm)
+    return VertexRule(
+        slope_rad=slope_error_rad,
+        sag_mm=12e-6,
+        run_out_sag_mm=RUN_OUT_SAG_MM,
+        optical_from_mm=aperture_x_mm[0] - BESIDE_MM,
+        optical_to_mm=aperture_x_mm[1] + BESIDE_MM,
+        min_mm=0.01,
+        max_mm=1.0,
+        probe_mm=probe_mm,
+    )
 
 
 def rough_sag_mm(leave_mm: float) -> float:
@@ -44,7 +66,17 @@ def rough_sag_mm(leave_mm: float) -> float:
 
 
 def rough_rule(leave_mm: float, probe_mm: float) -> VertexRule:
-    return VertexRule(slope_rad=math.inf, sag_mm=rough_sag_mm(leave_mm), min_mm=0.01, max_mm=2.0, probe_mm=probe_mm)
+    sag_mm = rough_sag_mm(leave_mm)
+    return VertexRule(
+        slope_rad=math.inf,
+        sag_mm=sag_mm,
+        run_out_sag_mm=sag_mm,
+        optical_from_mm=-math.inf,
+        optical_to_mm=math.inf,
+        min_mm=0.01,
+        max_mm=2.0,
+        probe_mm=probe_mm,
+    )
 
 
 def most_vertices(length_mm: float, rule: VertexRule) -> int:
@@ -53,10 +85,18 @@ def most_vertices(length_mm: float, rule: VertexRule) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _next_step(rule, curvature, used):  # type: ignore[no-untyped-def]
+def _bounds(rule, px):  # type: ignore[no-untyped-def]
+    """(slope error, sag) allowed to a chord that touches at px."""
+    if rule.optical_from_mm <= px <= rule.optical_to_mm:
+        return rule.slope_rad, rule.sag_mm
+    return math.inf, rule.run_out_sag_mm
+
+
+@njit(cache=True, nogil=True)
+def _next_step(rule, slope, sag, curvature, used):  # type: ignore[no-untyped-def]
     """Ticks to the next probe: 0.9 of what the bounds allow a chord here, less what it already used."""
     k = abs(curvature) + 1e-9
-    allowed = 0.9 * min(2.0 * rule.slope_rad / k, math.sqrt(8.0 * rule.sag_mm / k), rule.max_mm / 0.9)
+    allowed = 0.9 * min(2.0 * slope / k, math.sqrt(8.0 * sag / k), rule.max_mm / 0.9)
     step = allowed - used if used < 0.75 * allowed else allowed
     return int(max(min(step, rule.probe_mm), rule.min_mm) * 10_000)
 
@@ -77,13 +117,14 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
     px, py, z, s, k, dpx, dpy = touch(b, x, y, x, y)
     ax, az = x, z  # anchor
     low, high, bend = s, s, abs(k)
+    slope, sag = _bounds(rule, px)  # the tightest of all places this chord touches
     has_candidate = False
     out[count, 0], out[count, 1], out[count, 2] = x, y, z
     count += 1
     halvings = 0
     while ticks != last:
         used = abs(x - ax)
-        step = max(_next_step(rule, k, used) >> halvings, int(rule.min_mm * 10_000))
+        step = max(_next_step(rule, slope, sag, k, used) >> halvings, int(rule.min_mm * 10_000))
         left = abs(last - ticks)
         if step >= left:
             step = left
@@ -98,9 +139,11 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
             n_bend = max(bend, abs(nk))
             length = abs(nx - ax)
             chord = (nz - az) / (nx - ax)
+            n_slope, n_sag = _bounds(rule, qx)
+            n_slope, n_sag = min(slope, n_slope), min(sag, n_sag)
             good = (
-                max(n_high - chord, chord - n_low) <= rule.slope_rad
-                and max(n_bend * length, n_high - n_low) * length <= 8.0 * rule.sag_mm
+                max(n_high - chord, chord - n_low) <= n_slope
+                and max(n_bend * length, n_high - n_low) * length <= 8.0 * n_sag
                 and length <= rule.max_mm + 1e-9
             )
             if good or not has_candidate:
@@ -108,6 +151,7 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
             out[count, 0], out[count, 1], out[count, 2] = x, y, z  # the candidate becomes vertex and anchor
             count += 1
             ax, az, low, high, bend = x, z, s, s, abs(k)
+            slope, sag = _bounds(rule, px)
             has_candidate = False
         if not good and step > int(rule.min_mm * 10_000):
             halvings += 1
@@ -116,11 +160,12 @@ def march_row(b, rule, y, x_from, x_to, out, count):  # type: ignore[no-untyped-
         ticks, x, z, s, k = n_ticks, nx, nz, ns, nk
         px, py, dpx, dpy = qx, qy, ndpx, ndpy
         if good:
-            low, high, bend, has_candidate = n_low, n_high, n_bend, True
+            low, high, bend, slope, sag, has_candidate = n_low, n_high, n_bend, n_slope, n_sag, True
         else:  # as short as a chord may be
             out[count, 0], out[count, 1], out[count, 2] = x, y, z
             count += 1
             ax, az, low, high, bend = x, z, s, s, abs(k)
+            slope, sag = _bounds(rule, px)
     if has_candidate:
         out[count, 0], out[count, 1], out[count, 2] = x, y, z
         count += 1
@@ -152,9 +197,13 @@ def _thin(x, z, tolerance):  # type: ignore[no-untyped-def]
     return keep[:count]
 
 
-def thinned(points_mm: Array, tolerance_mm: float) -> Array:
-    """The fewest of the points (n, 3) of one row, in order along X, that stay within the tolerance in Z."""
+def thinned(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Array:
+    """The fewest of the points (n, 3) of a line parallel to an axis, in order along it, within the tolerance in Z.
+
+    along : 0 for a line along X, 1 for one along Y
+    """
     if len(points_mm) < 3:
         return points_mm
-    keep = _thin(np.ascontiguousarray(points_mm[:, 0]), np.ascontiguousarray(points_mm[:, 2]), max(tolerance_mm, 1e-9))
+    run, z = (np.ascontiguousarray(points_mm[:, column]) for column in (along, 2))
+    keep = _thin(run, z, max(tolerance_mm, 1e-9))
     return points_mm[keep]

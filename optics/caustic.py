@@ -20,7 +20,7 @@ from numba import njit
 from optics.heightfield import Heightfield
 from optics.refraction import refracted_tangent
 from optics.screen import Screen
-from optics.spline import Array, _weights
+from optics.spline import Array, spline_weights
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
 _POINT_AREA = 1e-10  # a tube focused on less than this [pixels] falls on one point
@@ -139,7 +139,7 @@ def _lattice_row(
     """Where on the screen [pixels] the rays of one row of lattice points arrive."""
     cells = coefs.shape[1] - 3
     g = fraction
-    wy = _weights(g)
+    wy = spline_weights(g)
     dw = (-0.5 * (1 - g) ** 2, 1.5 * g * g - 2 * g, -1.5 * (1 - g) ** 2 + 2 * (1 - g), 0.5 * g * g)
     n = cells + 3
     value = np.empty(n)
@@ -151,7 +151,7 @@ def _lattice_row(
         slope[i] = (dw[0] * c0 + dw[1] * c1 + dw[2] * c2 + dw[3] * c3) / dy
     for s in range(sub):
         f = s / sub
-        w0, w1, w2, w3 = _weights(f)
+        w0, w1, w2, w3 = spline_weights(f)
         d0, d1 = -0.5 * (1 - f) ** 2 / dx, (1.5 * f * f - 2 * f) / dx
         d2, d3 = (-1.5 * (1 - f) ** 2 + 2 * (1 - f)) / dx, 0.5 * f * f / dx
         last = cells + 1 if s == 0 else cells

@@ -1,4 +1,8 @@
-"""From a target irradiance to a lens: the map, the surface, and corrections against its own simulated caustic."""
+"""From a target irradiance to a lens: the map, the surface, and corrections against its own simulated caustic.
+
+Correction: what the light lacks is added to the aim, g <- max(0, g + T - I), and the map solved again from where it
+was. The best pass is kept.
+"""
 
 from __future__ import annotations
 
@@ -9,20 +13,21 @@ from typing import Any, Literal
 
 import numpy as np
 
-from optics.caustic import simulate_caustic
+from optics.caustic import Caustic, simulate_caustic
 from optics.closing import closed_to_radius
 from optics.flow import PaperFlow
 from optics.heightfield import Heightfield
 from optics.map_inversion import screen_positions
-from optics.metrics import score_caustic
+from optics.metrics import CausticScore, score_caustic
 from optics.optical_path import Bench, heights_mm
 from optics.paper_surface import paper_lens
 from optics.screen import Screen
 from optics.spline import Array
-from optics.transport import OpticalPath, solve_transport
+from optics.transport import TOLERANCE, OpticalPath, solve_transport
 from optics.transport_map import TransportMap
 
 CLOSING_PER_BALL = 1.5  # the closing lets curvature of 1.5 / radius through, so it closes wider than the ball
+_MOST_LOST = 0.05  # of the light, for a lens that counts as converged
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -115,39 +120,64 @@ def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> Le
     )
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Pass:
+    """One solution, its lens, the light through it, and how that scores."""
+
+    path: OpticalPath
+    lens: Heightfield
+    caustic: Caustic
+    score: CausticScore
+
+    @property
+    def lost_share(self) -> float:
+        """Of the light: what misses the screen or is reflected."""
+        return self.caustic.outside_share + self.caustic.reflected_share
+
+    @property
+    def converged(self) -> bool:
+        return self.path.converged and self.lost_share <= _MOST_LOST
+
+
 def _by_transport(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
     started = time.perf_counter()
     report("transport map", 0.0)
     path = solve_transport(
         target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)
     )
-    lens = _surface(path, settings)
-    history = [_pass_record(0, path)]
-    corrected = target
+    latest = best = _seen(path, target, settings)
+    history = [_pass_record(0, latest)]
+    aim = target
     for number in range(1, settings.corrections + 1):
         report("corrections", (number - 1) / settings.corrections)
-        caustic = simulate_caustic(
-            lens,
-            throw_mm=settings.throw_mm,
-            refractive_index=settings.refractive_index,
-            screen=settings.screen,
-            pixels=target.shape,
-            tubes_per_cell=2,
-        ).irradiance
-        history[-1] |= _scores(caustic, target)
-        corrected = np.maximum(corrected + target - caustic, 0.0)
-        path = solve_transport(corrected, settings.bench, skim_mm=settings.skim_mm, start=path)
-        lens = _surface(path, settings)
-        history.append(_pass_record(number, path))
+        aim = np.maximum(aim + target - latest.caustic.irradiance, 0.0)
+        path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)
+        latest = _seen(path, target, settings)
+        history.append(_pass_record(number, latest))
+        if latest.score.psnr_db > best.score.psnr_db:  # stripes a pixel wide get worse
+            best = latest
     report("corrections", 1.0)
     return LensDesign(
-        heightfield=lens,
-        transport_map=path.transport_map(),
-        converged=path.converged,
+        heightfield=best.lens,
+        transport_map=best.path.transport_map(),
+        converged=best.converged,
         history=history,
-        message=_message(path),
+        message=_message(best),
         seconds=time.perf_counter() - started,
     )
+
+
+def _seen(path: OpticalPath, target: Array, settings: LensSettings) -> _Pass:
+    lens = _surface(path, settings)
+    caustic = simulate_caustic(
+        lens,
+        throw_mm=settings.throw_mm,
+        refractive_index=settings.refractive_index,
+        screen=settings.screen,
+        pixels=target.shape,
+        tubes_per_cell=2,
+    )
+    return _Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
 
 
 def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
@@ -157,7 +187,7 @@ def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
     y_mm = np.linspace(0.0, settings.height_mm, settings.vertices(ny))
     corners = path.transport_map().lens_mm
     u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
-    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench, path.rim_x, path.rim_y)
+    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench)
     if settings.min_radius_mm > 0:
         t = closed_to_radius(
             t, radius_mm=CLOSING_PER_BALL * settings.min_radius_mm, dx_mm=x_mm[1] - x_mm[0], dy_mm=y_mm[1] - y_mm[0]
@@ -165,24 +195,26 @@ def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
     return Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=t - t.max() - settings.skim_mm)
 
 
-def _pass_record(number: int, path: OpticalPath) -> dict[str, Any]:
+def _pass_record(number: int, seen: _Pass) -> dict[str, Any]:
     return {
         "pass": number,
-        "iterations": {str(level.pixels): level.iterations for level in path.levels},
-        "rms": path.levels[-1].rms,
+        "iterations": {str(level.pixels): level.iterations for level in seen.path.levels},
+        "rms": seen.path.levels[-1].rms,
+        "psnr_db": seen.score.psnr_db,
+        "ssim": seen.score.ssim,
+        "misplaced_light": seen.score.misplaced_light,
+        "lost_light": seen.lost_share,
     }
 
 
-def _scores(caustic: Array, target: Array) -> dict[str, float]:
-    score = score_caustic(caustic, target)
-    return {"psnr_db": score.psnr_db, "ssim": score.ssim, "misplaced_light": score.misplaced_light}
-
-
-def _message(path: OpticalPath) -> str:
-    last = path.levels[-1]
-    if path.converged:
-        return f"converged: rms {last.rms:.1e} of the mean irradiance after {last.iterations} steps at full size"
-    return (
-        f"stopped after {last.iterations} steps at full size with rms {last.rms:.1e} of the mean irradiance "
-        f"(wanted 1e-3); the lens is usable, its contrast may be lower than the picture's"
-    )
+def _message(seen: _Pass) -> str:
+    last, lost = seen.path.levels[-1], seen.lost_share
+    way = f"rms {last.rms:.1e} of the mean irradiance after {last.iterations} steps at full size"
+    if seen.converged:
+        return f"converged: {way}"
+    if lost > _MOST_LOST:
+        return (
+            f"{100 * lost:.0f} % of the light misses the screen: the picture is finer than the lens can show "
+            f"(the map has {way})"
+        )
+    return f"stopped: {way}, wanted {TOLERANCE:g}; the lens is usable, its contrast may be lower than the picture's"

@@ -13,6 +13,8 @@ What the paper leaves open, and what is done here:
   the big bright triangles pull thin ones flat, and photographs stick at up to 1.4 times the difference.
 - dt is half the largest step that flips no triangle, as in the paper, and never more than the Newton step.
 - The mean over triangles cannot see a checkerboard, so D keeps the part of it that alternates from pixel to pixel.
+- A mesh that is stuck or has settled still goes on to step 25, the last one of the paper's Fig. 6. The lens is made
+  where it got stuck: later steps gain less than a percent, and their triangles are too thin to solve a surface on.
 - Vertices stand on the centres of their pixels, so that faces are pixels; the outermost ones stand on the frame, where
   only the component along it is followed. Zero intensity has no continuous map: the target is lifted to a floor.
 """
@@ -32,7 +34,7 @@ from optics.spline import Array
 
 Progress = Callable[[str, float], None]
 
-KEPT_STEPS = (1, 3, 5, 7, 25)  # the paper's Fig. 6
+KEPT_STEPS = (1, 3, 5, 7, 25)  # of the paper's Fig. 6; and the last
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,7 +45,9 @@ class FlowSettings:
     converged_rms: float = 0.0025  # rms of D over the mean intensity
     settled_gain: float = 0.02  # converged, too, once full steps lower the rms by less than this share ...
     settled_steps: int = 3  # ... so many times running: what is left is finer than the mesh can move
-    stuck_dt: float = 5e-3  # a step this small moves nothing
+    stuck_dt: float = 5e-3  # a step this small moves nothing worth while: stuck ...
+    least_steps: int = 25  # ... yet the flow goes on so far, for the paper's figure ...
+    immovable_dt: float = 1e-9  # ... unless the mesh cannot move at all
     floor: float = 0.01  # least target, as a share of the mean
     solver_tolerance: float = 1e-4
 
@@ -89,6 +93,7 @@ class PaperFlow:
     x_mm: Array
     y_mm: Array
     lens_mm: Array
+    lens_step: int  # after which the mesh lay like this
     target: Array
     converged: bool
     message: str
@@ -139,6 +144,7 @@ def solve_paper_map(
     difference = mesh.dual_areas() / faces - wanted
     steps: list[FlowStep] = []
     snapshots: list[FlowSnapshot] = []
+    lens, lens_step = rest, 0
     verdict: tuple[bool, str] | None = _verdict(steps, _rms(difference, faces), settings)
     while verdict is None:
         solution = poisson.solve(mesh, difference * faces, tolerance=settings.solver_tolerance)
@@ -146,6 +152,8 @@ def solve_paper_map(
         largest_dt = mesh.largest_step(velocity)
         dt = min(0.5 * largest_dt, 1.0)
         mesh = mesh.moved(mesh.points_mm + dt * velocity)
+        if dt >= settings.stuck_dt or not any(step.dt < settings.stuck_dt for step in steps):
+            lens, lens_step = mesh, len(steps) + 1
         difference = mesh.dual_areas() / faces - wanted
         rms = _rms(difference, faces)
         steps.append(
@@ -168,7 +176,8 @@ def solve_paper_map(
     return PaperFlow(
         x_mm=x_mm,
         y_mm=y_mm,
-        lens_mm=mesh.points_mm.reshape(ny, nx, 2),
+        lens_mm=lens.points_mm.reshape(ny, nx, 2),
+        lens_step=lens_step,
         target=wanted.reshape(ny, nx),
         converged=converged,
         message=message + _floor_note(lifted, settings.floor),
@@ -239,9 +248,10 @@ def _verdict(steps: list[FlowStep], rms: float, settings: FlowSettings) -> tuple
     recent = steps[-settings.settled_steps - 1 :]
     gains = [1.0 - b.rms_percent / a.rms_percent for a, b in pairwise(recent)]
     full = all(step.dt == 1.0 for step in recent[1:])
-    if full and len(gains) == settings.settled_steps and max(gains) < settings.settled_gain:
+    shown = len(steps) >= min(settings.least_steps, settings.max_steps)
+    if shown and full and len(gains) == settings.settled_steps and max(gains) < settings.settled_gain:
         return True, f"The flow has settled: {state}; what is left is finer than the mesh can move."
-    if steps and steps[-1].dt < settings.stuck_dt:
+    if steps and steps[-1].dt < (settings.stuck_dt if shown else settings.immovable_dt):
         return False, (
             f"The mesh got stuck: {state}; the next triangle to flip allows a step of only {steps[-1].largest_dt:.1e} "
             "(a bright region beside a very dark one). The lens shows the picture with less contrast than asked for."

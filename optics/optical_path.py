@@ -7,8 +7,8 @@ stationary in p, so grad c = s is the direction of the light that arrives at q. 
     s_z = sqrt(1 - |s|^2),   R = (n H - c) / (n s_z - 1),   p(q) = q - R s,   t = H - R s_z
 
 Where c is constant the surface is flat: c = H + (n - 1) t.
-c is kept as base + delta: base = c0 + (alpha / 2) |q - centre|^2 scales the aperture onto a screen of another size,
-delta has zero normal derivative on the frame (up to small slopes kept per border pixel), so cosines fit it.
+c is the base, which spreads the aperture over a screen of another size, and a rest with next to no slope across the
+frame, so that mirror images continue it and cosines fit it.
 """
 
 from __future__ import annotations
@@ -33,20 +33,17 @@ class Bench:
     refractive_index: float
     screen: Screen
 
-    @property
-    def base_curvature_per_mm(self) -> tuple[float, float]:
-        """alpha along x and y: the parabola of optical path that spreads the aperture evenly over the screen."""
-        s = self.screen
-        return (
-            (1 - self.width_mm / s.width_mm) / self.throw_mm,
-            (1 - self.height_mm / s.height_mm) / self.throw_mm,
-        )
+    def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:
+        """Path, less its constant, that spreads the aperture about evenly over the screen; at points of it (broadcast).
 
-    def base_path_mm(self, qx_mm: Array, qy_mm: Array) -> Array:
-        """The parabola without its constant, at screen points (broadcast)."""
-        ax, ay = self.base_curvature_per_mm
+        Shift (kx x, ky y) with k = 1 - aperture / screen and x, y from the centre; S = sqrt(|shift|^2 + H^2). Of a thin
+        lens the path's gradient is shift / S; for kx = ky that is the path (kx x^2 + ky y^2) / (S + H).
+        """
         s = self.screen
-        return np.asarray(0.5 * (ax * (qx_mm - s.centre_x_mm) ** 2 + ay * (qy_mm - s.centre_y_mm) ** 2))
+        kx, ky = 1 - self.width_mm / s.width_mm, 1 - self.height_mm / s.height_mm
+        x, y = qx_mm - s.centre_x_mm, qy_mm - s.centre_y_mm
+        ray = np.sqrt((kx * x) ** 2 + (ky * y) ** 2 + self.throw_mm**2)
+        return np.asarray((kx * x**2 + ky * y**2) / (ray + self.throw_mm))
 
     def pixel_centres_mm(self, nx: int, ny: int) -> tuple[Array, Array]:
         s = self.screen
@@ -218,36 +215,45 @@ def preimages_of_corners(
                 py[r, k] = height
 
 
-def rim_slopes(c: Array, bench: Bench, rim_x: Array, rim_y: Array) -> tuple[Array, Array]:
-    """Normal slopes of c that put the frame of the aperture onto the frame of the screen: s = (q - p) / R there."""
+def rim_slopes(c: Array, bench: Bench) -> tuple[Array, Array]:
+    """Normal slopes (2, ny), (2, nx) of c that put the frame of the aperture onto the frame of the screen.
+
+    There s = shift / R. With R as in `_reach`, L = n H - c and the slope t along the frame, n s_z - 1 = s L / shift, or
+    (L^2 + n^2 shift^2) s^2 + 2 shift L s = shift^2 (n^2 (1 - t^2) - 1), where s has the sign of the shift.
+    """
     ny, nx = c.shape
     s, index = bench.screen, bench.refractive_index
     out_x, out_y = np.empty((2, ny)), np.empty((2, nx))
     for side in (0, 1):
-        shift_x = s.left_mm + side * s.width_mm - side * bench.width_mm
-        shift_y = s.bottom_mm + side * s.height_mm - side * bench.height_mm
-        for out, rim, edge, shift, step in (
-            (out_x, rim_x, c[:, -side], shift_x, s.height_mm / ny),
-            (out_y, rim_y, c[-side, :], shift_y, s.width_mm / nx),
+        shift_x = s.left_mm + side * (s.width_mm - bench.width_mm)
+        shift_y = s.bottom_mm + side * (s.height_mm - bench.height_mm)
+        for out, edge, shift, step in (
+            (out_x, c[:, -side], shift_x, s.height_mm / ny),
+            (out_y, c[-side, :], shift_y, s.width_mm / nx),
         ):
             tangential = np.gradient(edge, step) if edge.size > 1 else np.zeros_like(edge)
-            sz = np.sqrt(np.maximum(1 - rim[side] ** 2 - tangential**2, 1 / index**2 + 1e-6))
-            out[side] = shift * (index * sz - 1) / (index * bench.throw_mm - edge)
+            drop = index * bench.throw_mm - edge
+            square = drop**2 + (index * shift) ** 2
+            inner = drop**2 + square * (index**2 * (1 - tangential**2) - 1)
+            out[side] = shift * (np.sqrt(np.maximum(inner, 0.0)) - drop) / square
     return out_x, out_y
 
 
-def _path_spline(c: Array, bench: Bench, rim_x: Array, rim_y: Array) -> BicubicSpline:
+def _path_spline(c: Array, bench: Bench) -> BicubicSpline:
     """delta = c - base through the pixel centres and three ghosts, which continue it by its slope on the frame."""
     ny, nx = c.shape
     s, pad = bench.screen, 3
     dx, dy = s.width_mm / nx, s.height_mm / ny
-    ax, ay = bench.base_curvature_per_mm
+    rim_x, rim_y = rim_slopes(c, bench)
     qx, qy = bench.pixel_centres_mm(nx, ny)
     ghosts = np.pad(c - bench.base_path_mm(qx[None, :], qy[:, None]), pad, mode="symmetric")
     ways = 2.0 * np.arange(pad) + 1.0  # from a ghost to its mirror image, in pixels
     for side, sign in ((0, -1.0), (1, 1.0)):
-        left_right = sign * (np.pad(rim_x[side], pad, mode="edge") - sign * ax * s.width_mm / 2) * dx
-        bottom_top = sign * (np.pad(rim_y[side], pad, mode="edge") - sign * ay * s.height_mm / 2) * dy
+        edge_x, edge_y = s.left_mm + side * s.width_mm, s.bottom_mm + side * s.height_mm
+        base_x = (bench.base_path_mm(edge_x + dx / 2, qy) - bench.base_path_mm(edge_x - dx / 2, qy)) / dx
+        base_y = (bench.base_path_mm(qx, edge_y + dy / 2) - bench.base_path_mm(qx, edge_y - dy / 2)) / dy
+        left_right = sign * np.pad(rim_x[side] - base_x, pad, mode="edge") * dx
+        bottom_top = sign * np.pad(rim_y[side] - base_y, pad, mode="edge") * dy
         at = slice(None, pad) if side == 0 else slice(-pad, None)
         order = ways[::-1] if side == 0 else ways
         ghosts[:, at] += left_right[:, None] * order[None, :]
@@ -257,20 +263,18 @@ def _path_spline(c: Array, bench: Bench, rim_x: Array, rim_y: Array) -> BicubicS
     )
 
 
-def heights_mm(
-    c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Bench, rim_x: Array, rim_y: Array
-) -> Array:
+def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Bench) -> Array:
     """Heights t of the surface at the lens points (x_mm[i], y_mm[j]) that light the screen at grid indices u, v.
 
-    c (ny, nx) at the pixel centres, rim_x (2, ny) and rim_y (2, nx) its normal slopes on the frame; u, v (my, mx)
-    fractional indices of pixel corners. From (c - n t)^2 = |q - p|^2 + (H - t)^2:
+    c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
+    From (c - n t)^2 = |q - p|^2 + (H - t)^2:
         t = (b - sqrt(b^2 - (n^2 - 1)(c^2 - |q - p|^2 - H^2))) / (n^2 - 1),   b = n c - H
     t is stationary in q, so the error of q enters squared.
     """
     ny, nx = c.shape
     s, n, throw = bench.screen, bench.refractive_index, bench.throw_mm
     dx, dy = s.width_mm / nx, s.height_mm / ny
-    spline = _path_spline(c, bench, rim_x, rim_y)
+    spline = _path_spline(c, bench)
     t = np.empty_like(u)
     for rows in np.array_split(np.arange(u.shape[0]), max(1, u.shape[0] // 128)):  # bounds the temporaries
         qx, qy = s.left_mm + u[rows] * dx, s.bottom_mm + v[rows] * dy

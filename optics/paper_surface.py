@@ -17,9 +17,9 @@ from optics.errors import TotalReflectionError
 from optics.flow import FlowSettings, PaperFlow, solve_paper_map
 from optics.heightfield import Heightfield
 from optics.mesh import TriangleMesh
-from optics.mesh_location import SmoothGridMap, spline_over
 from optics.poisson import NeumannPoisson, divergence_load
 from optics.refraction import slope_for_shift
+from optics.smooth_map import SmoothGridMap, spline_over
 from optics.spline import Array
 
 Progress = Callable[[str, float], None]

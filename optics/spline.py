@@ -43,7 +43,7 @@ def _fit_columns(nodes: Array) -> Array:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _weights(f: float) -> tuple[float, float, float, float]:
+def spline_weights(f: float) -> tuple[float, float, float, float]:
     """Uniform cubic B-spline weights of the four coefficients around a point at fraction f of its cell."""
     g = 1.0 - f
     return g * g * g / 6.0, (4.0 - 6.0 * f * f + 3.0 * f**3) / 6.0, (4.0 - 6.0 * g * g + 3.0 * g**3) / 6.0, f**3 / 6.0
@@ -63,10 +63,10 @@ def spline_jet(
     g = v - j
     f1 = 1.0 - f
     g1 = 1.0 - g
-    wx = _weights(f)
+    wx = spline_weights(f)
     dx = (-0.5 * f1 * f1, 1.5 * f * f - 2.0 * f, -1.5 * f1 * f1 + 2.0 * f1, 0.5 * f * f)
     ddx = (f1, 3.0 * f - 2.0, 3.0 * f1 - 2.0, f)
-    wy = _weights(g)
+    wy = spline_weights(g)
     dy = (-0.5 * g1 * g1, 1.5 * g * g - 2.0 * g, -1.5 * g1 * g1 + 2.0 * g1, 0.5 * g * g)
     ddy = (g1, 3.0 * g - 2.0, 3.0 * g1 - 2.0, g)
     z = zx = zy = zxx = zxy = zyy = 0.0

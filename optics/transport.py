@@ -4,7 +4,9 @@ Solves det Dp(q) = g(q) for the optical path c(q) (optical_path.py), g = target 
     step      r = det+ - g,  r -= mean r,  c += scale * InvLaplace(r)   (cosine transform, Neumann)
     det+      max(a,0) max(b,0) - x + min(a,0) + min(b,0) with a, b the diagonal and x the mixed products: equal to
               det on the elliptic branch and monotone off it, so the iteration finds its way back from folds
-    Anderson  depth 16, least squares on r; beyond twice the best residual: back to the best with half the step
+    piston    c += (n - 1) (-skim - top): the highest point stays skim_mm under Z0
+    Anderson  depth 16, least squares on r and the piston together (by r alone, the piston never comes to rest where
+              screen and aperture differ); beyond twice the best residual: back to the best with half the step
     levels    32, 64 .. N pixels, cubic prolongation of c
 No Jacobian, no line search, no floor under the target: black pixels converge like others.
 """
@@ -26,9 +28,10 @@ from optics.spline import Array
 from optics.threads import over_rows, thread_count
 from optics.transport_map import TransportMap
 
+TOLERANCE = 1e-3  # rms of det - g at which a level is done
 _COARSEST = 32
 _ANDERSON_DEPTH = 16  # on hard logos 8 takes three times the steps, 24 no fewer
-_PISTON_WEIGHT = 3.0  # of the highest point's distance from the skim, in throws, beside the rms residual
+_PISTON_WEIGHT = 3.0  # of the highest point's distance from the skim, in throws, beside the rms of det - g
 _MOST_COARSE = 100
 _STALE = 60  # iterations without 2 % of progress: stopped
 _BLOW_UP = 2.0  # a residual this many times the best: restart
@@ -49,8 +52,6 @@ class OpticalPath:
 
     bench: Bench
     path_mm: Array  # (ny, nx)
-    rim_x: Array  # (2, ny) normal slopes of the path on the left and right frame
-    rim_y: Array  # (2, nx) on the bottom and top frame
     levels: tuple[LevelRecord, ...]
     converged: bool
 
@@ -58,9 +59,10 @@ class OpticalPath:
         """Pixel corners and the lens points that light them."""
         ny, nx = self.path_mm.shape
         px, py = np.empty((ny + 1, nx + 1)), np.empty((ny + 1, nx + 1))
+        rims = rim_slopes(self.path_mm, self.bench)
         over_rows(
             preimages_of_corners, ny + 1,
-            self.path_mm, self.rim_x, self.rim_y, *self.bench.kernel_arguments(nx, ny), px, py,
+            self.path_mm, *rims, *self.bench.kernel_arguments(nx, ny), px, py,
         )  # fmt: skip
         s = self.bench.screen
         qx, qy = np.meshgrid(
@@ -98,9 +100,10 @@ class _Level:
         self.across, self.along, self.mixed, self.residual = (np.empty((ny, nx)) for _ in range(4))
         self.top = np.empty(ny)
 
-    def evaluate(self, c: Array, rim_x: Array, rim_y: Array) -> tuple[Array, float, float]:
+    def evaluate(self, c: Array) -> tuple[Array, float, float]:
         """(residual with its mean removed, its rms, greatest height met)."""
         rows = c.shape[0]
+        rim_x, rim_y = rim_slopes(c, self.bench)
         over_rows(preimage_areas, rows, c, rim_x, rim_y, *self.arguments, self.across, self.along, self.mixed, self.top)
         over_rows(_monotone_residual, rows, self.across, self.along, self.mixed, self.target, self.residual)
         r = self.residual - self.residual.mean()
@@ -113,10 +116,14 @@ class _Level:
 
 
 class _Anderson:
-    """Mixing memory: the last steps of iterate and residual, least squares on the residual."""
+    """Mixing memory: the last steps of iterate and residual, least squares on the residual.
+
+    The iterate is c; the residual is r of every pixel and, last, the piston's share of the merit.
+    """
 
     def __init__(self, size: int) -> None:
-        self.moves, self.changes = np.empty((2, _ANDERSON_DEPTH, size))  # differences of x + f, and of r
+        self.moves = np.empty((_ANDERSON_DEPTH, size))  # differences of x + f
+        self.changes = np.empty((_ANDERSON_DEPTH, size + 1))  # and of the residual
         self.gram = np.empty((_ANDERSON_DEPTH, _ANDERSON_DEPTH))
         self.last: tuple[Array, Array] | None = None
         self.count = 0
@@ -124,20 +131,20 @@ class _Anderson:
     def forget(self) -> None:
         self.last, self.count = None, 0
 
-    def next_iterate(self, x: Array, r: Array, f: Array) -> Array:
-        moved, flat = (x + f).ravel(), r.ravel()
+    def next_iterate(self, moved: Array, r: Array, piston: float) -> Array:
+        flat_moved, flat = moved.ravel(), np.append(r.ravel(), piston)
         if self.last is None:
-            self.last = (moved, flat)
-            return moved.reshape(x.shape)
+            self.last = (flat_moved, flat)
+            return moved
         slot = self.count % _ANDERSON_DEPTH
         self.count += 1
-        np.subtract(moved, self.last[0], out=self.moves[slot])
+        np.subtract(flat_moved, self.last[0], out=self.moves[slot])
         np.subtract(flat, self.last[1], out=self.changes[slot])
-        self.last = (moved, flat)
+        self.last = (flat_moved, flat)
         n = min(self.count, _ANDERSON_DEPTH)
         self.gram[slot, :n] = self.gram[:n, slot] = self.changes[:n] @ self.changes[slot]
         weights, *_ = np.linalg.lstsq(self.gram[:n, :n], self.changes[:n] @ flat, rcond=1e-12)
-        return np.asarray(moved - weights @ self.moves[:n]).reshape(x.shape)
+        return np.asarray(flat_moved - weights @ self.moves[:n]).reshape(moved.shape)
 
 
 def solve_transport(
@@ -146,7 +153,7 @@ def solve_transport(
     *,
     skim_mm: float,
     start: OpticalPath | None = None,
-    tolerance: float = 1e-3,
+    tolerance: float = TOLERANCE,
     most_iterations: int = 300,
     on_progress: Callable[[float], None] | None = None,
 ) -> OpticalPath:
@@ -155,34 +162,25 @@ def solve_transport(
     target      : (ny, nx) irradiance in the work frame, mean 1 (any mean is scaled)
     skim_mm     : depth of the lens's highest point under Z0
     start       : an earlier solution on the same grid, for a warm start without the coarse levels
-    tolerance   : rms of det - g at which a level is done
+    tolerance   : rms of det - g, with the skim's share, at which a level is done
     returns converged = False, with its history, where the finest level stopped early
     raises TotalReflectionError where the throw is too short for the way the light must go
     """
     g = target / target.mean()
     records: list[LevelRecord] = []
     if start is not None:
-        c, rim_x, rim_y = start.path_mm, start.rim_x, start.rim_y
+        c = start.path_mm
         shapes = [g.shape]
     else:
         shapes = level_shapes(g.shape)
-        c, rim_x, rim_y = _flat_start(shapes[0], bench, skim_mm)
+        c = _flat_start(shapes[0], bench, skim_mm)
     converged = reflected = False
     for number, shape in enumerate(shapes):
         if c.shape != shape:
             c = _prolonged(c, shape, bench)
-            rim_x, rim_y = _stretched(rim_x, shape[0]), _stretched(rim_y, shape[1])
         finest = number == len(shapes) - 1
-        c, rim_x, rim_y, record, met_reflection = _solve_level(
-            box_averaged(g, shape),
-            c,
-            rim_x,
-            rim_y,
-            bench,
-            skim_mm,
-            tolerance,
-            most_iterations if finest else _MOST_COARSE,
-        )
+        most = most_iterations if finest else _MOST_COARSE
+        c, record, met_reflection = _solve_level(box_averaged(g, shape), c, bench, skim_mm, tolerance, most)
         records.append(record)
         converged = record.rms <= tolerance
         reflected |= met_reflection
@@ -190,39 +188,40 @@ def solve_transport(
             on_progress(4.0 ** (number + 1 - len(shapes)))
     if reflected and not converged:
         _refuse_too_short_throw(g, bench)
-    return OpticalPath(bench=bench, path_mm=c, rim_x=rim_x, rim_y=rim_y, levels=tuple(records), converged=converged)
+    return OpticalPath(bench=bench, path_mm=c, levels=tuple(records), converged=converged)
 
 
 def _solve_level(
-    g: Array, c: Array, rim_x: Array, rim_y: Array, bench: Bench, skim_mm: float, tolerance: float, most: int
-) -> tuple[Array, Array, Array, LevelRecord, bool]:
+    g: Array, c: Array, bench: Bench, skim_mm: float, tolerance: float, most: int
+) -> tuple[Array, LevelRecord, bool]:
     """Iterate one level; the last value says whether an iterate sent light beyond the critical angle."""
     level, memory, step = _Level(g, bench), _Anderson(g.size), 1.0
     reflected = False
-    best, best_rim_x, best_rim_y, best_rms = c, rim_x, rim_y, math.inf
-    best_merit, stale, iteration = math.inf, 0, 0
+    best, best_rms, best_merit = c, math.inf, math.inf
+    stale, iteration = 0, 0
     for iteration in range(most + 1):
-        r, rms, top = level.evaluate(c, rim_x, rim_y)
-        merit = rms + _PISTON_WEIGHT * abs(top + skim_mm) / bench.throw_mm
+        r, rms, top = level.evaluate(c)
+        piston = _PISTON_WEIGHT * (top + skim_mm) / bench.throw_mm
+        merit = math.hypot(rms, piston)
         if not math.isfinite(merit):
             reflected, merit = True, math.inf
             if best_merit == math.inf:
                 break
         stale = 0 if merit < 0.98 * best_merit else stale + 1
         if merit < best_merit:
-            best, best_rim_x, best_rim_y, best_rms, best_merit = c, rim_x, rim_y, rms, merit
+            best, best_rms, best_merit = c, rms, merit
         if merit <= tolerance or iteration == most or stale > _STALE:
             break
         if merit > _BLOW_UP * best_merit:
             step *= 0.5
             memory.forget()
-            c, rim_x, rim_y = best, best_rim_x, best_rim_y
-            r, rms, top = level.evaluate(c, rim_x, rim_y)
-        c = memory.next_iterate(c, r, step * level.preconditioned(r))
-        c += (bench.refractive_index - 1) * (-skim_mm - top)  # piston: the highest point stays skim_mm under Z0
-        rim_x, rim_y = rim_slopes(c, bench, rim_x, rim_y)
+            c = best
+            r, rms, top = level.evaluate(c)
+            piston = _PISTON_WEIGHT * (top + skim_mm) / bench.throw_mm
+        moved = c + step * level.preconditioned(r) - (bench.refractive_index - 1) * (top + skim_mm)
+        c = memory.next_iterate(moved, r, piston * math.sqrt(r.size))
     record = LevelRecord(pixels=g.shape[1], iterations=iteration, rms=best_rms)
-    return best, best_rim_x, best_rim_y, record, reflected
+    return best, record, reflected
 
 
 def level_shapes(shape: tuple[int, ...]) -> list[tuple[int, int]]:
@@ -248,13 +247,10 @@ def box_averaged(values: Array, shape: tuple[int, int]) -> Array:
     return values
 
 
-def _flat_start(shape: tuple[int, int], bench: Bench, skim_mm: float) -> tuple[Array, Array, Array]:
-    ny, nx = shape
-    qx, qy = bench.pixel_centres_mm(nx, ny)
+def _flat_start(shape: tuple[int, int], bench: Bench, skim_mm: float) -> Array:
+    qx, qy = bench.pixel_centres_mm(shape[1], shape[0])
     flat = bench.throw_mm - (bench.refractive_index - 1) * skim_mm
-    c = flat + bench.base_path_mm(qx[None, :], qy[:, None])
-    rim_x, rim_y = np.zeros((2, ny)), np.zeros((2, nx))
-    return c, *rim_slopes(c, bench, rim_x, rim_y)
+    return flat + bench.base_path_mm(qx[None, :], qy[:, None])
 
 
 def _prolonged(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
@@ -268,17 +264,13 @@ def _prolonged(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
     return np.asarray(fine + bench.base_path_mm(qx[None, :], qy[:, None]))
 
 
-def _stretched(rim: Array, n: int) -> Array:
-    at = (np.arange(n) + 0.5) * rim.shape[1] / n - 0.5
-    return np.stack([np.interp(at, np.arange(rim.shape[1]), side) for side in rim])
-
-
 def _refuse_too_short_throw(g: Array, bench: Bench) -> None:
     """Raise TotalReflectionError if the way the light must go sideways is what stopped the solution.
 
     How far it must go hardly depends on the throw, so a coarse solution for a far screen tells it.
     """
-    far = replace(bench, throw_mm=20 * max(bench.width_mm, bench.height_mm, bench.throw_mm))
+    s = bench.screen
+    far = replace(bench, throw_mm=20 * max(bench.width_mm, bench.height_mm, s.width_mm, s.height_mm, bench.throw_mm))
     coarse = box_averaged(g, level_shapes(g.shape)[0])
     solution = solve_transport(coarse, far, skim_mm=0.0, tolerance=1e-2)
     moved = solution.transport_map()

@@ -143,7 +143,7 @@ def _of_the_command_line(
             }
         )
     except SpecError as error:
-        raise InputError(str(error)) from None
+        raise InputError(*str(error).splitlines()) from None
     return list(zip(programs, cam_passes_of(spec), strict=True)), cam_stock_of(spec), machine_of(spec)
 
 

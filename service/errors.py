@@ -10,12 +10,12 @@ EXIT_INTERRUPTED = 130
 
 
 class JobError(Exception):
-    """Base of the service's own errors; the text is one line that names the thing, its value and what is allowed."""
+    """Base of the service's own errors: a line for each thing, which names it, its value and what is allowed."""
 
     exit_code = EXIT_FAILURE
 
-    def __init__(self, text: str) -> None:
-        super().__init__("\n".join(map(printable, text.split("\n"))))
+    def __init__(self, *lines: str) -> None:
+        super().__init__("\n".join(map(printable, lines)))
 
 
 class InputError(JobError):
@@ -28,7 +28,7 @@ class SpecError(InputError):
     """A job spec that cannot be used; `problems` holds (key, sentence) pairs."""
 
     def __init__(self, problems: list[tuple[str, str]]) -> None:
-        super().__init__("\n".join(printable(f"{key}: {sentence}") for key, sentence in problems))
+        super().__init__(*(f"{key}: {sentence}" for key, sentence in problems))
         self.problems = problems
 
 
@@ -41,7 +41,7 @@ class FailedError(JobError):
 
 
 def printable(text: str) -> str:
-    """The text with control characters shown as '?': names and values may come from anywhere."""
+    """The text on one line, control characters shown as '?': names and values may come from anywhere."""
     return "".join(c if c.isprintable() else "?" for c in text)
 
 
@@ -61,4 +61,4 @@ def sentence_of_os_error(error: OSError, *, doing: str) -> str:
         errno.ENAMETOOLONG: "the name is too long",
     }
     reason = reasons.get(error.errno or 0, (error.strerror or str(error)).lower())
-    return f"{doing}{where}: {reason}"
+    return printable(f"{doing}{where}: {reason}")

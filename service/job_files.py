@@ -1,8 +1,9 @@
 """The folder of a job: names, atomic writes, and the staging folder from which a finished job is put in place.
 
-Theory of operation: a command works in a hidden sibling of the output folder. Only when all of it has succeeded are
-the files renamed into the output folder, report.json last; failure or Ctrl-C removes the sibling and nothing else.
-A file that is renamed over another is whole at every moment.
+Theory of operation: a command works in a hidden folder, inside the output folder where there is one (it may be a mount
+of its own, into which nothing can be renamed from outside), else beside its future place. Only when all has succeeded
+are the files renamed into the output folder, report.json last; failure or Ctrl-C removes the hidden folder and nothing
+else. A file that is renamed over another is whole at every moment.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import hashlib
 import json
 import os
 import re
+import secrets
 import shutil
 import signal
 import threading
@@ -71,12 +73,20 @@ def require_usable_output(folder: Path, *, force: bool) -> None:
     for path in (folder, *folder.absolute().parents):
         if path.exists() and not path.is_dir():
             raise InputError(f"--output: {path} is a file; allowed: a new or empty folder, or an earlier job's")
-    if not folder.exists() or force or is_job_folder(folder):
+        if path.is_symlink() and not path.exists():
+            raise InputError(f"--output: {path} is a link to a place that does not exist; allowed: an existing folder")
+    if not folder.exists() or force or is_job_folder(folder) or _is_cut_short(folder):
         return
-    if any(folder.iterdir()):
+    if set(folder.absolute().iterdir()) - _staging_folders(folder):
         raise InputError(
             f"--output: {folder} holds other files; allowed: a new or empty folder, an earlier job's, or --force"
         )
+
+
+def _is_cut_short(folder: Path) -> bool:
+    """True where a job was killed while it was put in place: its files and no other, without the report."""
+    names = {path.name for path in set(folder.absolute().iterdir()) - _staging_folders(folder)}
+    return SPEC in names and REPORT not in names and all(map(is_known, names))
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -142,18 +152,20 @@ def read_report(folder: Path) -> dict[str, Any]:
 
 @contextlib.contextmanager
 def staging_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
-    """A hidden sibling of `output` to work in, put in place when the block ends well.
+    """A hidden folder to work in, put in place of `output` when the block ends well.
 
-    keep : names of files of `output` that the job goes on from; they appear in the sibling (as links).
-    The earlier job's other files disappear when the new ones are put in place; foreign files stay.
+    keep : names of files of `output` that the job goes on from; they appear in the hidden folder (as links).
+    The earlier job's other files disappear when the new ones are put in place; foreign files stay. While one process
+    works on an output, a second one is refused: their lens and programs would mix.
     """
     output = output.absolute()
     made = _make_parents(output.parent)
-    staging = output.with_name(f".{output.name}.{os.getpid()}{_STAGING}")
-    _remove_abandoned(output)
+    home = output if output.is_dir() else output.parent
+    staging = home / f".{output.name}.{secrets.token_hex(4)}{_STAGING}"
     try:
         staging.mkdir()
         with _locked(staging):
+            _clear_abandoned(output, mine=staging)
             for name in set(keep):
                 if (output / name).is_file():
                     _link(output / name, staging / name)
@@ -211,37 +223,42 @@ def _locked(folder: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _remove_abandoned(output: Path) -> None:
-    """Clear staging folders of this output whose process was killed: those nobody holds a lock on."""
-    for folder in output.parent.glob(f".{_glob_safe(output.name)}.*{_STAGING}"):
-        if not folder.is_dir() or not folder.name.removesuffix(_STAGING).rpartition(".")[2].isdigit():
-            continue
+def _clear_abandoned(output: Path, *, mine: Path) -> None:
+    """Remove staging folders of this output whose process was killed: those nobody holds a lock on.
+
+    InputError where another process does.
+    """
+    for folder in _staging_folders(output) - {mine}:
         with contextlib.suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY)
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(folder)
+            except BlockingIOError:
+                raise InputError(
+                    f"--output: another causticmill is working on {output}; allowed: another folder, or wait for it"
+                ) from None
             finally:
                 os.close(descriptor)
 
 
-def _glob_safe(name: str) -> str:
-    return re.sub(r"([*?[])", r"[\1]", name)
+def _staging_folders(output: Path) -> set[Path]:
+    """Hidden folders of jobs for this output, running or killed: beside it and in it."""
+    output = output.absolute()
+    name = re.compile(rf"\.{re.escape(output.name)}\.[0-9a-f]{{8}}{re.escape(_STAGING)}")
+    places = [place for place in (output.parent, output) if place.is_dir()]
+    return {path for place in places for path in place.iterdir() if name.fullmatch(path.name) and path.is_dir()}
 
 
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM wait until the block has ended (they can only be held off in the main thread)."""
+    """Ctrl-C and SIGTERM do nothing in this short block, which ends the job anyway (main thread only)."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    came: list[int] = []
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = {kind: signal.signal(kind, lambda number, _frame: came.append(number)) for kind in kinds}
+    before = {kind: signal.signal(kind, signal.SIG_IGN) for kind in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
         for kind, handler in before.items():
             signal.signal(kind, handler)
-    if came:
-        raise KeyboardInterrupt

@@ -59,6 +59,23 @@ def with_feeds(spec: JobSpec) -> JobSpec:
     return spec.model_copy(update={"passes": tuple(rows)})
 
 
+def without_derived(spec: JobSpec) -> dict[str, Any]:
+    """The spec as plain data without the speeds, feeds and step-downs that `with_feeds` would fill in as they are.
+
+    What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
+    or another ball.
+    """
+    machine, material = machine_of(spec), _MATERIALS[spec.stock.material]
+    rows = []
+    for row in spec.passes:
+        for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it
+            chosen = _filled(row.model_copy(update=dict.fromkeys(keys)), machine, material)
+            same = [key for key in keys if getattr(chosen, key) == getattr(row, key)]
+            row = row.model_copy(update=dict.fromkeys(same))
+        rows.append(row)
+    return spec.model_copy(update={"passes": tuple(rows)}).plain()
+
+
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
     """The passes as the CAM package takes them."""
     return tuple(PassSpec(**row.model_dump()) for row in spec.passes)

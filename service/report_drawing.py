@@ -74,13 +74,14 @@ def side_view(job: SetUp) -> Markup:
         _text(left + width + 24, zero + 4, "Z0 = stock top", colour=_ACCENT),
         _dimension_up(left - 24, wall + 2, zero, f"throw {job.throw_mm:g} mm"),
         _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
-        _text(left + width + 24, back + 1, "flat, polished back"),
+        _text(left + width + 24, back + 4, "flat, polished back"),
         *(_arrow(x, back + 34, x, back + 6, colour="#c77700") for x in (left + 30, left + 95, left + 160)),
         *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
         _text(left + width / 2, back + 50, "parallel light, square to the back", anchor="middle", colour="#8a5200"),
     ]
     if job.deepest_mm is not None:
-        parts.append(_text(left + width + 24, low + 4 if depth > 18 else zero + 20, f"deepest {deepest:.2f} mm"))
+        beside = min(max(low + 4, zero + 21), back - 14)  # clear of the labels of Z0 and of the back
+        parts.append(_text(left + width + 24, beside, f"deepest {deepest:.2f} mm"))
     return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
 
 

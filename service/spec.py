@@ -92,7 +92,7 @@ class PassRow(Section):
     radius_mm: Tool
     pitch_mm: Annotated[float, Field(ge=0.002, le=25)]
     stock_to_leave_mm: Annotated[float, Field(ge=0, le=10)] = 0.0
-    step_down_mm: Annotated[float, Field(gt=0, le=50)] | None = None
+    step_down_mm: Annotated[float, Field(ge=0.01, le=50)] | None = None
     feed_mm_per_min: Rate | None = None
     plunge_mm_per_min: Rate | None = None
     spindle_rpm: Speed | None = None

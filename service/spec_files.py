@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from service.errors import SpecError, sentence_of_os_error
 from service.job_files import SPEC
-from service.passes import preset_rows, with_feeds
+from service.passes import preset_rows, with_feeds, without_derived
 from service.spec import PRESETS, JobSpec
 from service.spec_errors import as_spec_error, known_keys, unknown_key
 
@@ -58,18 +58,18 @@ def validated(data: Mapping[str, Any]) -> JobSpec:
 def read_spec_file(path: Path) -> dict[str, Any]:
     """Plain data of a .toml or .json file; SpecError says what is wrong with it, and in which line."""
     try:
-        size = path.stat().st_size
-        raw = path.read_bytes() if size <= _MAX_SPEC_BYTES else b""
+        with path.open("rb") as file:
+            raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
     except OSError as error:
         raise SpecError([("--spec", sentence_of_os_error(error, doing="cannot read"))]) from None
-    if size > _MAX_SPEC_BYTES:
-        raise SpecError([("--spec", f"{path} has {size} bytes; a spec has at most {_MAX_SPEC_BYTES}")])
+    if len(raw) > _MAX_SPEC_BYTES:
+        raise SpecError([("--spec", f"{path} is too large; a spec has at most {_MAX_SPEC_BYTES} bytes")])
     try:
         text = raw.decode("utf-8-sig")
         data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
     except UnicodeDecodeError:
         raise SpecError([("--spec", f"{path} is not a text in UTF-8")]) from None
-    except (json.JSONDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
         kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
         raise SpecError([("--spec", f"{path} is not valid {kind}: {' '.join(str(error).split())}")]) from None
     if not isinstance(data, dict):
@@ -83,6 +83,16 @@ def stored_spec(folder: Path) -> JobSpec:
     if not path.is_file():
         raise SpecError([("DIR", f"{folder} holds no {SPEC}; allowed: the folder of an earlier design or make")])
     return validated(read_spec_file(path))
+
+
+def resolve_for_lens(
+    folder: Path, *, file: Path | None = None, preset: str | None = None, overrides: Sequence[str] = ()
+) -> JobSpec:
+    """The complete spec of new programs for the lens in a job's folder: what was asked for there, then resolve_spec."""
+    stored = stored_spec(folder)
+    wanted = resolve_spec(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
+    require_same_lens(stored, wanted)
+    return wanted
 
 
 def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
@@ -108,7 +118,7 @@ def parse_override(text: str) -> tuple[list[str], Any]:
         raise SpecError([("--set", f"'{text}' must read key=value, for example optics.width_mm=40")])
     try:
         parsed = tomllib.loads(f"value = {written.strip()}")
-    except (tomllib.TOMLDecodeError, RecursionError):
+    except (ValueError, RecursionError):
         parsed = {"value": written.strip()}
     value = parsed["value"] if set(parsed) == {"value"} else written.strip()
     return steps, value

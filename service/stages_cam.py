@@ -141,7 +141,7 @@ def _one_pass(
         except ProgramError as error:
             raise FailedError(f"{path.name}: {error}") from error
     if not verdict.ok:
-        raise FailedError("\n".join(f"{path.name}: {fault}" for fault in verdict.faults))
+        raise FailedError(*(f"{path.name}: {fault}" for fault in verdict.faults))
     for sentence in verdict.notes if spec.finishes else ():
         shop.note("passes", f"{path.name}: {sentence}")
     row = {

@@ -23,7 +23,8 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
         yield f"machine time of all passes: {duration(sum(row['time_s'] for row in report['passes']))}"
     for sentence in report.get("warnings", []):
         yield f"warning: {sentence}"
-    yield f"pictures, programs and the setup sheet: {folder / REPORT_PAGE}"
+    made = "pictures, programs and" if report.get("passes") else "pictures and"
+    yield f"{made} the setup sheet: {folder / REPORT_PAGE}"
 
 
 def duration(seconds: float) -> str:

@@ -197,7 +197,22 @@ def test_a_rapid_through_stock_is_found(lens, path):
     through = [fault for fault in result.faults if "rapid through stock" in fault]
     assert len(through) == 1
     assert named_line(through[0]) == len(HEAD) + len(entry) + half + 3
-    assert any("below the safe height" in fault for fault in result.faults)
+    assert not any("below the safe height" in fault for fault in result.faults)  # straight down
+
+
+@pytest.mark.parametrize("gap_mm", [0.45, 0.55])
+def test_a_rapid_may_go_straight_down_to_half_a_millimetre_above_the_stock(lens, path, gap_mm):
+    """The stock of 0.03 mm over the lens is met first where a ball that much larger touches."""
+    x, y, _ = path[0]
+    met = tips(lens.spline_with_run_out(3.0), path[:1, 0], path[:1, 1])[0] + 0.03
+    lines = program(path)
+    lines.insert(len(HEAD) + 1, f"Z{met + gap_mm:.4f}")
+    result = check(lines, lens)
+    assert result.ok is (gap_mm > 0.5), result.faults
+    if not result.ok:
+        assert len(result.faults) == 1 and named_line(result.faults[0]) == len(HEAD) + 2
+        assert "to 0.5 mm above it" in result.faults[0]
+    assert result.max_engagement_mm < 0.045
 
 
 def test_a_crossing_below_the_safe_height_is_found_even_in_air(lens, path):

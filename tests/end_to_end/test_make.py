@@ -241,7 +241,7 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
         process.send_signal(kind)
         _, errors = process.communicate(timeout=60)
     assert process.returncode == 130
-    assert errors.splitlines() == ["error: interrupted; nothing was written"]
+    assert errors.splitlines() == ["error: interrupted; nothing half-written is left"]
     assert list(tmp_path.iterdir()) == []
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.interpolate import RectBivariateSpline
 
 from optics.caustic import add_edge, simulate_caustic
 from optics.heightfield import Heightfield
@@ -68,6 +69,31 @@ def test_hyperboloid_focuses_on_one_point() -> None:
     screen = Screen(width_mm=20.0, height_mm=20.0, centre_x_mm=10.0, centre_y_mm=10.0)
     caustic = simulate_caustic(lens, throw_mm=throw - 3, refractive_index=N, screen=screen, pixels=(200, 200))
     assert caustic.irradiance[99, 100] == pytest.approx(200 * 200, rel=1e-6)
+
+
+def test_tubes_agree_with_an_independent_ray_tracer() -> None:
+    """Rays through scipy's spline by the vector form of Snell's law, counted per pixel: an oblong, lopsided lens."""
+    x_mm, y_mm = np.linspace(0, 24, 49), np.linspace(0, 16, 33)
+    x, y = np.meshgrid(x_mm, y_mm)
+    lens = Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=-6 + 0.5 * np.sin(0.4 * x + 0.2 * y) * np.cos(0.5 * y) + 0.05 * x)
+    screen = Screen(width_mm=30.0, height_mm=14.0, centre_x_mm=11.0, centre_y_mm=9.0)
+    light = simulate_caustic(lens, throw_mm=25.0, refractive_index=N, screen=screen, pixels=(14, 20))
+    surface = RectBivariateSpline(y_mm, x_mm, lens.z_mm)
+    at_x, at_y = (np.arange(1200) + 0.5) * 24 / 1200, (np.arange(800) + 0.5) * 16 / 800
+    z = surface(at_y, at_x)
+    normal = np.stack([-surface(at_y, at_x, dy=1), -surface(at_y, at_x, dx=1), np.ones_like(z)], axis=-1)
+    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
+    cos_in = normal[..., 2]
+    cos_out = np.sqrt(1 - N**2 * (1 - cos_in**2))
+    ray = N * np.array([0.0, 0.0, 1.0]) + (cos_out - N * cos_in)[..., None] * normal
+    way = (25.0 - z) / ray[..., 2]
+    hit_x, hit_y = at_x[None, :] + way * ray[..., 0], at_y[:, None] + way * ray[..., 1]
+    rays, *_ = np.histogram2d(hit_y.ravel(), hit_x.ravel(), bins=(14, 20), range=((2, 16), (-4, 26)))
+    rays *= 14 * 20 / z.size
+    assert light.outside_share == pytest.approx(1 - rays.mean(), abs=1e-3)
+    assert light.outside_share > 0.05
+    assert light.irradiance.max() > 2  # near its focus
+    np.testing.assert_allclose(light.irradiance, rays, atol=0.05)
 
 
 def test_45_degree_prism_reflects_everything(screen: Screen) -> None:

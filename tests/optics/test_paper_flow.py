@@ -119,6 +119,10 @@ def test_a_stuck_mesh_says_so_and_keeps_a_one_to_one_map():
     assert not flow.converged
     assert "stuck" in flow.message and "cannot make black" in flow.message
     assert flow.steps[-1].rms_percent < 0.95 * 100 * np.std(flow.target)
+    # the figure's last step is reported all the same; the lens is that of the first step that moved nothing
+    assert [s.step for s in flow.snapshots] == [1, 3, 5, 7, 25]
+    tiny = [step.step for step in flow.steps if step.dt < FlowSettings().stuck_dt]
+    assert flow.lens_step == tiny[0] < 25
     assert mesh_of(flow, flow.lens_mm).areas().min() > 0.0
 
 

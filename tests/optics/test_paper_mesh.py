@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optics.mesh import TriangleMesh
-from optics.mesh_location import SmoothGridMap, located_in_triangles
+from optics.smooth_map import SmoothGridMap
 
 
 def shaken_mesh(seed: int, *, nx: int = 9, ny: int = 7) -> TriangleMesh:
@@ -85,24 +85,8 @@ def test_the_largest_step_of_one_triangle_is_its_first_root(second, third, step)
     assert mesh.largest_step(np.array([(0, 0), second, third], dtype=float)) == pytest.approx(step, rel=1e-14)
 
 
-@given(seed=st.integers(0, 10_000))
-@settings(max_examples=20, deadline=None)
-def test_every_point_is_found_in_the_triangle_that_holds_it(seed):
-    """Interpolating the moved vertices at what was found gives the point back."""
-    mesh = shaken_mesh(seed)
-    x, y, moved = np.arange(9.0), np.arange(7.0), mesh.points_mm.reshape(7, 9, 2)
-    at_x, at_y = np.linspace(0, 8, 23), np.linspace(0, 6, 31)
-    q = located_in_triangles(x, y, moved, at_x, at_y)
-    column, row = np.minimum(q[..., 0].astype(int), 7), np.minimum(q[..., 1].astype(int), 5)
-    f, g = q[..., 0] - column, q[..., 1] - row
-    low, far = moved[row, column], moved[row + 1, column + 1]
-    side = np.where((f >= g)[..., None], moved[row, column + 1], moved[row + 1, column])
-    back = low * (1 - np.maximum(f, g))[..., None] + side * abs(f - g)[..., None] + far * np.minimum(f, g)[..., None]
-    np.testing.assert_allclose(back, np.stack(np.meshgrid(at_x, at_y), axis=-1), atol=1e-7)
-
-
 def test_a_smooth_map_is_inverted_to_fourth_order():
-    """Halving the grid divides the error by about 16; the triangles alone would give 4."""
+    """Halving the grid divides the error by about 16; the quads alone would give 4."""
     errors = []
     for n in (17, 33, 65):
         x = np.linspace(0.0, 1.0, n)

@@ -15,6 +15,8 @@ from optics.design import LensSettings, design_lens
 from optics.errors import TotalReflectionError
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
+from optics.optical_path import rim_slopes
+from optics.refraction import refracted_tangent
 from optics.transport import box_averaged, level_shapes, solve_transport
 
 
@@ -113,6 +115,64 @@ def test_other_screen_sizes_and_shapes(settings: LensSettings, soft_picture: np.
     assert score.misplaced_light < 0.005
 
 
+@pytest.mark.parametrize("screen_mm", [(30.0, 15.0), (12.0, 6.0), (24.0, 24.0), (60.0, 30.0)])
+def test_another_screen_takes_hardly_more_steps(
+    settings: LensSettings, soft_picture: np.ndarray, screen_mm: tuple[float, float]
+) -> None:
+    """Rim slopes and piston come to rest with the map: 5 steps for the same screen as the aperture, here under 20."""
+    target = target_irradiance(soft_picture[:24], viewed_from="lens")
+    task = replace(settings, height_mm=10.0, screen_width_mm=screen_mm[0], screen_height_mm=screen_mm[1])
+    solution = solve_transport(target, task.bench, skim_mm=0.1)
+    assert solution.converged
+    assert sum(level.iterations for level in solution.levels) < 20
+    corners = solution.transport_map()
+    assert corners.screen_mm[0, 0] == pytest.approx([10 - screen_mm[0] / 2, 5 - screen_mm[1] / 2])
+    assert corners.lens_mm[-1, -1] == pytest.approx([20, 10])
+
+
+@pytest.mark.parametrize("screen_mm", [(20.0, 20.0), (30.0, 15.0)])
+def test_light_from_p_lands_on_q(
+    settings: LensSettings, soft_picture: np.ndarray, screen_mm: tuple[float, float]
+) -> None:
+    """The map read off the optical path is the one that Snell's law finds on the surface, to 2 % of a pixel."""
+    task = replace(
+        settings, screen_width_mm=screen_mm[0], screen_height_mm=screen_mm[1], corrections=0, vertices_per_pixel=4
+    )
+    design = design_lens(target_irradiance(soft_picture, viewed_from="lens"), task)
+    p, q = design.transport_map.lens_mm[1:-1, 1:-1], design.transport_map.screen_mm[1:-1, 1:-1]
+    z, zx, zy, *_ = design.heightfield.spline().jets(p[..., 0], p[..., 1])
+    way_mm = (task.throw_mm - z) * np.vectorize(refracted_tangent)(zx**2 + zy**2, task.refractive_index)
+    landed = p + np.stack([way_mm * zx, way_mm * zy], axis=-1)
+    assert np.linalg.norm(q - p, axis=-1).max() > 2
+    np.testing.assert_allclose(landed, q, atol=0.02 * min(screen_mm) / 48)
+
+
+def test_rim_slopes_send_light_from_frame_to_frame(settings: LensSettings) -> None:
+    """s = shift / R on the frame, with R = (n H - c) / (n s_z - 1): the equation whose root is taken in closed form."""
+    bench = replace(settings, screen_width_mm=33.0, screen_height_mm=14.0).bench
+    rng = np.random.default_rng(3)
+    c = 38 + np.cumsum(rng.uniform(-0.05, 0.05, (9, 12)), axis=0)
+    rim_x, rim_y = rim_slopes(c, bench)
+    for side in (0, -1):
+        for slope, edge, shift, step in (
+            (rim_x[side], c[:, side], 6.5, 14 / 9),
+            (rim_y[side], c[side], -3.0, 33 / 12),
+        ):
+            s_z = np.sqrt(1 - slope**2 - np.gradient(edge, step) ** 2)
+            ray = (1.49 * 40 - edge) / (1.49 * s_z - 1)
+            np.testing.assert_allclose(ray * slope, -shift if side == 0 else shift, atol=1e-9)
+
+
+def test_even_light_on_a_larger_screen_starts_close_to_its_solution(settings: LensSettings) -> None:
+    """The base path alone spreads the aperture over the screen, up to the lens's relief."""
+    bench = replace(settings, screen_width_mm=45.0, screen_height_mm=45.0).bench
+    solution = solve_transport(np.ones((24, 24)), bench, skim_mm=0.1)
+    qx, qy = bench.pixel_centres_mm(24, 24)
+    base = bench.base_path_mm(qx[None, :], qy[:, None])
+    np.testing.assert_allclose(np.ptp(solution.path_mm), np.ptp(base), rtol=0.15)
+    assert sum(level.iterations for level in solution.levels) < 20
+
+
 @hypothesis_settings(max_examples=15)
 @given(seed=st.integers(0, 2**32 - 1), contrast=st.floats(1.0, 300.0), shape=st.sampled_from([(24, 24), (16, 37)]))
 def test_random_pictures_never_fold_or_fail(seed: int, contrast: float, shape: tuple[int, int]) -> None:
@@ -145,12 +205,51 @@ def test_throw_too_short_names_the_shortest(settings: LensSettings) -> None:
     assert design_lens(target_irradiance(picture, viewed_from="lens"), longer).converged
 
 
+def test_the_throw_that_is_named_is_enough_for_a_large_screen(settings: LensSettings, soft_picture: np.ndarray) -> None:
+    target = target_irradiance(soft_picture, viewed_from="lens")
+    hall = replace(settings, screen_width_mm=50.0, screen_height_mm=50.0, throw_mm=10.0)
+    with pytest.raises(TotalReflectionError) as caught:
+        design_lens(target, hall)
+    assert design_lens(target, replace(hall, throw_mm=caught.value.shortest_throw_mm)).converged
+    facade = replace(settings, screen_width_mm=4000.0, screen_height_mm=4000.0, throw_mm=50.0)
+    with pytest.raises(TotalReflectionError, match="throw_mm = 50 is too short"):
+        design_lens(target, facade)
+
+
 def test_a_picture_with_one_dot_says_how_far_it_got(settings: LensSettings) -> None:
     picture = np.zeros((64, 64))
     picture[20, 30] = picture[50, 40] = 1.0
     design = design_lens(target_irradiance(picture, viewed_from="lens"), settings)
     assert np.isfinite(design.heightfield.z_mm).all()
     assert "rms" in design.message
+
+
+def test_a_lens_that_loses_its_light_has_not_converged(settings: LensSettings) -> None:
+    """All light in one corner pixel: the map exists, but the vertices are too few and most light misses the screen."""
+    picture = np.zeros((64, 64))
+    picture[0, 0] = 1.0
+    design = design_lens(target_irradiance(picture, viewed_from="lens"), replace(settings, throw_mm=27.0))
+    assert design.history[-1]["lost_light"] > 0.5
+    assert not design.converged
+    assert "misses the screen" in design.message
+
+
+def test_the_best_pass_is_kept(settings: LensSettings) -> None:
+    """Corrections make stripes of two pixels worse, so the lens is that of the first pass; each pass has its scores."""
+    target = target_irradiance(np.tile([1.0, 1.0, 0.0, 0.0], (64, 16)), viewed_from="lens")
+    design = design_lens(target, settings)
+    scores = [record["psnr_db"] for record in design.history]
+    assert len(scores) == 3
+    assert max(scores) > scores[-1] + 0.5
+    kept = simulate_caustic(
+        design.heightfield,
+        throw_mm=settings.throw_mm,
+        refractive_index=settings.refractive_index,
+        screen=settings.screen,
+        pixels=target.shape,
+        tubes_per_cell=2,
+    )
+    assert score_caustic(kept.irradiance, target).psnr_db == pytest.approx(max(scores))
 
 
 def test_light_is_kept_between_levels() -> None:

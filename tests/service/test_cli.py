@@ -109,6 +109,14 @@ def test_a_missing_picture_and_a_folder(capsys: pytest.CaptureFixture[str], tmp_
     refused(capsys, 2, ["make", str(tmp_path), *out], "folder")
 
 
+def test_a_name_with_a_line_break_stays_on_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "two\nlines.png"
+    refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), "-q"], "two?lines.png", "no such file")
+    path.write_text("x")
+    refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), "-q"], "two?lines.png", "not a picture")
+    refused(capsys, 2, ["make", "--bo\ngus"], "bo gus")
+
+
 def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "grey.png"
     Image.new("L", (64, 64), 128).save(path)

@@ -6,6 +6,7 @@ import errno
 import hashlib
 import json
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -124,9 +125,11 @@ def test_a_new_job_replaces_the_old_one_s_files_and_keeps_foreign_ones(tmp_path:
 
 
 def test_a_killed_job_s_staging_folder_is_cleared_by_the_next(tmp_path: Path) -> None:
-    abandoned = tmp_path / ".out.999999.part"
-    abandoned.mkdir()
-    (abandoned / "x").write_text("x")
+    (tmp_path / "out").mkdir()
+    for abandoned in (tmp_path / ".out.0123abcd.part", tmp_path / "out" / ".out.0123abcd.part"):
+        abandoned.mkdir()
+        (abandoned / "x").write_text("x")
+    require_usable_output(tmp_path / "out", force=False)
     mine = tmp_path / ".out.mine.part"
     mine.mkdir()
     with staging_folder(tmp_path / "out") as folder, staging_folder(tmp_path / "other"):
@@ -134,12 +137,52 @@ def test_a_killed_job_s_staging_folder_is_cleared_by_the_next(tmp_path: Path) ->
     assert names(tmp_path) == {"out", "other", ".out.mine.part"}
 
 
-def test_a_running_job_s_staging_folder_is_left_alone(tmp_path: Path) -> None:
-    with staging_folder(tmp_path / "out") as running:
-        running = running.rename(tmp_path / ".out.999999.part")  # as if another process ran it
-        job_files._remove_abandoned(tmp_path / "out")
-        assert running.is_dir()
-        running.rename(tmp_path / f".out.{os.getpid()}.part")
+@pytest.mark.parametrize("there_before", [False, True])
+def test_a_second_job_for_the_same_folder_is_refused_and_the_first_goes_on(tmp_path: Path, there_before: bool) -> None:
+    out = tmp_path / "out"
+    if there_before:
+        out.mkdir()
+    with staging_folder(out) as running:
+        (running / "spec.json").write_text("first")
+        with pytest.raises(InputError, match="another causticmill is working on"), staging_folder(out):
+            pytest.fail("the second job has begun")
+    assert (out / "spec.json").read_text() == "first"
+    assert names(tmp_path) == {"out"}
+    assert names(out) == {"spec.json"}
+
+
+def test_an_output_that_exists_is_worked_on_from_inside(tmp_path: Path) -> None:
+    """It may be a mount of its own; a rename from outside would fail after hours of work."""
+    out = job(tmp_path / "out")
+    with staging_folder(out) as folder:
+        assert folder.parent == out
+        assert names(tmp_path) == {"out"}
+
+
+def test_a_job_killed_while_it_was_put_in_place_may_be_made_again(tmp_path: Path) -> None:
+    out = job(tmp_path / "out", lens__stl="x")
+    (out / "report.json").unlink()
+    require_usable_output(out, force=False)
+    (out / "notes.txt").write_text("mine")
+    with pytest.raises(InputError, match="holds other files"):
+        require_usable_output(out, force=False)
+
+
+def test_a_signal_while_a_job_is_put_in_place_comes_too_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def put(staging: Path, output: Path) -> None:
+        os.kill(os.getpid(), signal.SIGINT)
+        staging.rename(output)
+
+    monkeypatch.setattr(job_files, "_put_in_place", put)
+    with staging_folder(tmp_path / "out") as folder:
+        (folder / "a").write_text("a")
+    assert names(tmp_path / "out") == {"a"}
+
+
+def test_an_output_that_leads_nowhere_is_refused_at_once(tmp_path: Path) -> None:
+    (tmp_path / "out").symlink_to(tmp_path / "gone" / "far")
+    with pytest.raises(InputError, match="link to a place that does not exist"):
+        require_usable_output(tmp_path / "out", force=True)
 
 
 def test_output_folders_that_are_refused_and_taken(tmp_path: Path) -> None:

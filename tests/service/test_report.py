@@ -1,5 +1,6 @@
 """The setup sheet: complete, safe against hostile names, and honest where something is missing."""
 
+import itertools
 import re
 from html.parser import HTMLParser
 
@@ -8,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.report import render_report
+from service.report_drawing import SetUp, side_view
 from service.report_words import duration_h_min, misplaced_in_words, number, psnr_in_words, size, whole
 
 SPEC = {
@@ -180,3 +182,14 @@ def test_words_for_numbers():
         "about 1 part in 345 of the light falls where it should not",
     ]
     assert len({psnr_in_words(psnr) for psnr in (45, 35, 30, 25, 10)}) == 5
+
+
+@pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.6, 0.9, 0.95])
+def test_the_labels_beside_the_side_view_stand_apart(share):
+    job = SetUp(width_mm=100, height_mm=100, thickness_mm=40, margin_mm=8, throw_mm=100, deepest_mm=40 * share)
+    drawing = str(side_view(job))
+    lines = [
+        float(re.search(rf'<text x="[\d.]+" y="([\d.]+)"[^>]*>{words}', drawing)[1])
+        for words in ("Z0 = stock top", "deepest", "flat, polished back")
+    ]
+    assert min(b - a for a, b in itertools.pairwise(lines)) >= 15  # of type 12.5 high

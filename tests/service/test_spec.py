@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import SpecError
-from service.spec_files import parse_override, require_same_lens, resolve_spec, validated
+from service.spec import JobSpec
+from service.spec_files import parse_override, require_same_lens, resolve_for_lens, resolve_spec, validated
 
 BAD_VALUES = [
     # override, key in the message, what else the message must hold
@@ -41,6 +42,7 @@ BAD_VALUES = [
     ("passes.0.pitch_mm=-0.1", "passes.0.pitch_mm", ["-0.1", "0.002 to 25 mm"]),
     ("passes.0.pitch_mm=9", "passes.0", ["9", "radius_mm = 3"]),
     ("passes.0.radius_mm=0", "passes.0.radius_mm", ["more than 0", "25 mm"]),
+    ("passes.0.step_down_mm=0.00001", "passes.0.step_down_mm", ["1e-05", "0.01 to 50 mm"]),
     ("passes.0.strategy=contour", "passes.0.strategy", ["contour", "not available yet", "'raster'"]),
     ("passes.0.strategy=zigzag", "passes.0.strategy", ["'zigzag'", "'raster'"]),
     ("passes.0.link=jump", "passes.0.link", ["'u-turn', 'retract'"]),
@@ -147,6 +149,9 @@ def test_toml_and_json_say_the_same(tmp_path: Path) -> None:
         ("a.json", b"[1]", "table of keys"),
         ("a.json", b"[" * 100_000, "not valid JSON"),
         ("a.toml", b"\xff\xfe\x00", "UTF-8"),
+        ("a.json", b'{"image": {"pixels": ' + b"9" * 5000 + b"}}", "not valid JSON"),
+        ("a.toml", b"a = " + b"9" * 5000, "not valid TOML"),
+        ("a.toml", b"#" * 1_000_001, "at most 1000000 bytes"),
     ],
 )
 def test_a_damaged_spec_file_is_one_line(tmp_path: Path, name: str, content: bytes, words: str) -> None:
@@ -155,6 +160,16 @@ def test_a_damaged_spec_file_is_one_line(tmp_path: Path, name: str, content: byt
         resolve_spec(file=tmp_path / name)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_a_spec_file_without_an_end_is_refused() -> None:
+    with pytest.raises(SpecError, match="/dev/zero is too large"):
+        resolve_spec(file=Path("/dev/zero"))
+
+
+def test_a_number_of_thousands_of_digits_is_no_number() -> None:
+    with pytest.raises(SpecError, match=r"optics\.width_mm: '9999"):
+        resolve_spec(overrides=["optics.width_mm=" + "9" * 5000])
 
 
 def test_a_missing_spec_file_is_one_line(tmp_path: Path) -> None:
@@ -201,6 +216,38 @@ def test_no_value_of_any_kind_ends_in_anything_but_a_spec_error(value: object) -
 
 def test_an_override_never_sets_a_second_key() -> None:
     assert parse_override("a.b=1\nc=2") == (["a", "b"], "1\nc=2")
+
+
+def stored(folder: Path, *overrides: str) -> JobSpec:
+    spec = resolve_spec(overrides=overrides)
+    (folder / "spec.json").write_text(json.dumps(spec.plain()))
+    return spec
+
+
+def test_another_mill_for_an_earlier_job_chooses_its_speeds_anew(tmp_path: Path) -> None:
+    """24 000 rpm stand in spec.json as the first mill's start value; the second one turns 10 000 at most."""
+    stored(tmp_path)
+    other = ["machine.profile=grbl-3018"]
+    assert resolve_for_lens(tmp_path, overrides=other) == resolve_spec(overrides=other)
+    assert resolve_for_lens(tmp_path) == resolve_spec()
+
+
+def test_another_ball_for_an_earlier_job_chooses_its_feed_anew(tmp_path: Path) -> None:
+    stored(tmp_path)
+    other = ["passes.2.radius_mm=1.5"]
+    assert resolve_for_lens(tmp_path, overrides=other).passes[2] == resolve_spec(overrides=other).passes[2]
+
+
+def test_speeds_that_a_person_chose_stay_with_the_job(tmp_path: Path) -> None:
+    spec = stored(tmp_path, "passes.1.spindle_rpm=9000", "passes.2.feed_mm_per_min=123", "passes.0.step_down_mm=0.7")
+    again = resolve_for_lens(tmp_path)
+    assert again == spec
+    assert (again.passes[1].spindle_rpm, again.passes[2].feed_mm_per_min, again.passes[0].step_down_mm) == (
+        9000, 123, 0.7,
+    )  # fmt: skip
+    stored(tmp_path, "passes.1.spindle_rpm=20000")
+    with pytest.raises(SpecError, match=r"passes\.1\.spindle_rpm: 20000 is not allowed; .*10000 rpm"):
+        resolve_for_lens(tmp_path, overrides=["machine.profile=grbl-3018"])
 
 
 def test_programs_are_for_the_lens_that_exists() -> None:
