@@ -166,9 +166,7 @@ class _Run:
         safe_z_mm: float,
     ) -> None:
         self.heightfield, self.spec, self.stock, self.before = heightfield, spec, stock, before
-        self.whole = RemovalGrid(
-            before, radius_mm=spec.radius_mm, rapid_clearance_mm=RAPID_CLEARANCE_MM, shares=SHARES
-        )
+        self.whole = RemovalGrid(before, radius_mm=spec.radius_mm, rapid_clearance_mm=RAPID_CLEARANCE_MM, shares=SHARES)
         self.places = place_windows(heightfield, spec, before)
         self.windows = [RemovalGrid(place.stock, radius_mm=spec.radius_mm) for place in self.places]
         # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
@@ -192,7 +190,7 @@ class _Run:
 
     def watch(self, batch: MoveBatch) -> Overlaps:
         overlaps = self.witness.overlaps(batch)
-        self.coverage.add(batch, overlaps.depth_mm > -self._near_mm)
+        self.coverage.add(batch, overlaps.touch_mm > -self._near_mm)
         return overlaps
 
     def cut_windows(self, batch: MoveBatch) -> None:

@@ -24,12 +24,12 @@ _OTHER_STARTS = ((0.0, 0.0), (0.6, 0.0), (-0.6, 0.0), (0.0, 0.6), (0.0, -0.6))  
 
 @njit(cache=True, nogil=True)
 def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, offset):  # type: ignore[no-untyped-def]
-    """Greatest height of the surface over the ball's underside found near tip (cx, cy): (overlap, x, y).
+    """Greatest height of the surface over the ball's underside found near tip (cx, cy): (overlap, x, y, with run-out).
 
     Newton on (q - C) perpendicular to the surface, from q = tip + offset; offset is updated. Points beyond the
-    aperture are moved to its rim before they count. -inf where the ball reaches no point of the aperture.
+    aperture are moved to its rim before they count, but for the last value. -inf where the ball reaches no such point.
     """
-    best = -math.inf
+    best = anywhere = -math.inf
     best_x = best_y = math.nan
     cz = tip + radius
     x = cx + offset[0]
@@ -39,6 +39,9 @@ def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, 
         px = min(max(x, 0.0), width)
         py = min(max(y, 0.0), height)
         hp = h
+        r2 = radius * radius - (x - cx) ** 2 - (y - cy) ** 2
+        if r2 > 0.0:
+            anywhere = max(anywhere, h - cz + math.sqrt(r2))
         if px != x or py != y:
             hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
         r2 = radius * radius - (px - cx) ** 2 - (py - cy) ** 2
@@ -75,15 +78,17 @@ def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, 
             break
     offset[0] = x - cx
     offset[1] = y - cy
-    return best, best_x, best_y
+    return best, best_x, best_y, anywhere
 
 
 @njit(cache=True, nogil=True)
-def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place):  # type: ignore[no-untyped-def] # fmt: skip
-    """depth (n,) and place (n, 2) of every move. offset (2,): from the tip to the last contact, kept between calls."""
+def _overlaps(  # type: ignore[no-untyped-def]
+    coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place, touch
+):
+    """depth (n,), place (n, 2), touch (n,) of every move. offset (2,): from tip to last contact, kept between calls."""
     trial = np.zeros(2)
     for k in range(depth.size):
-        depth[k] = -math.inf
+        depth[k] = touch[k] = -math.inf
         if rapid[k] or pause[k] >= 0.0:
             continue
         dx = points[k + 1, 0] - points[k, 0]
@@ -97,22 +102,25 @@ def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause
             if x < -radius or y < -radius or x > width + radius or y > height + radius:
                 continue
             tip = points[k, 2] + t * dz
-            found, px, py = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, offset)
+            found, px, py, any_place = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, offset)
+            touch[k] = max(touch[k], any_place)
             if found > depth[k]:
                 depth[k] = found
                 place[k, 0] = px
                 place[k, 1] = py
-        if depth[k] > -near or depth[k] == -math.inf:
+        if touch[k] > -near or touch[k] == -math.inf:
             continue
         for start_x, start_y in _OTHER_STARTS:  # it may rest on another flank than the one that was followed
             trial[0] = start_x * radius
             trial[1] = start_y * radius
             x, y, tip = points[k + 1, 0], points[k + 1, 1], points[k + 1, 2]
-            found, px, py = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, trial)
+            found, px, py, any_place = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, trial)
             if found > depth[k]:
                 depth[k] = found
                 place[k, 0] = px
                 place[k, 1] = py
+            if any_place > touch[k]:
+                touch[k] = any_place
                 offset[0] = trial[0]
                 offset[1] = trial[1]
 
@@ -121,12 +129,14 @@ def _overlaps(coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause
 class Overlaps:
     """Per move: greatest height of the surface above the ball's underside; > 0 gouges, < 0 is clear by that much.
 
-    depth_mm (n,) : -inf for rapids, pauses and moves beyond the aperture
-    place_mm (n, 2)
+    depth_mm (n,)    : in the aperture; -inf for rapids, pauses and moves beyond its reach
+    place_mm (n, 2)  : where that is
+    touch_mm (n,)    : the same with the run-out, on which a large ball may ride while its tip is over the aperture
     """
 
     depth_mm: Array
     place_mm: Array
+    touch_mm: Array
 
 
 class SurfaceWitness:
@@ -142,9 +152,9 @@ class SurfaceWitness:
         self._offset = np.zeros(2)
 
     def overlaps(self, batch: MoveBatch) -> Overlaps:
-        depth, place = np.empty(len(batch)), np.full((len(batch), 2), np.nan)
+        depth, touch, place = np.empty(len(batch)), np.empty(len(batch)), np.full((len(batch), 2), np.nan)
         _overlaps(
             *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
-            *(self._radius_mm, self._near_mm, self._offset, depth, place),
+            *(self._radius_mm, self._near_mm, self._offset, depth, place, touch),
         )
-        return Overlaps(depth_mm=depth, place_mm=place)
+        return Overlaps(depth_mm=depth, place_mm=place, touch_mm=touch)

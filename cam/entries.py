@@ -1,4 +1,4 @@
-"""How the tool comes down: by rapid to well above the known stock, at the plunge feed to just above it, then on a ramp."""
+"""How the tool comes down: by rapid to over the block, at the plunge feed to just above the stock, then on a ramp."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STRAIGHT_MM = 1e-6
 """Points this near to a straight line are not written: a leg of a ramp is one move until it meets the path."""
 
 RAPID_CLEARANCE_MM = 1.0
-"""Above the stock as it is known and above the lens, where a rapid straight down ends; the check asks for half of it."""
+"""Above the stock as it is known, and never under the top of the block, where a rapid straight down ends."""
 
 CLEARANCE_MM = 0.1
 """Above the stock as it is known, where feeding straight down ends."""
@@ -29,7 +29,7 @@ def enter(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_mm: flo
     stock_mm : tip height at which the ball would meet stock above the first point; at or below that point: air
     """
     x, y, z = polyline_mm[0]
-    over_mm = max(stock_mm, z) + RAPID_CLEARANCE_MM
+    over_mm = max(stock_mm, z, 0.0) + RAPID_CLEARANCE_MM
     yield rapid((x, y, safe_z_mm), (x, y, over_mm)) if over_mm < safe_z_mm else rapid((x, y, safe_z_mm))
     if stock_mm <= z:
         yield cut([polyline_mm[0]], spec.plunge_mm_per_min)

@@ -74,9 +74,7 @@ class MoveRules:
             )
         )
         self._low = Finding(
-            says=lambda v: (
-                f"is a rapid across at Z{-v:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})"
-            )
+            says=lambda v: f"is a rapid across at Z{-v:.3f}, below the safe height (allowed: at least Z{safe_z_mm:g})"
         )
         self._still = Finding(says=lambda v: f"cuts {v:.3f} mm with the spindle off (allowed: only after M3)")
         self._bottom = Finding(

@@ -2,8 +2,8 @@
 
 Light sees slopes. Vertices s apart on curvature k make a chord that is off by k s / 2 in slope and k s^2 / 8 in height;
 at 0.5 mrad that is some nanometres, a thousand times finer than a usual tolerance. Both are bounded here, from the
-exact slope and curvature that the contact gives at every probe. Where the ball touches the run-out no light goes, and
-a larger sag will do: the run-out bends far more than the lens, and at its slope error a tenth of all vertices lay there.
+exact slope and curvature that the contact gives at every probe. Where the ball touches the run-out no light goes and a
+larger sag will do: it bends far more than the lens, and under the lens's rule a tenth of all vertices would lie there.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ TICKS_PER_MM = 10_000
 
 
 BESIDE_MM = 0.1
-"""So near to the aperture the run-out is followed as closely as the lens: beyond, a ball of R = 5 mm is clear by 1 µm."""
+"""This near the aperture the run-out is followed like the lens; beyond, a ball of R = 5 mm clears the rim by 1 µm."""
 
 RUN_OUT_SAG_MM = 0.5e-3
 

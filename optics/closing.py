@@ -49,9 +49,9 @@ def _eroded(f: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
 def closed_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     """Heights (ny, nx) with valleys tighter than radius_mm filled: no second derivative above 1 / radius_mm.
 
-    The closing differs from z by up to dx^2 / (4 radius) from the grid alone, which would cost a photograph 6 dB; so a
-    filling d counts as d^2 / (d + band): nearly nothing below that band, all of it but the band above, and smooth (a
-    threshold would leave a crease, the very thing to be closed).
+    Along each axis the closing differs from z by up to dx^2 / (4 radius) from the grid alone, which would cost a
+    photograph 6 dB; so a filling d counts as d^2 / (d + band): nearly nothing below that band, all of it but the band
+    above, and smooth (a threshold would leave a crease, the very thing to be closed).
     """
     dilated = -_eroded(-z_mm, radius_mm, dx_mm, dy_mm)
     closed = _eroded(dilated, radius_mm, dx_mm, dy_mm)

@@ -12,7 +12,7 @@ from cam.passes import PassSpec, Stock
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service import job_files
-from service.errors import InputError, SpecError
+from service.errors import InputError, SpecError, printable
 from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
@@ -54,7 +54,7 @@ class Verdict:
 
     def line(self) -> str:
         if not self.ok:
-            return "\n".join(f"error: {self.program}: {fault}" for fault in self.faults)
+            return "\n".join(printable(f"error: {self.program}: {fault}") for fault in self.faults)
         return (
             f"{self.program}: no fault; gouge {self.gouge_um:.3f} um, deepest engagement "
             f"{self.max_engagement_mm:.3f} mm, {duration(self.time_s)}"
@@ -65,15 +65,14 @@ def check_programs(
     programs: Sequence[Path], heightfield_path: Path, settings: CheckSettings, *, reporter: Reporter
 ) -> list[Verdict]:
     """Simulate programs one after the other on one block; a fault ends the run with that program."""
-    missing = [path for path in programs if not path.is_file()]
-    if missing:
-        raise InputError(f"{missing[0]}: there is no such program")
+    _require_programs(programs)
     heightfield = load_heightfield(heightfield_path)
     folder = programs[0].parent
     if not settings.says_anything and job_files.is_job_folder(folder):
         tasks, stock, machine = _of_the_job(programs, folder)
     else:
         tasks, stock, machine = _of_the_command_line(programs, heightfield, settings)
+    _require_programs([path for path, _ in tasks])  # the job's earlier ones, too
     watch, stock_top, verdicts = Stopwatch(reporter), first_stock(stock), []
     for path, spec in tasks:
         with watch.stage(f"check {path.name}") as reached:
@@ -96,6 +95,12 @@ def check_programs(
         if not result.ok:
             break
     return verdicts
+
+
+def _require_programs(paths: Sequence[Path]) -> None:
+    for path in paths:
+        if not path.is_file():
+            raise InputError(f"{path}: there is no such program")
 
 
 def _unreadable(path: Path, error: CamError) -> Verdict:
@@ -150,6 +155,9 @@ def _of_the_command_line(
 def _each(option: str, values: Sequence[T], count: int) -> list[T]:
     if len(values) == 1:
         return list(values) * count
+    if not values:
+        raise InputError(f"{option} is missing, and no report.json of a job lies beside the program to say it")
     if len(values) != count:
-        raise InputError(f"{option}: {len(values)} values for {count} programs; allowed: 1 or {count}")
+        allowed = f"1 or {count}" if count > 1 else "1"
+        raise InputError(f"{option}: {len(values)} values for {count} program{'s' * (count > 1)}; allowed: {allowed}")
     return list(values)

@@ -20,6 +20,7 @@ from PIL import Image
 
 Array = NDArray[np.float64]
 
+_LEAST_SCALE_PERCENT = 0.1
 _DPI = 150
 _QUIET: dict[str, Any] = {"fontsize": 9, "color": "0.35"}
 
@@ -49,8 +50,8 @@ def comparison_png(target: Array, caustic: Array) -> bytes:
     white = float(target.max())
     difference = 100.0 * (caustic - target) / white
     rms = float(np.sqrt(np.mean(difference**2)))
-    limit = rounded_up(float(np.percentile(np.abs(difference), 99.5)))
-    figure = new_figure(12.9, 4.55)
+    limit = rounded_up(max(float(np.percentile(np.abs(difference), 99.5)), _LEAST_SCALE_PERCENT))
+    figure = new_figure(12.9, 0.55 + panel_height(4.0, *target.shape))
     panels = figure.subplots(1, 3)
     for axes, title, picture in zip(panels, ("Target", "Simulated caustic"), (target, caustic), strict=False):
         _show_picture(axes, title, picture, white)
@@ -64,7 +65,8 @@ def comparison_png(target: Array, caustic: Array) -> bytes:
 
 def through_focus_png(pictures: Sequence[tuple[float, Array]], *, throw_mm: float, white: float) -> bytes:
     """The caustic on screens at several distances; `pictures` holds (distance / throw, picture) in order."""
-    figure = new_figure(3.2 * len(pictures) + 0.1, 3.75)
+    shape = pictures[0][1].shape
+    figure = new_figure(3.2 * len(pictures) + 0.1, 0.6 + panel_height(3.15, *shape))
     panels = figure.subplots(1, len(pictures), squeeze=False)[0]
     for axes, (factor, picture) in zip(panels, pictures, strict=True):
         focus = ", in focus" if abs(factor - 1.0) < 1e-9 else ""
@@ -78,6 +80,11 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     figure = Figure(figsize=(width_in, height_in), dpi=_DPI, layout="constrained", facecolor="white")
     FigureCanvasAgg(figure)
     return figure
+
+
+def panel_height(width_in: float, height: float, width: float) -> float:
+    """Inches for a panel width_in wide that shows something of height x width; long strips keep white around them."""
+    return width_in * min(max(height / width, 0.25), 2.5)
 
 
 def png_bytes(figure: Figure) -> bytes:

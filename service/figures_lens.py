@@ -10,9 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LightSource
 
-from service.figures import Array, new_figure, png_bytes, rounded_up
+from service.figures import Array, new_figure, panel_height, png_bytes, rounded_up
 
 _LINES_SHOWN = 48
+_LEAST_SCALE_MM = 1e-3
 
 
 class FlowStep(Protocol):
@@ -32,11 +33,14 @@ class FlowStep(Protocol):
 
 def heightfield_png(x_mm: Array, y_mm: Array, z_mm: Array) -> bytes:
     """Heights (ny, nx) with contour lines, and the same surface in raking light; both seen from above, on the mill."""
-    figure = new_figure(12.6, 5.6)
+    figure = new_figure(12.6, 0.7 + panel_height(4.9, float(np.ptp(y_mm)), float(np.ptp(x_mm))))
     heights, relief = figure.subplots(1, 2)
     extent = (float(x_mm[0]), float(x_mm[-1]), float(y_mm[0]), float(y_mm[-1]))
-    image = heights.imshow(z_mm, extent=extent, origin="lower", cmap="viridis")
-    depth_mm = float(np.ptp(z_mm))
+    depth_mm, middle_mm = float(np.ptp(z_mm)), float(z_mm.max() + z_mm.min()) / 2
+    half_mm = max(depth_mm, _LEAST_SCALE_MM) / 2  # the rounding errors of a flat lens are not worth a colour
+    image = heights.imshow(
+        z_mm, extent=extent, origin="lower", cmap="viridis", vmin=middle_mm - half_mm, vmax=middle_mm + half_mm
+    )
     step_mm = rounded_up(depth_mm / 25)
     title = f"Height z: relief {depth_mm:.2f} mm"
     if depth_mm > 1e-6:
@@ -67,7 +71,7 @@ def flow_png(steps: Sequence[FlowStep], *, viewed_from: str) -> bytes:
 
     The panels are turned as the viewer sees the screen: for viewed_from "lens" x runs to the left.
     """
-    figure = new_figure(2.75 * len(steps) + 0.6, 6.0)
+    figure = new_figure(2.75 * len(steps) + 0.6, 0.7 + 2 * panel_height(2.65, *steps[0].difference.shape))
     panels = figure.subplots(2, len(steps), squeeze=False)
     for (above, below), flow in zip(panels.T, steps, strict=True):
         above.set_title(f"after {flow.step} step{'s' * (flow.step != 1)}", fontsize=11)

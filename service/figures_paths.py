@@ -13,7 +13,7 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
-from service.figures import Array, new_figure, png_bytes
+from service.figures import Array, new_figure, panel_height, png_bytes
 from service.path_sample import PathSample
 
 __all__ = ["PathSample", "toolpath_png"]
@@ -25,7 +25,9 @@ _DOTS_UP_TO = 15_000  # vertices; more of them make a solid patch
 
 def toolpath_png(samples: Sequence[PathSample], *, width_mm: float, height_mm: float, margin_mm: float = 0.0) -> bytes:
     """One row of two panels for each pass; colour is the height of the tool tip, the same in all panels."""
-    figure = new_figure(12.6, 6.1 * max(1, len(samples)) + 0.3)
+    block_in = panel_height(5.1, height_mm + 2 * margin_mm, width_mm + 2 * margin_mm)
+    row_in = 1.0 + max(block_in, 3.0)  # the square on the right needs some height
+    figure = new_figure(12.6, row_in * max(1, len(samples)) + 0.3)
     panels = figure.subplots(max(1, len(samples)), 2, squeeze=False)
     depths = np.concatenate([sample.bounds_mm()[:, 2] for sample in samples]) if samples else np.zeros(1)
     deepest = float(np.nanmin(depths)) if np.isfinite(depths).any() else 0.0

@@ -33,6 +33,8 @@ TOOLPATH = "toolpath.png"
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 _KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH}
 _STAGING = ".part"
+_REPORT_TABLES = ("source", "optics", "timings_s", "warnings_by_part", "versions")
+_PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,10 +64,10 @@ def is_known(name: str) -> bool:
 def is_job_folder(folder: Path) -> bool:
     """True for a folder that an earlier command of this program filled."""
     try:
-        report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        report = read_report(folder)
+    except (OSError, InputError):
         return False
-    return (folder / SPEC).is_file() and isinstance(report, dict) and "causticmill" in report.get("versions", {})
+    return (folder / SPEC).is_file() and "causticmill" in report.get("versions", {})
 
 
 def require_usable_output(folder: Path, *, force: bool) -> None:
@@ -140,14 +142,23 @@ def read_chunks(path: Path, chunk_bytes: int = 1 << 22) -> Iterator[bytes]:
 
 
 def read_report(folder: Path) -> dict[str, Any]:
-    """report.json of a folder; empty when there is none."""
+    """report.json of a folder; empty when there is none. InputError where it is damaged."""
     try:
         report = json.loads((folder / REPORT).read_text(encoding="utf-8"))
     except FileNotFoundError:
         return {}
-    except ValueError as error:
-        raise InputError(f"{folder / REPORT}: not valid JSON ({error})") from None
-    return report if isinstance(report, dict) else {}
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{folder / REPORT}: not valid JSON ({str(error)[:100]})") from None
+    if not _is_report(report):
+        raise InputError(f"{folder / REPORT}: not a report of this program; `causticmill make` writes a new one")
+    return dict(report)
+
+
+def _is_report(report: object) -> bool:
+    if not isinstance(report, dict) or not all(isinstance(report.get(key, {}), dict) for key in _REPORT_TABLES):
+        return False
+    rows = report.get("passes", [])
+    return isinstance(rows, list) and all(isinstance(row, dict) and set(row) >= _PASS_KEYS for row in rows)
 
 
 @contextlib.contextmanager

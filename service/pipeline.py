@@ -53,7 +53,7 @@ def cam(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
     """Programs for the lens in a job's folder."""
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _workshop(output, spec, reporter, keep=kept) as shop:
-        heightfield = load_heightfield(shop.folder / job_files.HEIGHTFIELD)
+        heightfield = load_heightfield(output / job_files.HEIGHTFIELD)
         require_fit_in_stock(shop, heightfield)
         require_millable(shop, heightfield)
         mill_stage(shop, heightfield)
@@ -68,8 +68,8 @@ def caustic(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]
     with _workshop(output, spec, reporter, keep=kept) as shop:
-        heightfield = load_heightfield(shop.folder / job_files.HEIGHTFIELD)
-        caustic_stage(shop, heightfield, load_target(shop.folder))
+        heightfield = load_heightfield(output / job_files.HEIGHTFIELD)
+        caustic_stage(shop, heightfield, load_target(output))
         report_stage(shop)
     return shop.report
 

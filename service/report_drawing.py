@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 from markupsafe import Markup
 
+_ROOM_FOR_WORDS = 110.0
 _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
 
@@ -41,8 +42,7 @@ def top_view(job: SetUp) -> Markup:
         _text(zero_x + arrow + 4, zero_y - 5, "X", colour=_ACCENT),
         _text(zero_x + 6, zero_y - arrow + 4, "Y", colour=_ACCENT),
         _text(zero_x + 9, zero_y - 9, "X0 Y0", colour=_ACCENT),
-        _text(left + w / 2, top + h / 2 - 18, "lens", anchor="middle"),
-        _text(left + w / 2, top + h / 2 - 3, f"{job.width_mm:g} × {job.height_mm:g} mm", anchor="middle"),
+        *_lens_size(job, left, top, w, h, m),
         _dimension_across(left, left + w, top + h + 16, f"block {block_w:g} mm"),
         _dimension_up(left - 14, top, top + h, f"{block_h:g} mm"),
         _text(left + w / 2, top + h + 48, "front of the mill (operator)", anchor="middle", colour="#66727f"),
@@ -50,6 +50,16 @@ def top_view(job: SetUp) -> Markup:
     if job.margin_mm > 0:
         parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {job.margin_mm:g}"))
     return _svg(left + 340, top + h + 58, "The block from above", parts)
+
+
+def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:
+    """The lens's size: in its middle where that is clear of the axes, else beside the block."""
+    words = f"{job.width_mm:g} × {job.height_mm:g} mm"
+    if min(w, h) - 2 * m > _ROOM_FOR_WORDS:
+        x, y, anchor = left + w / 2, top + h / 2, "middle"
+    else:
+        x, y, anchor = left + w + 6, top + 30, "start"
+    return _text(x, y - 18, "lens", anchor=anchor), _text(x, y - 3, words, anchor=anchor)
 
 
 def side_view(job: SetUp) -> Markup:

@@ -45,6 +45,7 @@ def size(count: Any) -> str:
 def psnr_in_words(psnr_db: float) -> str:
     """What a PSNR in dB over the target's peak means to an eye."""
     for at_least, words in (
+        (60.0, "no eye can tell the two apart"),
         (40.0, "very close to the target; in dark parts a keen eye may still find faint streaks"),
         (33.0, "small differences, seen only side by side"),
         (27.0, "plainly the picture; fine detail or tones are off"),
@@ -57,7 +58,7 @@ def psnr_in_words(psnr_db: float) -> str:
 
 def misplaced_in_words(share: float) -> str:
     """A share of the light that falls on the wrong place, as one part in so many."""
-    if share <= 0:
+    if share < 1e-4:
         return "all light falls where it should"
     if share > 1 / 3:
         return "a third of the light or more falls where it should not"

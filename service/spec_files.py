@@ -55,25 +55,25 @@ def validated(data: Mapping[str, Any]) -> JobSpec:
         raise as_spec_error(error) from None
 
 
-def read_spec_file(path: Path) -> dict[str, Any]:
+def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
     """Plain data of a .toml or .json file; SpecError says what is wrong with it, and in which line."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
     except OSError as error:
-        raise SpecError([("--spec", sentence_of_os_error(error, doing="cannot read"))]) from None
+        raise SpecError([(given_as, sentence_of_os_error(error, doing="cannot read"))]) from None
     if len(raw) > _MAX_SPEC_BYTES:
-        raise SpecError([("--spec", f"{path} is too large; a spec has at most {_MAX_SPEC_BYTES} bytes")])
+        raise SpecError([(given_as, f"{path} is too large; a spec has at most {_MAX_SPEC_BYTES} bytes")])
     try:
         text = raw.decode("utf-8-sig")
         data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
     except UnicodeDecodeError:
-        raise SpecError([("--spec", f"{path} is not a text in UTF-8")]) from None
+        raise SpecError([(given_as, f"{path} is not a text in UTF-8")]) from None
     except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
         kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
-        raise SpecError([("--spec", f"{path} is not valid {kind}: {' '.join(str(error).split())}")]) from None
+        raise SpecError([(given_as, f"{path} is not valid {kind}: {' '.join(str(error).split())}")]) from None
     if not isinstance(data, dict):
-        raise SpecError([("--spec", f"{path} must hold a table of keys, not {type(data).__name__}")])
+        raise SpecError([(given_as, f"{path} must hold a table of keys, not {type(data).__name__}")])
     return data
 
 
@@ -82,7 +82,11 @@ def stored_spec(folder: Path) -> JobSpec:
     path = folder / SPEC
     if not path.is_file():
         raise SpecError([("DIR", f"{folder} holds no {SPEC}; allowed: the folder of an earlier design or make")])
-    return validated(read_spec_file(path))
+    data = read_spec_file(path, given_as="DIR")
+    try:
+        return validated(data)
+    except SpecError as error:
+        raise SpecError([(f"{path}: {key}", sentence) for key, sentence in error.problems]) from None
 
 
 def resolve_for_lens(

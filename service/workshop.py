@@ -20,7 +20,7 @@ from optics.design import LensSettings
 from optics.heightfield import Array, Heightfield
 from optics.transport_map import TransportMap
 from service import job_files
-from service.errors import InputError
+from service.errors import InputError, sentence_of_os_error
 from service.progress import Stopwatch
 from service.spec import JobSpec
 
@@ -82,9 +82,12 @@ def load_heightfield(path: Path) -> Heightfield:
     """A heightfield from its .npz; InputError where the file is none."""
     arrays = _load(path, ("x_mm", "y_mm", "z_mm"))
     try:
-        return Heightfield(**arrays)
+        heightfield = Heightfield(**arrays)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
+    if (highest_mm := float(heightfield.z_mm.max())) > 0:
+        raise InputError(f"{path}: z_mm reaches {highest_mm:g} mm; allowed: 0, the stock top, and below")
+    return heightfield
 
 
 def load_target(folder: Path) -> Array:
@@ -104,6 +107,8 @@ def _load(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
             return {name: np.asarray(stored[name], dtype=np.float64) for name in names}
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; `causticmill design` makes it") from None
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing="cannot read")) from None
     except (ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
         raise InputError(f"{path}: not a file of this program ({' '.join(str(error).split())[:100]})") from None
 

@@ -1,6 +1,6 @@
 """The check finds what it must find, names line and place, and passes a good program.
 
-The programs are made here, slowly and simply: contact points by fixed-point iteration on the offset of the spline.
+Most programs are made here, slowly and simply: contact points by fixed-point iteration on the offset of the spline.
 """
 
 from __future__ import annotations
@@ -12,11 +12,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.check import PassCheck, check_program
+from cam.check import UNCUT_ALLOWED_MM, PassCheck, check_program
+from cam.clearance import SurfaceWitness
 from cam.duration import Kinematics
-from cam.gcode import ProgramError
-from cam.passes import PassSpec, Stock
+from cam.gcode import ProgramError, read_program
+from cam.passes import PassSpec, Stock, ball_pass
+from cam.posts.grbl import GRBL
+from cam.program import generate_program
 from cam.stock_grid import StockGrid
+from cam.stock_left import StockLeft, _deepest_in, find_excess
 from optics.heightfield import Heightfield
 
 WIDTH, HEIGHT, RADIUS, PITCH, SAFE = 6.0, 4.0, 0.5, 0.1, 5.0
@@ -203,7 +207,6 @@ def test_a_rapid_through_stock_is_found(lens, path):
 @pytest.mark.parametrize("gap_mm", [0.45, 0.55])
 def test_a_rapid_may_go_straight_down_to_half_a_millimetre_above_the_stock(lens, path, gap_mm):
     """The stock of 0.03 mm over the lens is met first where a ball that much larger touches."""
-    x, y, _ = path[0]
     met = tips(lens.spline_with_run_out(3.0), path[:1, 0], path[:1, 1])[0] + 0.03
     lines = program(path)
     lines.insert(len(HEAD) + 1, f"Z{met + gap_mm:.4f}")
@@ -247,6 +250,60 @@ def test_a_row_left_out_is_a_gap(lens):
     assert result.max_gap_mm == pytest.approx(3 * PITCH, rel=0.02)
     assert any("mm apart" in fault for fault in result.faults)
     assert any("left at" in fault and "could reach" in fault for fault in result.faults)
+
+
+def test_one_row_left_out_is_a_gap(lens):
+    result = check(program(raster(lens, rows=lambda k: k != 20)), lens)
+    assert 1.7 * PITCH < result.max_gap_mm <= 2.001 * PITCH  # samples lie at random, one in a cell
+    assert any("mm apart" in fault for fault in result.faults)
+
+
+def test_a_large_ball_on_a_steep_rim_covers_the_corner_from_the_run_out():
+    """Over the corner its tip's rows touch the run-out, a millimetre beside the aperture: tracks all the same."""
+    x, y = np.meshgrid(np.linspace(0, WIDTH, 61), np.linspace(0, HEIGHT, 41))
+    tilted = Heightfield.on_aperture(-0.2 - 0.4 * (x + y), width_mm=WIDTH, height_mm=HEIGHT)
+    spec = ball_pass("finish", radius_mm=2.0, pitch_mm=0.3, stock_to_leave_mm=0.0, step_down_mm=1.5)
+    before = StockGrid.block(STOCK, CELL)
+    text = list(generate_program(tilted, spec, STOCK, stock_top=before, post=GRBL))
+    result = check([line for piece in text for line in piece.decode().splitlines()], tilted, spec=spec, before=before)
+    assert result.ok, result.faults
+    assert result.max_gap_mm <= spec.pitch_mm
+
+
+def test_a_track_is_seen_to_touch_whichever_flank_it_rests_on(make_lens, brute_force):
+    """A spike far from the axis carries the ball; under the axis, where the search starts, there is air."""
+    spike = make_lens(lambda x, y: 0.9 * np.exp(-(((x - 4.9) / 0.12) ** 2)) - 1.0 + 0.0 * y)
+    tip = brute_force(spike.spline(), 4.0, 3.0, 1.2, samples=1201) - 1.2
+    text = f"G21G90\nG0Z5\nX3.95Y3\nM3S1\nG1Z{tip + 0.05:.6f}F100\nX4Z{tip:.6f}\n".encode()
+    (moves,) = read_program([text])
+    touch_mm = SurfaceWitness(spike, radius_mm=1.2, near_mm=0.02).overlaps(moves).touch_mm
+    assert tip > -0.9
+    assert touch_mm[-1] == pytest.approx(0, abs=1e-3)
+
+
+@pytest.mark.parametrize("bend", [0.9, 1.02, 1.2, 1.5])
+def test_how_far_a_ball_that_touches_a_valley_lies_in_its_walls(make_lens, bend):
+    """z = k x^2 / 2: by dense sampling along x, whatever the first lattice, to a tenth of a micrometre."""
+    valley = make_lens(lambda x, y: bend / 2 * (x - 4) ** 2 - 0.03 * (x - 4) ** 4 - 9.0 + 0.0 * y)
+    spline, radius = valley.spline_with_run_out(1.5), 1.0
+    x = 4.1
+    h, hx = spline.jets([x], [3.0])[:2, 0]
+    q = np.hypot(1, hx)
+    cx, cz = x - radius * hx / q, h + radius / q
+    u = np.linspace(cx - radius, cx + radius, 200_001)
+    dense = max(0.0, radius - np.hypot(u - cx, spline.heights_mm(u, np.full(u.size, 3.0)) - cz).min())
+    for rings in (12, 17, 24):
+        assert _deepest_in(*spline.kernel_arguments, x, 3.0, radius, rings) == pytest.approx(dense, abs=1e-4)
+
+
+@pytest.mark.parametrize(("cusps", "uncut"), [(3.5, False), (6.0, True)])
+def test_a_crease_may_leave_four_cusps_and_no_more(lens, cusps, uncut):
+    """A row that just misses where the ball changes flanks leaves the next one a pitch away, not half a pitch."""
+    spec = replace(SPEC, pitch_mm=0.2)
+    plain = StockLeft.of(over(lens, 0.0), lens, spec)
+    raised = replace(plain.grid, top_mm=plain.grid.top_mm + cusps * np.nan_to_num(plain.cusp_mm))
+    found = find_excess(StockLeft.of(raised, lens, spec), lens, spec)
+    assert (found.uncut_mm > UNCUT_ALLOWED_MM) is uncut
 
 
 def test_a_pit_the_ball_cannot_enter_is_named_and_is_no_fault():

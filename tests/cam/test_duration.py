@@ -116,6 +116,13 @@ def test_a_full_buffer_holds_lines_ready_for_a_burst():
     assert seconds(moves(points, 600), lines_per_s=10) == pytest.approx(fast + 0.1, abs=1e-6)
 
 
+def test_a_full_buffer_takes_no_more_lines():
+    """Of 100 short blocks behind a long one 14 wait in the buffer; the others come over the line when it has room."""
+    points = [[0, 0, 0], [100, 0, 0], *[[100 + 0.01 * k, 0, 0] for k in range(1, 101)]]
+    long_s = 100 / 10 + 10 / 500
+    assert seconds(moves(points, 600), lines_per_s=10) == pytest.approx(long_s + (100 - 14) / 10, abs=0.3)
+
+
 def test_dwell_and_spindle_stop_the_mill():
     text = "G21G90\nG0Z0\nG0X0Y0\n{}G1X30F1200\n{}X60\n"
     plain = DurationModel(mill())

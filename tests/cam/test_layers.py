@@ -125,7 +125,9 @@ def test_the_tool_enters_stock_on_a_shallow_ramp(z, step_mm, stock_mm):
     line = np.column_stack([np.arange(len(z)) * step_mm, np.zeros(len(z)), z])
     across, down, *ramps = enter(line, stock_mm, ROUGH, safe_z_mm=5.0)
     assert across.motion is Motion.RAPID
-    np.testing.assert_array_equal(across.points_mm, [[0, 0, 5.0], [0, 0, max(stock_mm, z[0]) + RAPID_CLEARANCE_MM]])
+    np.testing.assert_array_equal(
+        across.points_mm, [[0, 0, 5.0], [0, 0, max(stock_mm, z[0], 0.0) + RAPID_CLEARANCE_MM]]
+    )
     reached = down.points_mm[-1, 2]
     assert down.feed_mm_per_min == ROUGH.plunge_mm_per_min
     if stock_mm <= z[0]:

@@ -201,3 +201,18 @@ def test_a_block_is_covered_by_whole_cells():
     assert grid.highest_mm(0, 1, 0, 1) == 0
     with pytest.raises(ValueError):
         grid.top_mm[0, 0] = 1
+
+
+@pytest.mark.parametrize("away", [-0.95, -0.4, 0.3, 0.95])
+def test_a_wall_beside_cut_ground_is_seen(away):
+    """The bounds that let moves pass over low ground hold for all that the ball's flank may touch."""
+    radius_mm, cell_mm = 0.8, 0.05
+    top = np.full((80, 80), -1.5)
+    wall = round((2.0 + away * radius_mm) / cell_mm)
+    top[:, wall] = 0.0
+    grid = RemovalGrid(grid_of(n=80, cell_mm=cell_mm, top_mm=top), radius_mm=radius_mm)
+    drops = grid.cut(batch_of([[2.0, 0.5, -0.9], [2.0, 3.5, -0.9]]))
+    beside_mm = (wall + 0.5) * cell_mm - 2.0
+    under_mm = -0.9 + radius_mm - math.sqrt(radius_mm**2 - beside_mm**2)
+    assert grid.top_mm[40, wall] == pytest.approx(under_mm, abs=1e-9)
+    assert drops.depth_mm.max() == pytest.approx(-under_mm, abs=1e-9)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
+from cam.contact import touch
 from cam.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
@@ -133,6 +136,37 @@ def test_where_creases_end_two_rests_lie_close_together(make_lens, brute_force):
     x, y = x[tight][:400], y[tight][:400]
     for cx, cy, tip in zip(x, y, surface.tip_heights_mm(x, y), strict=True):
         assert tip >= brute_force(spline, cx, cy, 0.5, samples=251) - 0.5 - 1 * NM
+    # At this end of a crease the highest lattice node belongs to the lower rest, 34 nm down.
+    place = [3.2719868311200475], [5.474714446281494]
+    tip = surface.tip_heights_mm(*place)[0]
+    best_node_only, more_nodes = (_with(surface, slack=factor * surface.kernel.slack) for factor in (0, 10))
+    assert tip > best_node_only.tip_heights_mm(*place)[0] + 20 * NM
+    assert tip == pytest.approx(more_nodes.tip_heights_mm(*place)[0], abs=1e-3 * NM)
+
+
+def _with(surface: ToolSurface, **changes) -> ToolSurface:
+    return replace(surface, kernel=surface.kernel._replace(**changes))
+
+
+def test_slope_curvature_and_motion_of_the_contact(make_bumps):
+    """Along x, against central differences; the vertices' spacing and Newton's next guess come from them."""
+    kernel = ToolSurface.over(make_bumps(3, relief_mm=2.0), radius_mm=0.5).kernel
+    step = 1e-4
+    for x, y in np.random.default_rng(1).uniform((0.5, 0.5), (7.5, 5.5), (50, 2)):
+        before, here, after = (np.array(touch(kernel, x + d, y, x + d, y)) for d in (-step, 0, step))
+        rate = (after - before) / (2 * step)  # of px, py, tip, slope
+        assert rate[2] == pytest.approx(here[3], abs=1e-5)
+        assert rate[3] == pytest.approx(here[4], abs=1e-3)
+        assert rate[:2] == pytest.approx(here[5:], abs=1e-3)
+
+
+@pytest.mark.parametrize("bend", [0.7, 1.2])
+def test_newton_is_not_trusted_where_the_lens_bends_as_the_ball_does(make_lens, bend):
+    """Within a radius of a valley of curvature above 0.6 / R the whole footprint is searched."""
+    valley = make_lens(lambda x, y: -np.exp(-bend * (x - 4) ** 2 / 2))
+    surface = ToolSurface.over(valley, radius_mm=1.0)
+    x = np.linspace(3.01, 4.99, 50)
+    assert surface.kernel.guarded[tuple(_cells(surface, x, np.full(50, 3.0)))].all()
 
 
 def _cells(surface: ToolSurface, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

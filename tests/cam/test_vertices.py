@@ -55,6 +55,37 @@ def test_chords_of_a_finishing_row(make_bumps, seed, relief_mm, y, error, forwar
     np.testing.assert_allclose(zs, surface.tip_heights_mm(xs, np.full(xs.size, y)), atol=1e-9)
 
 
+def test_the_run_out_is_followed_less_closely(make_bumps):
+    """Same bounds as before where the contact is on the lens or within 0.1 mm of it, half a micrometre beyond."""
+    surface = ToolSurface.over(make_bumps(5, relief_mm=1.0), radius_mm=0.5)
+    everywhere = row(surface, finish_rule(0.5e-3, 0.1), 2.3, -0.5, 8.5)
+    rule = finish_rule(0.5e-3, 0.1, aperture_x_mm=(0.0, 8.0))
+    points = row(surface, rule, 2.3, -0.5, 8.5)
+    outside = [np.count_nonzero((p[:, 0] < -0.2) | (p[:, 0] > 8.2)) for p in (points, everywhere)]
+    assert outside[0] < outside[1] / 4
+    x = np.linspace(-0.49, 8.49, 3000)
+    contact_x, _, tip = surface.contacts_mm(x, np.full(x.size, 2.3)).T
+    optical = (contact_x > -0.1) & (contact_x < 8.1)
+    sag = np.interp(x, points[:, 0], points[:, 2]) - tip
+    assert np.abs(sag).max() <= 1.1 * rule.run_out_sag_mm
+    chord = np.searchsorted(points[:, 0], x) - 1
+    free = optical & (np.diff(points[:, 0])[chord] > rule.min_mm + 1.5e-4)
+    assert np.abs(sag[free]).max() <= 1.1 * rule.sag_mm
+    slope = np.diff(points[:, 2]) / np.diff(points[:, 0])
+    assert np.abs(slopes(surface, x[free], 2.3) - slope[chord[free]]).max() <= 1.05 * rule.slope_rad
+
+
+def test_the_steepest_place_between_two_probes_counts(make_lens):
+    """At an inflection the slope is extreme and the curvature, which sets the next probe, is zero."""
+    wave = make_lens(lambda x, y: -1.0 + 2e-3 * np.sin(2 * x) + 0 * y)
+    surface, rule = ToolSurface.over(wave, radius_mm=0.5), finish_rule(0.5e-3, 1.0)
+    points = row(surface, rule, 3.0, 0.5, 7.5)
+    x = np.linspace(0.51, 7.49, 2000)
+    chord = np.searchsorted(points[:, 0], x) - 1
+    error = np.abs(slopes(surface, x, 3.0) - (np.diff(points[:, 2]) / np.diff(points[:, 0]))[chord])
+    assert error.max() <= 1.02 * rule.slope_rad
+
+
 def test_few_vertices_where_it_is_straight_and_as_many_as_the_curvature_asks_for(make_lens):
     """s = 2 e / k: on z = k x^2 / 2 under a small ball the spacing follows the formula within 15 %."""
     flat = row(ToolSurface.over(make_lens(lambda x, y: -1.0 + 0 * x), radius_mm=0.5), finish_rule(1e-3, 0.1), 3, 0, 8)

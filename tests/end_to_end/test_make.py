@@ -173,8 +173,8 @@ def test_no_rapid_runs_below_the_stock_top(job: tuple[Path, str], report: dict[s
         at = None
         for motion, position in positions((job[0] / row["file"]).read_text(encoding="ascii")):
             if motion == 0 and at is not None and {"X", "Y", "Z"} <= set(position):
-                sideways = (position["X"], position["Y"]) != (at.get("X"), at.get("Y"))
-                assert not sideways or min(position["Z"], at["Z"]) > 0
+                rises = position["Z"] > at["Z"] and (position["X"], position["Y"]) == (at.get("X"), at.get("Y"))
+                assert rises or position["Z"] > 0
             at = position
 
 

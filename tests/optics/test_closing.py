@@ -39,3 +39,22 @@ def test_sharp_valley_gets_the_asked_radius() -> None:
     curvature = np.diff(bottom, 2) / D**2
     assert curvature.max() < 1.15  # 1 / r, and a little where it meets the slopes
     assert bottom[40] == pytest.approx(0.5, abs=0.01)  # r / 2 above the crease
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_spacing_differs_along_x_and_y(axis: int) -> None:
+    """A V along either axis of an oblong grid becomes the same parabola, r / 2 above its crease."""
+    spacing = (0.1, 0.04)[axis]  # dy, dx
+    line = np.abs(np.arange(-60, 61)) * spacing
+    v = np.tile(line, (9, 1)) if axis else np.tile(line[:, None], (1, 9))
+    filled = closed_to_radius(v, radius_mm=1.0, dx_mm=0.04, dy_mm=0.1)
+    middle = filled[4, 60] if axis else filled[60, 4]
+    assert middle == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_only_the_grid_fills_is_nearly_left_alone() -> None:
+    """Soft ripples a ball fits into: a plain closing adds 1.2 dx^2 / (4 r) to them, this one 0.75 of that band."""
+    y, x = np.mgrid[0:61, 0:61] * D
+    soft = 0.2 * np.sin(1.3 * x + 0.4) * np.cos(1.1 * y)  # curvatures up to 0.34 / mm
+    band = D**2 / (4 * 1.5)
+    assert np.abs(closed(soft, 1.5) - soft)[12:-12, 12:-12].max() < 0.9 * band

@@ -36,3 +36,11 @@ def test_folds_leave_no_vertex_open() -> None:
     u, v = screen_positions(px, py, np.linspace(0, 5, 41), np.linspace(0, 5, 41))
     assert np.isfinite(u).all()
     assert np.isfinite(v).all()
+
+
+def test_vertices_beyond_the_grid_take_their_neighbours() -> None:
+    """A grid that is drawn in from one side: what it leaves open goes on with the values at its border."""
+    px, py = np.meshgrid(0.6 * np.arange(6.0), np.arange(6.0))
+    u, v = screen_positions(px, py, np.linspace(0, 5, 21), np.linspace(0, 5, 21))
+    np.testing.assert_allclose(u[:, -4:], 5.0, atol=1e-9)
+    np.testing.assert_allclose(v[10], 2.5, atol=0.3)

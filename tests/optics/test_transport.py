@@ -260,3 +260,14 @@ def test_light_is_kept_between_levels() -> None:
     assert coarse.mean() == pytest.approx(values.mean(), abs=1e-14)
     np.testing.assert_allclose(coarse[:, 0], values[:, :3].reshape(24, 2, 3).mean(1) @ [1, 1, 1] / 3.7
                                + values[:, 3].reshape(24, 2).mean(1) * 0.7 / 3.7)  # fmt: skip
+
+
+@pytest.mark.parametrize("radius_mm", [1.0, 2.0])
+def test_the_asked_ball_fits_into_the_valleys(settings: LensSettings, radius_mm: float) -> None:
+    """No second derivative of the vertices above 1 / r, though the closing lets some more than its own through."""
+    picture = np.zeros((64, 64))
+    picture[20:44, 14:50] = 1.0
+    task = replace(settings, min_radius_mm=radius_mm, corrections=1)
+    lens = design_lens(target_irradiance(picture, viewed_from="lens"), task).heightfield
+    for axis, spacing in ((0, lens.dy_mm), (1, lens.dx_mm)):
+        assert (np.diff(lens.z_mm, 2, axis=axis) / spacing**2).max() < 1.0 / radius_mm

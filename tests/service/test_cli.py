@@ -18,6 +18,7 @@ import pytest
 from PIL import Image
 
 from service.cli import run
+from service.spec_files import resolve_spec
 
 SMALL = [
     part
@@ -114,7 +115,7 @@ def test_a_name_with_a_line_break_stays_on_one_line(capsys: pytest.CaptureFixtur
     refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), "-q"], "two?lines.png", "no such file")
     path.write_text("x")
     refused(capsys, 2, ["make", str(path), "-o", str(tmp_path / "out"), "-q"], "two?lines.png", "not a picture")
-    refused(capsys, 2, ["make", "--bo\ngus"], "bo gus")
+    refused(capsys, 2, ["make", "--bo\ngus"], "--bo", "gus")
 
 
 def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -162,6 +163,72 @@ def test_an_output_under_a_file_is_one_line(capsys: pytest.CaptureFixture[str], 
 def test_cam_and_caustic_need_a_design(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     for command in ("cam", "caustic"):
         refused(capsys, 2, [command, str(tmp_path)], "spec.json", "design")
+
+
+GOOD_REPORT = {"versions": {"causticmill": "0"}, "passes": [], "optics": {}}
+
+
+def job_folder(folder: Path, **files: str) -> Path:
+    """A folder with spec.json and report.json as a job leaves them, some files with other content."""
+    folder.mkdir()
+    content = {"spec.json": json.dumps(resolve_spec().plain()), "report.json": json.dumps(GOOD_REPORT)}
+    for name, text in (content | {key.replace("__", "."): text for key, text in files.items()}).items():
+        (folder / name).write_text(text)
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"report__json": "{"}, ["report.json", "not valid JSON"]),
+        ({"report__json": "[]"}, ["report.json", "not a report"]),
+        ({"report__json": '{"passes": 3}'}, ["report.json", "not a report"]),
+        ({"report__json": '{"passes": [{}]}'}, ["report.json", "not a report"]),
+        ({"report__json": '{"timings_s": [1]}'}, ["report.json", "not a report"]),
+        ({"spec__json": "{"}, ["DIR", "spec.json", "not valid JSON"]),
+        ({"spec__json": "{}"}, ["spec.json", "passes", "missing"]),
+        ({}, ["out/heightfield.npz", "no such file"]),
+        ({"heightfield__npz": "x"}, ["out/heightfield.npz", "not a file of this program"]),
+    ],
+)
+@pytest.mark.parametrize("command", ["cam", "caustic"])
+def test_a_damaged_job_folder_is_an_input_error(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, command: str, files: dict[str, str], words: list[str]
+) -> None:
+    folder = job_folder(tmp_path / "out", **files)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    refused(capsys, 2, [command, str(folder), "-q"], *words)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+def lens_file(path: Path, z_mm: float) -> Path:
+    axis = np.linspace(0, 10, 8)
+    np.savez(path, z_mm=np.full((8, 8), z_mm), x_mm=axis, y_mm=axis)
+    return path
+
+
+def test_check_needs_a_lens_programs_and_tools(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    program, tools = tmp_path / "a.nc", ["--radius-mm", "1", "--pitch-mm", "0.1"]
+    program.write_text("hello\n")
+    lens = ["--heightfield", str(lens_file(tmp_path / "lens.npz", -0.1)), "-q"]
+    high = ["--heightfield", str(lens_file(tmp_path / "high.npz", 1.0)), "-q"]
+    refused(capsys, 2, ["check", str(program), "--heightfield", str(tmp_path), "-q", *tools], "this is a folder")
+    refused(capsys, 2, ["check", str(program), *high, *tools], "high.npz", "reaches 1 mm", "stock top")
+    refused(capsys, 2, ["check", str(tmp_path / "b.nc"), *lens, *tools], "b.nc", "no such program")
+    refused(capsys, 2, ["check", str(program), *lens], "--radius-mm is missing")
+    refused(capsys, 2, ["check", str(program), *lens, *tools, "--radius-mm", "2"], "2 values for 1 program; allowed: 1")
+    refused(capsys, 1, ["check", str(program), *lens, *tools], "a.nc", "line 1", "hello")
+
+
+def test_check_runs_the_earlier_passes_of_a_job_and_misses_them(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    row = {"lines": 1, "path_length_mm": 1.0, "time_s": 1.0, "entries": 1, "bounds": {}}
+    rows = [{"file": name, **row} for name in ("pass-1-rough.nc", "pass-2-rough.nc")]
+    folder = job_folder(tmp_path / "out", report__json=json.dumps(GOOD_REPORT | {"passes": rows}))
+    (folder / "pass-2-rough.nc").write_text("M2\n")
+    lens = ["--heightfield", str(lens_file(tmp_path / "lens.npz", -0.1)), "-q"]
+    refused(capsys, 2, ["check", str(folder / "pass-2-rough.nc"), *lens], "pass-1-rough.nc", "no such program")
 
 
 def test_design_then_caustic_gives_the_same_scores(

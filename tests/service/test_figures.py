@@ -78,6 +78,24 @@ def test_figures_are_pngs_even_for_flat_and_equal_input():
         assert pixels(png).ndim == 3
 
 
+def test_a_figure_of_a_wide_picture_is_no_taller_than_it_needs_to_be():
+    """Two thirds of it and more are picture, whatever the lens's proportion."""
+    for ny, nx in ((30, 60), (60, 60), (60, 40)):
+        black = np.zeros((ny, nx))
+        black[-1, -1] = 1.0
+        shown = pixels(comparison_png(black, black))
+        rows = (shown[:, : shown.shape[1] // 4, :3] < 250).any(axis=2).mean(axis=1) > 0.5
+        assert rows.mean() > 0.66
+
+
+def test_the_rounding_errors_of_a_flat_lens_have_no_colour():
+    axis = np.linspace(0, 10, 40)
+    noise = 1e-13 * np.random.default_rng(0).standard_normal((40, 40))
+    flat, noisy = (pixels(heightfield_png(axis, axis, z - 0.1)) for z in (np.zeros((40, 40)), noise))
+    inner = np.s_[100:700, 100:700]  # of the left panel
+    assert np.abs(flat[inner].astype(int) - noisy[inner]).max() <= 2
+
+
 def test_light_from_the_upper_left_brightens_the_upper_left_flank_of_a_hill():
     axis = np.linspace(-5, 5, 41)
     hill = np.exp(-(axis[None, :] ** 2 + axis[:, None] ** 2) / 6)  # row 0 at the lowest y

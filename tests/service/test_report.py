@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from service.report import render_report
-from service.report_drawing import SetUp, side_view
+from service.report_drawing import SetUp, side_view, top_view
 from service.report_words import duration_h_min, misplaced_in_words, number, psnr_in_words, size, whole
 
 SPEC = {
@@ -177,11 +177,12 @@ def test_words_for_numbers():
     ]  # fmt: skip
     assert [size(value) for value in (12, 1500, 2.5e6, 3e9, None)] == ["12 B", "1.5 kB", "2.5 MB", "3 GB", "–"]
     assert whole(1234567).split() == ["1", "234", "567"]
-    assert [misplaced_in_words(share) for share in (0, 0.0029)] == [
+    assert [misplaced_in_words(share) for share in (0, 1e-11, 0.0029)] == [
+        "all light falls where it should",
         "all light falls where it should",
         "about 1 part in 345 of the light falls where it should not",
     ]
-    assert len({psnr_in_words(psnr) for psnr in (45, 35, 30, 25, 10)}) == 5
+    assert len({psnr_in_words(psnr) for psnr in (200, 45, 35, 30, 25, 10)}) == 6
 
 
 @pytest.mark.parametrize("share", [0.0, 0.05, 0.3, 0.6, 0.9, 0.95])
@@ -193,3 +194,11 @@ def test_the_labels_beside_the_side_view_stand_apart(share):
         for words in ("Z0 = stock top", "deepest", "flat, polished back")
     ]
     assert min(b - a for a, b in itertools.pairwise(lines)) >= 15  # of type 12.5 high
+
+
+@pytest.mark.parametrize(("width_mm", "height_mm", "inside"), [(100, 100, True), (10, 10, False), (100, 20, False)])
+def test_the_size_of_a_small_lens_stands_beside_the_block(width_mm, height_mm, inside):
+    """Inside it would lie over the axes."""
+    job = SetUp(width_mm=width_mm, height_mm=height_mm, thickness_mm=40, margin_mm=8, throw_mm=100)
+    anchor = re.search(rf'text-anchor="(\w+)"[^>]*>{width_mm} × {height_mm} mm', str(top_view(job)))[1]
+    assert (anchor == "middle") is inside
