@@ -36,7 +36,7 @@ class MoveBatch:
     ended                    : M2 or M30 has been read
 
     The approach, up to the line on which all three coordinates have been given, is not a move: nobody knows where it
-    starts.
+    starts. What it dwells is the pause of the first entry, at its end.
     """
 
     points_mm: Array

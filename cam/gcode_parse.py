@@ -27,10 +27,23 @@ from cam.gcode_errors import (
 )
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:
-# none yet), spindle on, end seen, lines read.
-X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, LINE = range(11)
+# none yet), spindle on, end seen, seconds dwelt before the position was known, lines read.
+X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, LINE = range(12)
 POWERS = 10.0 ** np.arange(19)
 _NUMBERED = sum(1 << (ord(letter) - ord("A")) for letter in "FNPSXYZ")  # letters that carry a value
+
+
+@njit(cache=True, nogil=True)
+def _record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
+    """Entry n, a move to the state's position or a pause there (seconds >= 0); returns n + 1."""
+    for d in range(3):
+        points[n + 1, d] = state[d]
+    rapid[n] = is_rapid
+    feed[n] = state[FEED]
+    line[n] = int(state[LINE]) + 1
+    spindle[n] = state[SPINDLE] > 0.0
+    pause[n] = seconds
+    return n + 1
 
 
 @njit(cache=True, nogil=True)
@@ -197,7 +210,6 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                 if values[18] < 0.0:
                     return begin, n, NO_SPEED, begin
                 state[SPEED] = values[18]
-            number = state[LINE] + 1
             halt = -1.0
             if m_spindle >= 0:
                 if m_spindle == 1 and not state[SPEED] > 0.0:
@@ -216,15 +228,10 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                 halt = max(halt, 0.0)
             if g_motion >= 0:
                 state[MOTION] = g_motion
-            if halt >= 0.0 and not np.isnan(state[X] + state[Y] + state[Z]):
-                for d in range(3):
-                    points[n + 1, d] = state[d]
-                rapid[n] = False
-                feed[n] = state[FEED]
-                line[n] = number
-                spindle[n] = state[SPINDLE] > 0.0
-                pause[n] = halt
-                n += 1
+            if halt >= 0.0 and np.isnan(state[X] + state[Y] + state[Z]):
+                state[DWELT] += halt
+            elif halt >= 0.0:
+                n = _record(n, state, False, halt, points, rapid, feed, line, spindle, pause)
             if axes:
                 if state[MOTION] < 0.0:
                     return begin, n, NO_MOTION, begin
@@ -245,15 +252,14 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                         state[d] = target
                 if not known and (is_cut or np.isnan(state[Z])):
                     return begin, n, BLIND, begin
-                for d in range(3):
-                    points[n + (1 if known else 0), d] = state[d]
+                if not known:
+                    for d in range(3):
+                        points[n, d] = state[d]
                 if moved and known:
-                    rapid[n] = not is_cut
-                    feed[n] = state[FEED]
-                    line[n] = number
-                    spindle[n] = state[SPINDLE] > 0.0
-                    pause[n] = -1.0
-                    n += 1
+                    n = _record(n, state, not is_cut, -1.0, points, rapid, feed, line, spindle, pause)
+                elif state[DWELT] > 0.0 and not np.isnan(state[X] + state[Y] + state[Z]):
+                    n = _record(n, state, False, state[DWELT], points, rapid, feed, line, spindle, pause)
+                    state[DWELT] = 0.0
             if m_end:
                 state[ENDED] = 1.0
                 state[SPINDLE] = 0.0

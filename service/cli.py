@@ -10,14 +10,14 @@ import contextlib
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+import time
+from collections.abc import Iterator, Sequence
 from types import FrameType
-from typing import Any
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, EXIT_INTERRUPTED, JobError, printable, sentence_of_os_error
 from service.kernel_cache import use_current_kernels
 
-_STOPS = (signal.SIGINT, signal.SIGTERM)
+_IMPATIENCE_S = 2.0
 
 
 def main() -> None:
@@ -31,39 +31,41 @@ def main() -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code; every error becomes one line on stderr."""
-    with _one_interrupt():
-        return _told(lambda: _command(arguments))
+    with _interrupts() as came:
+        try:
+            code = _command(arguments)
+        except (Exception, KeyboardInterrupt) as error:
+            if not came and not isinstance(error, KeyboardInterrupt):
+                return _told(error)
+            code = EXIT_INTERRUPTED  # whatever an import or a library made of it
+        if code == EXIT_INTERRUPTED:  # typer catches Ctrl-C itself, too, and says nothing
+            return _fail("interrupted; nothing half-written is left", code)
+    return code
 
 
-def _command(arguments: Sequence[str]) -> Any:
+def _command(arguments: Sequence[str]) -> int:
     use_current_kernels()
     from service.commands import app
 
-    return app(args=list(arguments), prog_name="causticmill", standalone_mode=False)
+    result = app(args=list(arguments), prog_name="causticmill", standalone_mode=False)
+    return result if isinstance(result, int) else 0
 
 
-def _told(command: Callable[[], Any]) -> int:
-    """Run a command; translate whatever ends it into a line and an exit code."""
-    try:
-        result = command()
-        if result == EXIT_INTERRUPTED:  # typer catches Ctrl-C itself and says nothing
-            raise KeyboardInterrupt
-        return result if isinstance(result, int) else 0
-    except JobError as error:
-        return _fail(str(error), error.exit_code)
-    except KeyboardInterrupt:
-        return _fail("interrupted; nothing half-written is left", EXIT_INTERRUPTED)
-    except MemoryError:
-        return _fail("out of memory; a smaller image.pixels needs less", EXIT_FAILURE)
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return EXIT_FAILURE
-    except OSError as error:
-        return _fail(sentence_of_os_error(error, doing="cannot use"), EXIT_FAILURE)
-    except Exception as error:
-        if (message := getattr(error, "format_message", None)) is not None:  # a usage error from the parser
-            return _fail(printable(" ".join(str(message()).split())), EXIT_INPUT)
-        raise
+def _told(error: Exception) -> int:
+    """What ended a command as a line on stderr, and its exit code. An error of the program itself is raised again."""
+    match error:
+        case JobError():
+            return _fail(str(error), error.exit_code)
+        case MemoryError():
+            return _fail("out of memory; a smaller image.pixels needs less", EXIT_FAILURE)
+        case BrokenPipeError():
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return EXIT_FAILURE
+        case OSError():
+            return _fail(sentence_of_os_error(error, doing="cannot use"), EXIT_FAILURE)
+    if (message := getattr(error, "format_message", None)) is not None:  # a usage error from the parser
+        return _fail(printable(" ".join(str(message()).split())), EXIT_INPUT)
+    raise error
 
 
 def _fail(text: str, code: int) -> int:
@@ -73,22 +75,31 @@ def _fail(text: str, code: int) -> int:
 
 
 @contextlib.contextmanager
-def _one_interrupt() -> Iterator[None]:
-    """SIGTERM cleans up as Ctrl-C does; a second of either changes nothing, so that the cleaning is not cut short."""
+def _interrupts() -> Iterator[list[float]]:
+    """SIGTERM ends a command as Ctrl-C does. Yields the times at which either came.
+
+    Those that follow at once do nothing, so that they do not cut the cleaning short.
+    """
+    came: list[float] = []
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
-        for kind in _STOPS:
-            signal.signal(kind, signal.SIG_IGN)
-        raise KeyboardInterrupt
+        came.append(time.monotonic())
+        sys.unraisablehook = lambda _: (
+            None
+        )  # the compiler's callbacks and destructors tell of the interrupt in their way
+        if len(came) == 1 or came[-1] - came[-2] > _IMPATIENCE_S:
+            raise KeyboardInterrupt
 
+    told = sys.unraisablehook
     try:
-        before = {kind: signal.signal(kind, interrupt) for kind in _STOPS}
+        before = {kind: signal.signal(kind, interrupt) for kind in (signal.SIGINT, signal.SIGTERM)}
     except ValueError:  # not in the main thread
-        yield
+        yield came
         return
     try:
-        yield
+        yield came
     finally:
+        sys.unraisablehook = told
         for kind, handler in before.items():
             signal.signal(kind, handler)
 

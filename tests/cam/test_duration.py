@@ -135,6 +135,18 @@ def test_dwell_and_spindle_stop_the_mill():
     assert stopped.seconds - plain.seconds == pytest.approx(2.5 + 20 / 500, abs=1e-6)
 
 
+def test_a_dwell_before_the_position_is_known_takes_its_time():
+    """Programs start that way: up, spindle on, wait, and only then across."""
+    text = "G21G90\nG0Z5\nM3S1000\n{}G0X0Y0\nG1X30F1200\nM5\nM2\n"
+    times = []
+    for dwell in ("", "G4P4\n"):
+        model = DurationModel(mill())
+        for batch in read_program([text.format(dwell).encode()]):
+            model.add(batch)
+        times.append(model.seconds)
+    assert times[1] - times[0] == pytest.approx(4.0)
+
+
 @given(st.integers(1, 400), st.integers(0, 2**32 - 1))
 def test_batches_change_nothing(size, seed):
     rng = np.random.default_rng(seed)

@@ -6,6 +6,7 @@ The commands run in this process (service.cli.run is all that the installed comm
 from __future__ import annotations
 
 import json
+import signal
 import struct
 import subprocess
 import sys
@@ -271,3 +272,21 @@ def test_help_answers_at_once_and_imports_nothing_heavy() -> None:
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["version"]) == 0
     assert capsys.readouterr().out.startswith("causticmill ")
+
+
+def test_an_interrupt_that_a_library_turns_into_another_error_is_still_an_interrupt(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an extension module does whose import is interrupted. A second Ctrl-C at once changes nothing."""
+
+    def load() -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            signal.raise_signal(signal.SIGTERM)
+            raise ImportError("initialization failed") from None
+
+    monkeypatch.setattr("service.cli.use_current_kernels", load)
+    before = signal.getsignal(signal.SIGINT)
+    refused(capsys, 130, ["version"], "interrupted")
+    assert signal.getsignal(signal.SIGINT) is before
