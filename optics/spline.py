@@ -148,6 +148,7 @@ class BicubicSpline:
         pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
         coefs = _continued(self.coefs, pad_y, self.dy_mm, fade_mm, droop)
         coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, self.dx_mm, fade_mm, droop).T)
+        _level_corners(coefs, pad_y, pad_x)
         coefs.setflags(write=False)
         return BicubicSpline(
             coefs=coefs,
@@ -175,3 +176,15 @@ def _continued(coefs: Array, rows: int, spacing: float, fade: float, droop: floa
 
     before = beyond(coefs[0], coefs[1], coefs[2])[::-1]
     return np.concatenate([before, coefs, beyond(coefs[-1], coefs[-2], coefs[-3])])
+
+
+def _level_corners(coefs: Array, pad_y: int, pad_x: int) -> None:
+    """Corner blocks of the run-out as the sum of the two strips that meet there, in place.
+
+    Continuing the strips once more would multiply the twist at the rim's corners into towers of millimetres.
+    """
+    ny, nx = coefs.shape
+    for rows, edge_j in ((slice(0, pad_y), pad_y), (slice(ny - pad_y, ny), ny - pad_y - 1)):
+        for columns, edge_i in ((slice(0, pad_x), pad_x), (slice(nx - pad_x, nx), nx - pad_x - 1)):
+            sides = coefs[rows, edge_i][:, None] + coefs[edge_j, columns][None, :]
+            coefs[rows, columns] = sides - coefs[edge_j, edge_i]

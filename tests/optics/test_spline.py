@@ -39,6 +39,17 @@ def test_run_out_leaves_the_lens_alone_and_is_smooth_across_the_rim(seed: int) -
     assert np.abs(longer.heights_mm(-4.0, y)).max() < 20  # the slope dies out
 
 
+def test_run_out_makes_no_towers_beyond_the_corners() -> None:
+    """Around a rim that twists, the corners of the run-out rise no higher than what runs out of the four sides."""
+    x = np.linspace(0, 20, 81)
+    wavy = -2.0 + 0.3 * np.sin(3 * x[None, :]) * np.sin(2.7 * x[:, None])
+    surface = Heightfield.on_aperture(wavy, width_mm=20.0, height_mm=20.0).spline_with_run_out(6.0)
+    along, away = np.linspace(0, 20, 161), np.linspace(-6.0, 0.0, 49)
+    sides = [surface.heights_mm(along[None, :], away[:, None]), surface.heights_mm(away[None, :], along[:, None])]
+    corner = surface.heights_mm(away[None, :], away[:, None])
+    assert corner.max() <= max(side.max() for side in sides)
+
+
 def test_heightfield_refuses_uneven_axes_and_nan() -> None:
     x = np.array([0.0, 1.0, 2.0, 3.5])
     with pytest.raises(ValueError, match="evenly spaced"):
