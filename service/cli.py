@@ -10,14 +10,14 @@ import contextlib
 import os
 import signal
 import sys
-import time
 from collections.abc import Iterator, Sequence
 from types import FrameType
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, EXIT_INTERRUPTED, JobError, printable, sentence_of_os_error
+from service.job_files import STOPPING_SIGNALS
 from service.kernel_cache import use_current_kernels
 
-_IMPATIENCE_S = 2.0
+_AGAIN_S = 1.0
 
 
 def main() -> None:
@@ -75,30 +75,32 @@ def _fail(text: str, code: int) -> int:
 
 
 @contextlib.contextmanager
-def _interrupts() -> Iterator[list[float]]:
-    """SIGTERM ends a command as Ctrl-C does. Yields the times at which either came.
+def _interrupts() -> Iterator[list[int]]:
+    """SIGTERM ends a command as Ctrl-C does. Yields the list of what came.
 
-    Those that follow at once do nothing, so that they do not cut the cleaning short.
+    More of either changes nothing, so that the cleaning is not cut short. An import or a callback may swallow the
+    interrupt, so an alarm raises it again until the command has ended.
     """
-    came: list[float] = []
+    came: list[int] = []
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        came.append(time.monotonic())
-        sys.unraisablehook = lambda _: (
-            None
-        )  # the compiler's callbacks and destructors tell of the interrupt in their way
-        if len(came) == 1 or came[-1] - came[-2] > _IMPATIENCE_S:
+    def interrupt(number: int, _frame: FrameType | None) -> None:
+        came.append(number)
+        if len(came) == 1:
+            sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would tell of it
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
+        if len(came) == 1 or number == signal.SIGALRM:
             raise KeyboardInterrupt
 
     told = sys.unraisablehook
     try:
-        before = {kind: signal.signal(kind, interrupt) for kind in (signal.SIGINT, signal.SIGTERM)}
+        before = {kind: signal.signal(kind, interrupt) for kind in STOPPING_SIGNALS}
     except ValueError:  # not in the main thread
         yield came
         return
     try:
         yield came
     finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = told
         for kind, handler in before.items():
             signal.signal(kind, handler)

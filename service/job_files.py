@@ -30,6 +30,7 @@ HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
 LENS_FILES = ("target.png", HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
 LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png")
 TOOLPATH = "toolpath.png"
+STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 _KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH}
 _STAGING = ".part"
@@ -263,12 +264,12 @@ def _staging_folders(output: Path) -> set[Path]:
 
 @contextlib.contextmanager
 def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM do nothing in this short block, which ends the job anyway (main thread only)."""
+    """What stops a command does nothing in this short block, which ends the job anyway (main thread only)."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     # not SIG_IGN: Python complains of a signal that came just before
-    before = {kind: signal.signal(kind, lambda *_: None) for kind in (signal.SIGINT, signal.SIGTERM)}
+    before = {kind: signal.signal(kind, lambda *_: None) for kind in STOPPING_SIGNALS}
     try:
         yield
     finally:

@@ -5,6 +5,7 @@ The commands run in this process (service.cli.run is all that the installed comm
 
 from __future__ import annotations
 
+import contextlib
 import json
 import signal
 import struct
@@ -290,3 +291,18 @@ def test_an_interrupt_that_a_library_turns_into_another_error_is_still_an_interr
     before = signal.getsignal(signal.SIGINT)
     refused(capsys, 130, ["version"], "interrupted")
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_an_interrupt_that_is_swallowed_comes_again(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by `try: import fast_module; except ImportError: fast_module = None`."""
+
+    def load() -> None:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        signal.pause()
+
+    monkeypatch.setattr("service.cli.use_current_kernels", load)
+    monkeypatch.setattr("service.cli._AGAIN_S", 0.01)
+    refused(capsys, 130, ["version"], "interrupted")
