@@ -4,7 +4,8 @@ Each straight block gets a nominal speed, an acceleration along its direction (t
 and a greatest entry speed from the junction deviation. The planner sees `planner_blocks` - 1 blocks and must be able to
 stop at the end of what it sees, so the entry speed of a block is the least of: its own limit; what the block before can
 accelerate to; what lets every later limit in the window, and the stop at its end, still be met. Blocks cannot start
-before they have arrived over the line, and a line waits while the buffer is full. While the line starves the planner
+before they have arrived over the line (each line takes the longer of its bytes on the wire and the parser's time), and
+a line waits while the buffer is full. While the line starves the planner
 the window in truth shrinks too; that is not modelled, the line rate itself then sets the time.
 """
 
@@ -12,15 +13,37 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numba import njit
 
-from cam.gcode import MoveBatch
+from optics.heightfield import Array
 
 _STRAIGHT = 0.999999  # GRBL 1.1 treats corners this straight as none, and reversals this sharp as full stops
 # Columns of a planned block.
-_LENGTH, _NOMINAL2, _ACCEL, _ENTRY2, _PAUSE, _LINES = range(6)
+_LENGTH, _NOMINAL2, _ACCEL, _ENTRY2, _PAUSE, _LINES, _BYTES = range(7)
+_COLUMNS = 7
+_NOTHING = np.empty(0)
+
+
+class Moves(Protocol):
+    """What the model needs of a batch: a cam.gcode.MoveBatch, or anything laid out like it.
+
+    A batch may also have `sent_bytes` (n,): bytes on the wire from the program's start up to and including the line.
+    """
+
+    @property
+    def points_mm(self) -> Array: ...
+    @property
+    def is_rapid(self) -> np.ndarray: ...
+    @property
+    def feed_mm_per_min(self) -> Array: ...
+    @property
+    def line(self) -> np.ndarray: ...
+    @property
+    def pause_s(self) -> Array: ...
+    def __len__(self) -> int: ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +52,7 @@ class Kinematics:
 
     planner_blocks : slots of the look-ahead buffer, one of which is always free (GRBL 1.1: 16)
     lines_per_s    : lines the link and the parser deliver
+    bytes_per_s    : bytes the wire carries, for batches that say how many they are; None: only lines count
     """
 
     max_rate_mm_per_min: tuple[float, float, float]
@@ -36,6 +60,7 @@ class Kinematics:
     junction_deviation_mm: float
     planner_blocks: int
     lines_per_s: float
+    bytes_per_s: float | None = None
 
     def __post_init__(self) -> None:
         limits = (*self.max_rate_mm_per_min, *self.acceleration_mm_per_s2, self.junction_deviation_mm, self.lines_per_s)
@@ -43,22 +68,32 @@ class Kinematics:
             raise ValueError(f"rates, accelerations, junction deviation and line rate must be above 0: {self}")
         if self.planner_blocks < 2:
             raise ValueError(f"planner_blocks = {self.planner_blocks} is not allowed: at least 2")
+        if self.bytes_per_s is not None and not self.bytes_per_s > 0:
+            raise ValueError(f"bytes_per_s = {self.bytes_per_s} is not allowed: above 0, or None")
 
 
 @njit(cache=True, nogil=True)
-def _plan(points, rapid, feed, line, pause, max_rate, max_accel, deviation, carry, blocks):  # type: ignore[no-untyped-def]
-    """Moves -> blocks (n, 6). carry: unit vector (3), nominal speed^2 and last line of the block before."""
+def _plan(points, rapid, feed, line, sent, pause, max_rate, max_accel, deviation, carry, blocks):  # type: ignore[no-untyped-def]
+    """Moves -> blocks (n, 7). carry: unit vector (3), nominal speed^2, last line and bytes sent of the block before.
+
+    sent : cumulative bytes on the wire by move, or empty
+    """
     n = 0
     unit = np.zeros(3)
     for k in range(line.size):
         lines = line[k] - carry[4]
         carry[4] = line[k]
+        arrived = 0.0
+        if sent.size > 0:
+            arrived = sent[k] - carry[5]
+            carry[5] = sent[k]
         if pause[k] >= 0.0:
-            for c in range(6):
+            for c in range(_COLUMNS):
                 blocks[n, c] = 0.0
             blocks[n, _ACCEL] = 1.0
             blocks[n, _PAUSE] = pause[k]
             blocks[n, _LINES] = lines
+            blocks[n, _BYTES] = arrived
             carry[3] = 0.0  # the buffer empties: the next block starts from rest
             n += 1
             continue
@@ -105,6 +140,7 @@ def _plan(points, rapid, feed, line, pause, max_rate, max_accel, deviation, carr
         blocks[n, _ENTRY2] = entry2
         blocks[n, _PAUSE] = 0.0
         blocks[n, _LINES] = lines
+        blocks[n, _BYTES] = arrived
         n += 1
     return n
 
@@ -136,7 +172,7 @@ def _block_s(length, entry2, exit2, nominal2, accel):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _run(blocks, count, window, line_s, clock, ends):  # type: ignore[no-untyped-def]
+def _run(blocks, count, window, line_s, byte_s, clock, ends):  # type: ignore[no-untyped-def]
     """Execute the first `count` blocks. clock: entry speed^2, time of the last end, last arrival, blocks done.
 
     ends (window,) : ring of the ends of the last blocks; a line is taken when the block `window` before it is done
@@ -151,7 +187,8 @@ def _run(blocks, count, window, line_s, clock, ends):  # type: ignore[no-untyped
             if length > 0.0:
                 took = _block_s(length, entry2, exit2, blocks[k, _NOMINAL2], blocks[k, _ACCEL])
             slot = int(clock[3]) % window
-            clock[2] = max(clock[2] + blocks[k, _LINES] * line_s, ends[slot])
+            on_the_way_s = max(blocks[k, _LINES] * line_s, blocks[k, _BYTES] * byte_s)
+            clock[2] = max(clock[2] + on_the_way_s, ends[slot])
             clock[1] = max(clock[1], clock[2]) + took
             ends[slot] = clock[1]
             clock[3] += 1.0
@@ -168,25 +205,28 @@ class DurationModel:
         self._accel = np.array(kinematics.acceleration_mm_per_s2, dtype=np.float64)
         self._deviation = kinematics.junction_deviation_mm
         self._line_s = 1.0 / kinematics.lines_per_s
-        self._carry = np.zeros(5)
+        self._byte_s = 1.0 / kinematics.bytes_per_s if kinematics.bytes_per_s else 0.0
+        self._carry = np.zeros(6)
         self._clock = np.zeros(4)
         self._ends = np.zeros(self._window)
-        self._waiting = np.empty((0, 6))
+        self._waiting = np.empty((0, _COLUMNS))
 
-    def add(self, batch: MoveBatch) -> None:
-        blocks = np.empty((len(self._waiting) + len(batch), 6))
+    def add(self, batch: Moves) -> None:
+        blocks = np.empty((len(self._waiting) + len(batch), _COLUMNS))
+        sent = getattr(batch, "sent_bytes", _NOTHING)
         blocks[: len(self._waiting)] = self._waiting
         n = len(self._waiting) + _plan(
-            *(batch.points_mm, batch.is_rapid, batch.feed_mm_per_min, batch.line, batch.pause_s),
+            *(batch.points_mm, batch.is_rapid, batch.feed_mm_per_min, batch.line, sent, batch.pause_s),
             *(self._rate, self._accel, self._deviation, self._carry, blocks[len(self._waiting) :]),
         )
         ready = max(0, n - self._window - 1)
-        _run(blocks[:n], ready, self._window, self._line_s, self._clock, self._ends)
+        _run(blocks[:n], ready, self._window, self._line_s, self._byte_s, self._clock, self._ends)
         self._waiting = blocks[ready:n].copy()
 
     @property
     def seconds(self) -> float:
         """Time until the mill stands still, if the program ended here."""
         clock = self._clock.copy()
-        _run(self._waiting, len(self._waiting), self._window, self._line_s, clock, self._ends.copy())
+        waiting = self._waiting
+        _run(waiting, len(waiting), self._window, self._line_s, self._byte_s, clock, self._ends.copy())
         return float(clock[1])

@@ -1,13 +1,39 @@
-"""What each mill can do: travel, speeds, planner, spindle. Read from the TOML files in machines/profiles/."""
+"""What each mill can do and how it is linked: travel, speeds, planner, spindle, port.
+
+Built-in profiles are machines/profiles/*.toml. A person adds machines as files of the same format in a folder of
+their own; such a file may say `extends = "grbl"` and give only what differs. File name and profile name are the same.
+"""
 
 from __future__ import annotations
 
+import os
 import tomllib
-from dataclasses import dataclass, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from dataclasses import fields as dataclass_fields
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
+from machines.errors import MachineError
+from machines.profile_values import DIALECTS, DRIVERS, FLOWS, LINK_VALUES, PROFILE_VALUES, BadValueError
+
+__all__ = [
+    "DIALECTS",
+    "DRIVERS",
+    "FLOWS",
+    "LinkSettings",
+    "MachineProfile",
+    "ProfileError",
+    "UnknownProfileError",
+    "load_profile",
+    "profile_names",
+    "profile_sources",
+    "user_folders",
+]
+
 Triple = tuple[float, float, float]
+_MOST_EXTENDS = 8
 
 
 class UnknownProfileError(LookupError):
@@ -19,10 +45,50 @@ class UnknownProfileError(LookupError):
         self.known = known
 
 
+class ProfileError(MachineError):
+    """A profile file that cannot be used: the message names file, key, value and what is allowed."""
+
+    def __init__(self, file: str, text: str) -> None:
+        super().__init__(f"{file}: {text}")
+        self.file = file
+        self.text = text
+
+
+@dataclass(frozen=True, slots=True)
+class LinkSettings:
+    """How bytes get to the mill.
+
+    driver   : "grbl" (counted characters, ok/error) | "roland-serial" | "roland-usb" | "drip" (XON/XOFF DNC) | "none"
+               (programs are copied to the mill's own computer)
+    flow     : handshake of the serial line: "none" | "rtscts" | "xonxoff"
+    rx_bytes : receive buffer of the controller; None asks the controller ($I)
+    port     : where the mill usually is ("/dev/serial/by-id/...", "socket://host:23"); None: given on the command line
+    """
+
+    driver: str = "grbl"
+    baud: int = 115200
+    bytesize: int = 8
+    parity: str = "N"
+    stopbits: float = 1
+    flow: str = "none"
+    rx_bytes: int | None = None
+    port: str | None = None
+
+    @property
+    def bits_per_byte(self) -> float:
+        """On the wire, with start bit, parity and stop bits: 10 for 8N1."""
+        return 1 + self.bytesize + (self.parity != "N") + self.stopbits
+
+    @property
+    def wire_bytes_per_s(self) -> float:
+        return self.baud / self.bits_per_byte
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineProfile:
     """One mill. Triples are X, Y, Z.
 
+    dialect                : language of its controller, one of DIALECTS
     travel_mm              : how far each axis goes
     max_rate_mm_per_min    : fastest rate of each axis
     acceleration_mm_per_s2 : acceleration of each axis
@@ -32,6 +98,8 @@ class MachineProfile:
     lines_per_s            : blocks the controller can take in a second
     spindle_rpm            : slowest and fastest speed
     safe_z_mm              : height above the stock top at which rapids travel
+    homing                 : has switches and a homing cycle, so that a lost position can be found again
+    description            : what it is, in words
     """
 
     name: str
@@ -45,23 +113,83 @@ class MachineProfile:
     lines_per_s: float
     spindle_rpm: tuple[float, float]
     safe_z_mm: float
+    link: LinkSettings = LinkSettings()
+    homing: bool = False
+    description: str = ""
 
 
-def profile_names() -> tuple[str, ...]:
+def user_folders(environment: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
+    """Folders of the person's own profiles: $CAUSTICMILL_CONFIG_DIR, $XDG_CONFIG_HOME/causticmill or ~/.config."""
+    own, shared = environment.get("CAUSTICMILL_CONFIG_DIR"), environment.get("XDG_CONFIG_HOME")
+    if own:
+        return (Path(own) / "machines",)
+    home = environment.get("HOME")
+    base = Path(shared) if shared else Path(home) / ".config" if home else None
+    return (base / "causticmill" / "machines",) if base else ()
+
+
+def profile_sources(folders: Sequence[Path] | None = None) -> dict[str, str]:
+    """File of each profile by name, sorted; a person's own profile takes the place of a built-in of its name."""
+    built_in = resources.files("machines") / "profiles"
+    found = {e.name.removesuffix(".toml"): str(e) for e in built_in.iterdir() if e.name.endswith(".toml")}
+    for folder in reversed(user_folders() if folders is None else folders):
+        if folder.is_dir():
+            found |= {path.stem: str(path) for path in folder.glob("*.toml")}
+    return dict(sorted(found.items()))
+
+
+def profile_names(folders: Sequence[Path] | None = None) -> tuple[str, ...]:
     """Names of all profiles, sorted."""
-    folder = resources.files("machines") / "profiles"
-    return tuple(sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml")))
+    return tuple(profile_sources(folders))
 
 
-def load_profile(name: str) -> MachineProfile:
-    """The profile called `name`; UnknownProfileError lists the known ones."""
-    known = profile_names()
-    if name not in known:
-        raise UnknownProfileError(name, known)
-    text = (resources.files("machines") / "profiles" / f"{name}.toml").read_text(encoding="utf-8")
-    values = tomllib.loads(text)
-    expected = {field.name for field in fields(MachineProfile)}
-    if set(values) != expected:
-        raise ValueError(f"profile {name}: keys differ from MachineProfile: {sorted(set(values) ^ expected)}")
-    kept: dict[str, Any] = {key: tuple(value) if isinstance(value, list) else value for key, value in values.items()}
-    return MachineProfile(**kept)
+def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachineProfile:
+    """The profile called `name`. UnknownProfileError lists the known; ProfileError says what is wrong in a file."""
+    sources = profile_sources(folders)
+    if name not in sources:
+        raise UnknownProfileError(name, tuple(sources))
+    file = sources[name]
+    values = _values(name, sources, ())
+    link = LinkSettings(**values.pop("link", {}))
+    required = {field.name for field in dataclass_fields(MachineProfile)} - {"link", "homing", "description"}
+    missing = sorted(required - set(values))
+    if missing:
+        raise ProfileError(file, f'{", ".join(missing)}: missing; give them, or start from a profile: extends = "grbl"')
+    profile = MachineProfile(**values, link=link)
+    if profile.safe_z_mm >= profile.travel_mm[2]:
+        raise ProfileError(file, f"safe_z_mm = {profile.safe_z_mm:g}: allowed: less than the travel in Z, "
+                                 f"{profile.travel_mm[2]:g} mm")  # fmt: skip
+    return profile
+
+
+def _values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> dict[str, Any]:
+    """Checked values of a profile, those of the profile it extends filled in."""
+    file = sources[name]
+    raw = _read(file)
+    try:
+        link = raw.pop("link", {})
+        if not isinstance(link, dict):
+            raise BadValueError("link", link, "a table: [link] and below it driver, baud, port ...")
+        own_link = {key: LINK_VALUES.checked(key, value, "link.") for key, value in link.items()}
+        extends = raw.pop("extends", None)
+        own = {key: PROFILE_VALUES.checked(key, value, "") for key, value in raw.items()}
+        if own.setdefault("name", name) != name:
+            raise BadValueError("name", own["name"], f"the name of the file, '{name}'")
+        if extends is None:
+            return own | {"link": own_link}
+        others = tuple(other for other in sources if other not in (*trail, name))
+        if extends not in others or len(trail) >= _MOST_EXTENDS:
+            raise BadValueError("extends", extends, ", ".join(f"'{other}'" for other in others))
+    except BadValueError as error:
+        raise ProfileError(file, str(error)) from None
+    base = _values(extends, sources, (*trail, name))
+    return base | own | {"link": base["link"] | own_link}
+
+
+def _read(file: str) -> dict[str, Any]:
+    try:
+        return tomllib.loads(Path(file).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ProfileError(file, f"cannot be read ({error.__class__.__name__})") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ProfileError(file, f"not valid TOML: {error}") from None

@@ -1,6 +1,7 @@
 """The commands `make`, `design`, `cam`, `caustic`, `check` and `version`: their arguments, and what each one calls.
 
-Everything heavy is imported inside the commands, so that --help answers at once.
+Those that drive mills are in `mill_commands`. Everything heavy is imported inside the commands, so that --help answers
+at once.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from service import mill_commands
 from service.errors import EXIT_FAILURE
 
 if TYPE_CHECKING:
@@ -177,3 +179,6 @@ def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
 
     for line in summary_lines(folder, report):
         print(line)
+
+
+mill_commands.register(app)

@@ -37,7 +37,7 @@ def use_current_kernels() -> None:
 def _state_of_sources() -> str:
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()
-    for package in ("optics", "cam"):
+    for package in ("optics", "cam", "machines/gcode"):
         for source in sorted((root / package).rglob("*.py")):
             digest.update(source.read_bytes())
     return digest.hexdigest()[:16]

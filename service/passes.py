@@ -8,7 +8,7 @@ from typing import Any
 from cam import passes as cam_passes
 from cam.materials import PMMA, Material
 from cam.passes import PassSpec, Stock
-from machines.profiles import MachineProfile, UnknownProfileError, load_profile
+from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from service.errors import SpecError
 from service.spec import JobSpec, PassRow
 
@@ -35,6 +35,8 @@ def machine_of(spec: JobSpec) -> MachineProfile:
     except UnknownProfileError as error:
         allowed = ", ".join(f"'{name}'" for name in error.known)
         raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
+    except ProfileError as error:
+        raise SpecError([("machine.profile", f"'{spec.machine.profile}' cannot be used: {error}")]) from None
     own: dict[str, Any] = {}
     for key in _PROFILE_KEYS:
         value = getattr(spec.machine, key)

@@ -19,7 +19,7 @@ from service.progress import Reporter, Stopwatch
 from service.report_stage import report_stage
 from service.solid import ReliefTooDeep, SolidError
 from service.spec import JobSpec
-from service.stages_cam import mill_stage, require_millable, toolpath_stage
+from service.stages_cam import mill_stage, require_millable, require_post, toolpath_stage
 from service.stages_optics import caustic_stage, design_stage, read_target, require_fit_in_stock, solid_stage
 from service.workshop import Part, Workshop, load_heightfield, load_target
 
@@ -30,6 +30,7 @@ _INPUT_ERRORS = (
 
 def make(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
     """The whole chain. Returns what report.json holds."""
+    require_post(spec)
     job_files.require_usable_output(output, force=force)
     with _workshop(output, spec, reporter) as shop:
         heightfield = _lens(shop, picture)
@@ -51,6 +52,7 @@ def design(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, fo
 
 def cam(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
     """Programs for the lens in a job's folder."""
+    require_post(spec)
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _workshop(output, spec, reporter, keep=kept) as shop:
         heightfield = load_heightfield(output / job_files.HEIGHTFIELD)

@@ -17,16 +17,33 @@ from cam.stock_grid import StockGrid
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service import figures_paths
-from service.errors import FailedError
+from service.errors import FailedError, SpecError
 from service.fitting import require_travel, shortage, unfit_ball
 from service.job_files import TOOLPATH, program_name, read_chunks, write_program
 from service.lens_facts import measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.path_sample import PathSample
+from service.spec import JobSpec
 from service.workshop import Workshop
 
-_POSTS: dict[str, Post] = {"grbl": GRBL}
+_POSTS: dict[str, Post] = {"grbl": GRBL, "grblhal": GRBL, "fluidnc": GRBL}
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
+
+
+def require_post(spec: JobSpec) -> None:
+    """Before any work: can programs be written in the language of the job's machine?"""
+    machine = machine_of(spec)
+    if machine.dialect not in _POSTS:
+        allowed = ", ".join(f"'{name}'" for name in _POSTS)
+        raise SpecError(
+            [
+                (
+                    "machine.profile",
+                    f"'{machine.name}' speaks {machine.dialect}, and no programs can be written in that yet; "
+                    f"allowed: a machine of dialect {allowed} (see `causticmill machines`)",
+                )
+            ]
+        )
 
 
 def require_millable(shop: Workshop, heightfield: Heightfield) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -168,3 +169,45 @@ def test_batches_change_nothing(size, seed):
 def test_impossible_mills_are_refused(bad):
     with pytest.raises(ValueError):
         mill(**bad)
+
+
+class Sent(NamedTuple):
+    """A batch that says how many bytes its lines are."""
+
+    points_mm: np.ndarray
+    is_rapid: np.ndarray
+    feed_mm_per_min: np.ndarray
+    line: np.ndarray
+    pause_s: np.ndarray
+    sent_bytes: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.line)
+
+
+@pytest.mark.parametrize(
+    ("bytes_per_line", "lines_per_s", "line_s"), [(20, 1e9, 20 / 11520), (20, 400, 1 / 400), (40, 400, 40 / 11520)]
+)
+def test_a_line_arrives_after_the_longer_of_its_bytes_and_the_parsers_time(bytes_per_line, lines_per_s, line_s):
+    """Blocks far shorter than their lines take to come: the line sets the time, whole batch or in pieces."""
+    n = 3000
+    batch = moves(np.column_stack([np.arange(n + 1) * 1e-4, np.zeros(n + 1), np.zeros(n + 1)]), feed=6000)
+    sent = np.arange(1, n + 1) * float(bytes_per_line)
+    fields = (batch.points_mm, batch.is_rapid, batch.feed_mm_per_min, batch.line, batch.pause_s)
+    model = DurationModel(mill(lines_per_s=lines_per_s, bytes_per_s=11520))
+    for first, last in ((0, 1000), (1000, 1001), (1001, n)):
+        points, *others = (field[first : last + (field is fields[0])] for field in fields)
+        model.add(Sent(points, *others, sent[first:last]))
+    assert model.seconds == pytest.approx(n * line_s, rel=0.01)
+
+
+def test_without_a_wire_rate_or_without_bytes_only_lines_count():
+    n = 2000
+    batch = moves(np.column_stack([np.arange(n + 1) * 1e-4, np.zeros(n + 1), np.zeros(n + 1)]), feed=6000)
+    assert seconds(batch, lines_per_s=500, bytes_per_s=1.0) == pytest.approx(n / 500, rel=0.01)
+    fields = (batch.points_mm, batch.is_rapid, batch.feed_mm_per_min, batch.line, batch.pause_s)
+    model = DurationModel(mill(lines_per_s=500))
+    model.add(Sent(*fields, np.arange(n) * 1e6))
+    assert model.seconds == pytest.approx(n / 500, rel=0.01)
+    with pytest.raises(ValueError, match="bytes_per_s = 0"):
+        mill(bytes_per_s=0)

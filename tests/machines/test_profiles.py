@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
+from pathlib import Path
 
 import pytest
 
-from machines.profiles import UnknownProfileError, load_profile, profile_names
+from machines.profiles import (
+    DIALECTS,
+    DRIVERS,
+    LinkSettings,
+    ProfileError,
+    UnknownProfileError,
+    load_profile,
+    profile_names,
+    profile_sources,
+    user_folders,
+)
 
 
 @pytest.mark.parametrize("name", profile_names())
 def test_every_profile_is_complete_and_plausible(name: str) -> None:
     profile = load_profile(name)
     assert profile.name == name
-    assert profile.dialect == "grbl", "no other dialect can be written yet"
+    assert profile.dialect in DIALECTS
+    assert profile.link.driver in DRIVERS
+    assert profile.description
     for triple in (profile.travel_mm, profile.max_rate_mm_per_min, profile.acceleration_mm_per_s2):
         assert len(triple) == 3
         assert min(triple) > 0
     assert 0 < profile.safe_z_mm < profile.travel_mm[2]
-    assert 0 < profile.spindle_rpm[0] < profile.spindle_rpm[1]
+    assert 0 <= profile.spindle_rpm[0] < profile.spindle_rpm[1]
     assert 1 <= profile.planner_blocks <= 1000
     assert 0 < profile.step_mm <= 0.05
     assert 0 < profile.junction_deviation_mm <= 0.1
@@ -48,3 +61,82 @@ def test_a_name_is_never_a_path() -> None:
 def test_profiles_are_frozen() -> None:
     with pytest.raises(FrozenInstanceError):
         load_profile("grbl").safe_z_mm = 1.0  # type: ignore[misc]
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def test_a_profile_of_ones_own_gives_only_what_differs(tmp_path: Path) -> None:
+    port = "/dev/serial/by-id/usb-1a86"
+    text = f'extends = "grbl"\ntravel_mm = [280, 175, 40]\n[link]\nport = "{port}"\nbaud = 250000\n'
+    written(tmp_path, "bench", text)
+    bench, base = load_profile("bench", [tmp_path]), load_profile("grbl", [tmp_path])
+    own_link = replace(base.link, port=port, baud=250000)
+    assert bench == replace(base, name="bench", travel_mm=(280.0, 175.0, 40.0), link=own_link)
+    assert "bench" in profile_names([tmp_path])
+
+
+def test_profiles_extend_each_other_but_not_in_a_ring(tmp_path: Path) -> None:
+    written(tmp_path, "a", 'extends = "b"\nsafe_z_mm = 7\n')
+    written(tmp_path, "b", 'extends = "grbl"\nsafe_z_mm = 6\nstep_mm = 0.01\n')
+    assert (load_profile("a", [tmp_path]).safe_z_mm, load_profile("a", [tmp_path]).step_mm) == (7, 0.01)
+    written(tmp_path, "b", 'extends = "a"\n')
+    with pytest.raises(ProfileError, match="extends = "):
+        load_profile("a", [tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("travel = 3", "travel = 3: allowed: the keys name"),
+        ("travel_mm = [1, 2]", "travel_mm = [1, 2]: allowed: three numbers"),
+        ("travel_mm = [1, 2, nan]", "three numbers"),
+        ('dialect = "heidenhain"', "dialect = 'heidenhain': allowed: 'grbl'"),
+        ("planner_blocks = 15.5", "a whole number"),
+        ("planner_blocks = true", "a whole number"),
+        ("homing = 1", "homing = 1: allowed: true, false"),
+        ("spindle_rpm = [9, 8]", "[slowest, fastest]"),
+        ('name = "other"', "the name of the file"),
+        ("safe_z_mm = 100", "less than the travel in Z"),
+        ('[link]\ndriver = "usb"', "link.driver = 'usb': allowed: 'grbl'"),
+        ("[link]\nbauds = 9600", "link.bauds = 9600: allowed: the keys driver, baud"),
+        ("link = 3", "link = 3: allowed: a table"),
+        ("travel_mm = [1", "not valid TOML"),
+    ],
+)
+def test_a_bad_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path: Path, text: str, words: str) -> None:
+    path = written(tmp_path, "bench", f'extends = "grbl"\n{text}\n')
+    with pytest.raises(ProfileError) as caught:
+        load_profile("bench", [tmp_path])
+    assert str(path) in str(caught.value) and words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_extends_nothing_must_be_complete(tmp_path: Path) -> None:
+    written(tmp_path, "bench", 'dialect = "grbl"\n')
+    with pytest.raises(ProfileError, match="missing; give them, or start from a profile"):
+        load_profile("bench", [tmp_path])
+
+
+def test_where_own_profiles_are_looked_for(tmp_path: Path) -> None:
+    assert user_folders({"CAUSTICMILL_CONFIG_DIR": "/c", "XDG_CONFIG_HOME": "/x", "HOME": "/h"}) == (
+        Path("/c/machines"),
+    )
+    assert user_folders({"XDG_CONFIG_HOME": "/x", "HOME": "/h"}) == (Path("/x/causticmill/machines"),)
+    assert user_folders({"HOME": "/h"}) == (Path("/h/.config/causticmill/machines"),)
+    assert user_folders({}) == ()
+    path = written(tmp_path, "grbl", 'extends = "grbl-3018"\n')
+    assert profile_sources([tmp_path])["grbl"] == str(path), "one's own takes the place of a built-in"
+
+
+@pytest.mark.parametrize(
+    ("link", "bytes_per_s"), [((8, "N", 1), 11_520), ((7, "E", 2), 115_200 / 11), ((7, "E", 1), 11_520)]
+)
+def test_wire_rate_counts_start_parity_and_stop_bits(link: tuple[int, str, float], bytes_per_s: float) -> None:
+    bytesize, parity, stopbits = link
+    settings = LinkSettings(bytesize=bytesize, parity=parity, stopbits=stopbits)
+    assert settings.wire_bytes_per_s == pytest.approx(bytes_per_s)

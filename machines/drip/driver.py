@@ -1,0 +1,168 @@
+"""DNC drip feed with XON/XOFF (DC1/DC3) for Okuma-class controls, the handshake done here and not in the port.
+
+Why not the port's own XON/XOFF: a tty or a USB adapter queues hundreds of bytes that have passed the driver already;
+the kernel stops at DC3 what is still in its queue, but not what is in the adapter, and it hides when the control said
+stop. An old control has room for few bytes after its DC3. So the port runs without handshake and this driver keeps so
+little under way that whatever it does, at most 16 bytes arrive after DC3:
+
+    queued (8) + what a pace of at most 6 bytes per `latency_s` lets out before DC3 is seen + the byte on the wire
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+from machines.drip.feed import Pace
+from machines.drip.one_way import OneWayDriver
+from machines.driver import Command, CommandDone, DriverFacts, MillState, Notice, ProgramLine, Unlock
+from machines.errors import NotAllowedError, ProgramRefusedError
+
+if TYPE_CHECKING:
+    from machines.port import Port
+    from machines.profiles import LinkSettings
+
+DC1, DC2, DC3, DC4 = 0x11, 0x12, 0x13, 0x14
+BYTES_AFTER_STOP = 16
+_QUEUED = 8
+_BEFORE_SEEN = 6
+_UNDER_WIRE_RATE = 0.98  # clocks of two UARTs may differ by 2 %: the queue must not grow over hours
+_QUIET_AFTER_S = 60.0
+_TAPE_MARK = b"%"
+
+FACTS = DriverFacts(
+    kind="DNC drip feed, XON/XOFF",
+    capacity=f"the control says stop (DC3) and go on (DC1); at most {BYTES_AFTER_STOP} bytes follow a DC3",
+    acknowledgement="none: progress is bytes that have left, execution is not visible",
+    stop="sending stops; the control executes what its buffer holds: the operator presses feed hold",
+    position="none",
+    tried_on="only a simulated control (in memory and on a pty); never a real Okuma or other DNC control",
+)
+RECOVERY = (
+    "This link does not tell where the control stopped. Read the sequence number (N word) on the control's screen, "
+    "return the tool to safe Z, check the zero, then restart from the last tool entry at or before that number."
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DripOptions:
+    """leader_nulls, trailer_nulls : blank tape before and after the program, for controls that want it
+    latency_s : longest time a byte from the control takes to be seen here (USB adapter, scheduler); the pace follows
+    """
+
+    leader_nulls: int = 0
+    trailer_nulls: int = 0
+    latency_s: float = 0.004
+
+
+def refuse_text(text: bytes) -> str:
+    """Why this block cannot go over a 7-bit line to such a control; empty if it can."""
+    for byte in text:
+        if not 0x20 <= byte < 0x7F:
+            return f"byte 0x{byte:02x} is not printable 7-bit text"
+    if text != text.upper():
+        return "lower case: the control takes upper case only"
+    if _TAPE_MARK in text and text.strip() != _TAPE_MARK:
+        return "'%' inside a block would end the tape"
+    return ""
+
+
+class DripDriver(OneWayDriver):
+    """machines.driver.Driver over DC1/DC3; `port` must be open without any handshake of its own."""
+
+    def __init__(self, port: Port, link: LinkSettings, *, options: DripOptions | None = None, planner_blocks: int = 0):
+        self._options = options or DripOptions()
+        rate = min(_UNDER_WIRE_RATE * link.wire_bytes_per_s, _BEFORE_SEEN / self._options.latency_s)
+        super().__init__(
+            port,
+            facts=FACTS,
+            pace=Pace(rate, _QUEUED),
+            buffer_bytes=link.rx_bytes,
+            planner_blocks=planner_blocks,
+        )
+        self._open = False  # the last word of the control was DC1
+        self._ever_open = False
+        self._since_s = 0.0
+        self._said_quiet = False
+        self._said_parity = False
+        self._tape_ended = False
+
+    def connect(self) -> None:
+        self._open = False
+        self._status = replace(self._status, controller=FACTS.kind)
+        self._set(MillState.IDLE, "line open; the control has not asked for anything yet")
+
+    def command(self, command: Command) -> None:
+        """Unlock: the operator states that the control waits for bytes, e.g. because a DC1 was lost on the line."""
+        if isinstance(command, Unlock):
+            if self._feed is None:
+                raise NotAllowedError("there is no program under way that could wait for DC1")
+            self._go_on(self._port.clock())
+            self._events.append(CommandDone(command))
+            return
+        super().command(command)
+
+    def _envelope(self) -> tuple[bytes, bytes]:
+        self._ever_open, self._said_quiet, self._tape_ended = self._open, False, False
+        self._since_s = self._port.clock()
+        return bytes(self._options.leader_nulls) + b"%\r\n", b"%" + bytes(self._options.trailer_nulls)
+
+    def _encode(self, line: ProgramLine) -> bytes:
+        reason = refuse_text(line.text)
+        if reason:
+            raise ProgramRefusedError(line.number, line.text.decode("latin-1"), reason)
+        if line.text.strip() == _TAPE_MARK:
+            if self._feed is not None and self._feed.sent_line:
+                self._tape_ended = True
+            return b""  # the tape marks are written once, by the envelope
+        if self._tape_ended:
+            raise ProgramRefusedError(
+                line.number, line.text.decode("latin-1"), "stands behind the '%' that ends the tape"
+            )
+        return line.text + b"\r\n"
+
+    def _may_send(self) -> bool:
+        return self._open
+
+    def _running_words(self) -> str:
+        if self._ever_open:
+            return super()._running_words()
+        return "waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control"
+
+    def _received(self, data: bytes, now_s: float) -> None:
+        for byte in data:
+            if byte & 0x80 and not self._said_parity:
+                self._said_parity = True
+                self._events.append(
+                    Notice("the control sends with parity, the port reads 8 bits: check bytesize, parity")
+                )
+            match byte & 0x7F:
+                case 0x11:
+                    self._go_on(now_s)
+                case 0x13:
+                    self._stop(now_s)
+                case _:  # DC2, DC4, NAK ...: words of a tape punch that ask nothing of a sender
+                    pass
+
+    def _go_on(self, now_s: float) -> None:
+        first = not self._ever_open
+        self._open, self._ever_open, self._since_s, self._said_quiet = True, True, now_s, False
+        if first and self._feed is not None and not self._held:
+            self._set(MillState.RUN, self._running_words())
+            self._events.append(Notice("the control has asked for the program (DC1)"))
+
+    def _stop(self, now_s: float) -> None:
+        self._open, self._since_s = False, now_s
+        if self._feed is not None and self._feed.beyond_lines:
+            self._feed.drop_rest()  # it has its '%' and will not ask for the blank tape behind it
+
+    def _tick(self, now_s: float) -> None:
+        waiting = self._feed is not None and not self._feed.finished and not self._held and not self._open
+        if waiting and not self._said_quiet and now_s - self._since_s > _QUIET_AFTER_S:
+            self._said_quiet = True
+            words = "has held the line (DC3)" if self._ever_open else "has not asked for the program (DC1)"
+            self._events.append(Notice(f"the control {words} for {_QUIET_AFTER_S:g} s: look at its screen"))
+
+    def abort(self) -> None:
+        self._open = False  # a DC1 of the aborted reading must not start the next program
+        super().abort()

@@ -1,0 +1,267 @@
+"""What all links have in common that only take bytes: no answer per line, no position, no stop but to stop sending.
+
+Progress is counted in bytes that have left; what the machine does with them is not known, and every word this driver
+says keeps to that. A line counts as executed only when the far end's buffers cannot hold it any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from machines.drip.feed import ByteFeed, Pace
+from machines.driver import (
+    Command,
+    CommandDone,
+    DriverFacts,
+    Event,
+    FaultCause,
+    Faulted,
+    MillState,
+    MillStatus,
+    Notice,
+    ProgramDone,
+    ProgramLine,
+    StateChanged,
+    Stopped,
+    StreamProgress,
+    TrustPosition,
+)
+from machines.errors import MachineError, NotAllowedError, PortError
+
+if TYPE_CHECKING:
+    from machines.port import Port
+
+_END_GRACE_S = 0.5  # after the last byte, for what the far end has to say about it
+
+
+class OneWayDriver:
+    """Base of the drip feed and of the serial Roland; they say what a block looks like and when bytes may go."""
+
+    def __init__(self, port: Port, *, facts: DriverFacts, pace: Pace, buffer_bytes: int | None, planner_blocks: int):
+        self._port = port
+        self._facts = facts
+        self._pace = pace
+        self._buffer_bytes = buffer_bytes
+        self._planner_blocks = planner_blocks
+        self._status = MillStatus(buffer_bytes=buffer_bytes, controller=facts.kind)
+        self._feed: ByteFeed | None = None
+        self._progress = StreamProgress()
+        self._held = False
+        self._last_byte_s = 0.0
+        self._events: list[Event] = []
+
+    # What the two links differ in.
+
+    def _encode(self, line: ProgramLine) -> bytes:
+        raise NotImplementedError
+
+    def _envelope(self) -> tuple[bytes, bytes]:
+        """Bytes before the first and after the last block."""
+        return b"", b""
+
+    def _may_send(self) -> bool:
+        """The far end takes bytes now."""
+        return True
+
+    def _received(self, data: bytes, now_s: float) -> None:
+        """Bytes that came from the far end."""
+
+    def _tick(self, now_s: float) -> None:
+        """Called on every turn of a poll."""
+
+    def _abort_bytes(self) -> bytes:
+        return b""
+
+    def _running_words(self) -> str:
+        return "bytes go out; what the machine does with them is not visible on this link"
+
+    def _still_held(self) -> str:
+        """How much the machine may still execute, in words."""
+        known = self._buffer_bytes
+        return f"up to {known} bytes" if known is not None else "whatever its buffer holds (size not known)"
+
+    # The interface.
+
+    @property
+    def facts(self) -> DriverFacts:
+        return self._facts
+
+    @property
+    def status(self) -> MillStatus:
+        return self._status
+
+    @property
+    def progress(self) -> StreamProgress:
+        return self._progress
+
+    @property
+    def protections(self) -> tuple[str, ...]:
+        return ()
+
+    def connect(self) -> None:
+        self._set(MillState.IDLE, "line open; nothing answers on this link until a program is read")
+
+    def poll(self, timeout_s: float) -> tuple[Event, ...]:
+        deadline_s = self._port.clock() + timeout_s
+        while self._status.state is not MillState.DISCONNECTED:
+            try:
+                wait_s = self._turn()
+                if self._events:
+                    break
+                before_s = self._port.clock()
+                wait_s = min(wait_s, deadline_s - before_s)
+                data = self._port.read(max(0.0, wait_s))
+                now_s = self._port.clock()
+                if data:
+                    self._received(data, now_s)
+            except PortError as error:
+                self._lost(str(error))
+                break
+            if self._events or now_s >= deadline_s or (not data and now_s < before_s + wait_s):
+                break  # the last case: somebody called wake()
+        self._book()
+        events, self._events = tuple(self._events), []
+        return events
+
+    def wake(self) -> None:
+        self._port.wake()
+
+    def start(self, lines: Iterator[ProgramLine]) -> None:
+        if self._status.state is not MillState.IDLE:
+            raise NotAllowedError(f"a program can start only when the link is idle, it is {self._status.state.value}")
+        head, tail = self._envelope()
+        self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
+        self._held = False
+        self._set(MillState.RUN, self._running_words())
+        self._book()
+
+    def hold(self) -> None:
+        """Send nothing more. Never HELD: whether the machine stands is not visible on this link."""
+        if self._feed is None or self._held:
+            return
+        self._held = True
+        words = f"sending has stopped; the machine still executes {self._still_held()}: press feed hold at the machine"
+        self._set(MillState.HOLDING, words)
+        self._events.append(Notice(words))
+
+    def resume(self) -> None:
+        if self._feed is None or not self._held:
+            raise NotAllowedError(f"there is nothing to resume: the link is {self._status.state.value}")
+        self._held = False
+        self._set(MillState.RUN, self._running_words())
+
+    def abort(self) -> None:
+        if self._status.state is MillState.DISCONNECTED:
+            raise NotAllowedError("the link is lost: stop the machine at its own panel")
+        try:
+            if data := self._abort_bytes():
+                self._port.write(data)
+        except PortError as error:
+            self._lost(str(error))
+            return
+        self._end_stream()
+        words = f"sending has ended; the machine may still execute {self._still_held()}: reset it at its own panel"
+        self._events += [Notice(words), Stopped(position_kept=False)]
+        self._status = replace(self._status, position_trusted=False)
+        self._set(MillState.IDLE, words)
+
+    def command(self, command: Command) -> None:
+        if not isinstance(command, TrustPosition):
+            raise NotAllowedError(
+                f"{type(command).__name__} is not possible on this link: do it at the machine's panel"
+            )
+        self._status = replace(self._status, position_trusted=True)
+        self._events.append(CommandDone(command))
+
+    def close(self) -> None:
+        self._port.close()
+
+    # Inside.
+
+    def _turn(self) -> float:
+        """Send what may go now; seconds until there is something to do again."""
+        now_s = self._port.clock()
+        self._tick(now_s)
+        feed = self._feed
+        if feed is None:
+            return 1e9
+        if feed.finished:
+            return self._finish(now_s)
+        if self._held or not self._may_send():
+            return 1e9
+        room = self._pace.room(now_s)
+        if room:
+            self._hand_over(feed, room, now_s)
+        if self._feed is None:
+            return 1e9
+        return self._pace.wait_s(now_s, self._pace.most_queued // 2)
+
+    def _hand_over(self, feed: ByteFeed, room: int, now_s: float) -> None:
+        try:
+            piece = feed.take(room)
+        except (MachineError, OSError) as error:
+            self._end_stream()
+            self._set(MillState.IDLE, "sending has stopped")
+            self._events.append(Faulted(FaultCause.PROGRAM_CHANGED, str(error), feed.sent_line, now_s))
+            return
+        if piece:
+            self._port.write(piece)
+            self._pace.written(len(piece), now_s)
+            self._last_byte_s = now_s
+
+    def _finish(self, now_s: float) -> float:
+        """All bytes are handed over: wait until they have left, then say so."""
+        end_s = self._last_byte_s + self._pace.wait_s(now_s, 0) + _END_GRACE_S
+        if now_s < end_s or self._unsent(now_s):
+            return max(end_s - now_s, 0.01)
+        self._book()
+        self._end_stream()
+        words = (
+            f"every byte has left; the machine may still be cutting {self._still_held()}: wait for its own end signal"
+        )
+        self._events += [Notice(words), ProgramDone()]
+        self._set(MillState.IDLE, words)
+        return 1e9
+
+    def _unsent(self, now_s: float) -> int:
+        """Bytes written that have not left the host yet."""
+        return self._pace.queued(now_s)
+
+    def _book(self) -> None:
+        feed = self._feed
+        if feed is None:
+            return
+        taken = max(0, feed.handed_bytes - self._unsent(self._port.clock()))
+        feed.taken(taken)
+        self._progress = StreamProgress(
+            sent_line=feed.sent_line,
+            sent_offset=feed.sent_offset,
+            answered_line=feed.answered_line,
+            executed_line=feed.executed_line,
+            bytes_in_flight=feed.handed_bytes - taken,
+            lines_in_flight=feed.lines_in_flight,
+            streaming=True,
+        )
+
+    def _end_stream(self) -> None:
+        if self._feed is not None:
+            self._book()
+        self._feed, self._held = None, False
+        self._progress = replace(self._progress, streaming=False)
+
+    def _lost(self, words: str) -> None:
+        now_s = self._port.clock()
+        streaming, line = self._feed is not None, self._progress.sent_line
+        self._feed = None
+        self._progress = replace(self._progress, streaming=False)
+        self._status = replace(self._status, position_trusted=False, epoch=self._status.epoch + 1)
+        self._set(MillState.DISCONNECTED, words)
+        more = f"; the machine still executes {self._still_held()}" if streaming else ""
+        self._events.append(Faulted(FaultCause.PORT_LOST, words + more, line, now_s))
+
+    def _set(self, state: MillState, detail: str) -> None:
+        if state is not self._status.state:
+            self._events.append(StateChanged(self._status.state, state))
+        self._status = replace(self._status, state=state, detail=detail)

@@ -1,0 +1,313 @@
+"""The one interface of all drivers: what a mill controller is told, what it tells, and how its link works.
+
+A driver is owned by one thread, which calls `poll` in a loop; every other call comes from the same thread. Time is
+the driver's clock in seconds (injected), so that a simulated mill can run in simulated time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Protocol
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramLine:
+    """One block as it is sent: no comment, no blank, no line end.
+
+    number : line of the program file, from 1; 0 for a block that is not of the program (re-entry)
+    offset : byte offset of that line in the file
+    """
+
+    number: int
+    offset: int
+    text: bytes
+
+
+class MillState(Enum):
+    """What the machine does, as far as the driver knows. One word per thing for all drivers."""
+
+    DISCONNECTED = "disconnected"
+    CONNECTING = "connecting"
+    IDLE = "idle"
+    RUN = "run"
+    HOLDING = "holding"  # decelerating, or being told to
+    HELD = "held"  # stands still, position kept
+    JOG = "jog"
+    HOMING = "homing"
+    DOOR = "door"
+    CHECK = "check"
+    ALARM = "alarm"  # locked until unlocked or homed
+    SLEEP = "sleep"
+    TOOL = "tool"  # waits for a tool change or a cycle start asked for by the program
+
+
+class FaultCause(Enum):
+    """The first sign by which a fault showed itself."""
+
+    ERROR_REPLY = "error reply"
+    ALARM = "alarm"
+    RESET = "controller restarted"
+    PORT_LOST = "port lost"
+    REPLY_COUNT = "replies do not match lines"
+    GARBLED_REPLY = "garbled reply"
+    STALL = "no reply in time"
+    OFF_PATH = "position off the programmed path"
+    ECHO = "echo differs from what was sent"
+    PROGRAM_CHANGED = "program changed on disk"
+    DEVICE = "device reports a fault"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriverFacts:
+    """How a kind of link works, in words for the setup sheet and the operator.
+
+    capacity        : what bounds the bytes under way, e.g. "counted bytes, at most 128 (RX size from $I)"
+    acknowledgement : what an answer means, e.g. "ok = parsed and queued, up to 17 blocks before it is executed"
+    stop            : what stops motion, e.g. "feed hold '!' at once; reset only from Hold"
+    position        : where positions come from, e.g. "status report, 5 per second"
+    tried_on        : plainly, what this driver has been run against
+    """
+
+    kind: str
+    capacity: str
+    acknowledgement: str
+    stop: str
+    position: str
+    tried_on: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MillStatus:
+    """The latest that is known of the mill. Positions in mm; None where the link does not tell.
+
+    position_trusted : machine coordinates still mean what they meant at homing or zero-setting
+    overrides        : feed, rapid, spindle in percent
+    """
+
+    state: MillState = MillState.DISCONNECTED
+    detail: str = ""  # in words: "Door: ajar", "ALARM:2 soft limit ..."
+    machine_mm: Triple | None = None
+    work_mm: Triple | None = None
+    work_offset_mm: Triple | None = None
+    feed_mm_per_min: float | None = None
+    spindle_rpm: float | None = None
+    spindle_on: bool | None = None
+    overrides: tuple[int, int, int] = (100, 100, 100)
+    pins: str = ""
+    position_trusted: bool = False
+    controller: str = ""  # version words of the controller, "Grbl 1.1h"
+    buffer_bytes: int | None = None  # capacity for bytes under way
+    epoch: int = 0  # counts controller restarts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamProgress:
+    """How far a program has come. Lines are numbers of the program file, 0 before the first.
+
+    sent_line       : last line written to the link
+    answered_line   : last line the controller has answered (taken into its buffers)
+    executed_line   : every line up to this one has certainly been cut: the position proved it, or the buffers are too
+                      small to hold it still. Resuming at executed_line + 1 skips nothing
+    """
+
+    sent_line: int = 0
+    sent_offset: int = 0
+    answered_line: int = 0
+    executed_line: int = 0
+    bytes_in_flight: int = 0
+    lines_in_flight: int = 0
+    streaming: bool = False
+
+
+# Events: what a poll can bring.
+@dataclass(frozen=True, slots=True)
+class StateChanged:
+    before: MillState
+    after: MillState
+
+
+@dataclass(frozen=True, slots=True)
+class Faulted:
+    """The stream has stopped by itself; the driver has told the mill to hold wherever it can still be told."""
+
+    cause: FaultCause
+    words: str
+    line: int = 0  # program line the sign belongs to, 0 if none
+    at_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ProgramDone:
+    """Every line was sent, answered and executed, and the mill stands still."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stopped:
+    """An abort is complete: the mill stands still and its buffers are empty."""
+
+    position_kept: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Restarted:
+    """The controller started anew (banner): its buffers, modal state and G92 are gone."""
+
+    banner: str
+
+
+@dataclass(frozen=True, slots=True)
+class CommandDone:
+    """A command ended. `answer` holds what it brought, e.g. the probed position; `failure` is empty on success."""
+
+    command: Command
+    failure: str = ""
+    answer: dict[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Notice:
+    """Something the controller said that the operator should see ([MSG:...], unknown lines)."""
+
+    words: str
+
+
+Event = StateChanged | Faulted | ProgramDone | Stopped | Restarted | CommandDone | Notice
+
+
+# Commands: what an operator can ask for beside the stream.
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Homing cycle ($H)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unlock:
+    """Clear a lock ($X)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Reset:
+    """Soft reset. Refused while the mill moves: hold first."""
+
+
+@dataclass(frozen=True, slots=True)
+class Jog:
+    """Move by `by_mm` (or to work coordinates, `to_mm`, None = stay) at a feed; ended by JogCancel or arrival."""
+
+    by_mm: Triple = (0.0, 0.0, 0.0)
+    feed_mm_per_min: float = 500.0
+
+
+@dataclass(frozen=True, slots=True)
+class JogCancel:
+    """Stop a jog, keeping the position."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeZ:
+    """Touch off: down until contact (G38.2), then set work Z there to `plate_mm`, then back up."""
+
+    depth_mm: float
+    feed_mm_per_min: float = 50.0
+    plate_mm: float = 0.0
+    retract_mm: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class SetZero:
+    """Make the present position the work zero of these axes (G10 L20), e.g. "XY" or "Z". The operator vouches."""
+
+    axes: str = "XYZ"
+
+
+@dataclass(frozen=True, slots=True)
+class TrustPosition:
+    """The operator states that machine coordinates are right although homing was not run (mill without switches)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Override:
+    """Set an override: "feed" 10..200, "rapid" 25/50/100, "spindle" 10..200 percent."""
+
+    what: str
+    percent: int
+
+
+@dataclass(frozen=True, slots=True)
+class CheckMode:
+    """Dry run on the controller ($C) on or off."""
+
+    on: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReadSettings:
+    """Read settings ($$), offsets ($#) and parser state ($G) anew; the answer holds them."""
+
+
+@dataclass(frozen=True, slots=True)
+class SendBlock:
+    """One block typed by the operator, when the mill is idle."""
+
+    text: str
+
+
+Command = (
+    Home | Unlock | Reset | Jog | JogCancel | ProbeZ | SetZero | TrustPosition | Override | CheckMode | ReadSettings
+    | SendBlock
+)  # fmt: skip
+
+
+class Driver(Protocol):
+    """One mill on one link. All calls from one thread; only `wake` may come from another.
+
+    `poll` reads and writes, waiting at most `timeout_s` for input, and returns what happened. A link that is lost
+    comes back as `Faulted(PORT_LOST)` and state DISCONNECTED, never as an exception. Calls that are not allowed in
+    the present state raise NotAllowedError and change nothing.
+    """
+
+    @property
+    def facts(self) -> DriverFacts: ...
+    @property
+    def status(self) -> MillStatus: ...
+    @property
+    def progress(self) -> StreamProgress: ...
+    @property
+    def protections(self) -> tuple[str, ...]:
+        """Which link protection is active now, in words; never more than is true."""
+        ...
+
+    def connect(self) -> None:
+        """Begin the handshake; `status.state` leaves CONNECTING when it is done. Never moves the mill."""
+        ...
+
+    def poll(self, timeout_s: float) -> tuple[Event, ...]: ...
+    def wake(self) -> None:
+        """End a `poll` that is waiting (from any thread)."""
+        ...
+
+    def start(self, lines: Iterator[ProgramLine]) -> None:
+        """Stream these blocks; only from IDLE (or CHECK)."""
+        ...
+
+    def hold(self) -> None:
+        """Stop motion as fast as the link allows, position kept; allowed in every state, at any time."""
+        ...
+
+    def resume(self) -> None:
+        """Go on after hold."""
+        ...
+
+    def abort(self) -> None:
+        """Hold, and when the mill stands still clear its buffers; ends with Stopped."""
+        ...
+
+    def command(self, command: Command) -> None:
+        """Carry out one command; ends with CommandDone."""
+        ...
+
+    def close(self) -> None: ...

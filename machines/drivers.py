@@ -1,0 +1,74 @@
+"""From a machine's profile and a port to the driver that talks to it."""
+
+from __future__ import annotations
+
+from machines.driver import Driver
+from machines.errors import MachineError, NotAllowedError
+from machines.profiles import MachineProfile
+
+
+def open_driver(profile: MachineProfile, port_url: str | None) -> Driver:
+    """Open the link of this machine; `connect` is left to the caller. MachineError: one line that says why not."""
+    kind = profile.link.driver
+    url = port_url or profile.link.port
+    if kind == "none":
+        raise NotAllowedError(
+            f"machine '{profile.name}' has no link from here: copy the program to its own computer and start it there"
+        )
+    if kind == "roland-usb":
+        from machines.roland.usb_device import open_mdx40a
+        from machines.roland.usb_driver import RolandUsbDriver
+
+        return RolandUsbDriver(open_mdx40a(url), dialect=profile.dialect)
+    if not url:
+        raise NotAllowedError(
+            f"machine '{profile.name}' names no port: give one (/dev/serial/by-id/..., socket://host:port), "
+            "or write port = ... under [link] in a profile of your own"
+        )
+    if kind == "grbl":
+        return _grbl(profile, url)
+    if kind == "drip":
+        return _drip(profile, url)
+    if kind == "roland-serial":
+        return _roland_serial(profile, url)
+    raise MachineError(f"machine '{profile.name}': link.driver = '{kind}' is not a driver that exists")
+
+
+def _grbl(profile: MachineProfile, url: str) -> Driver:
+    from machines.grbl.driver import GrblDriver
+    from machines.grbl.session import GrblOptions
+    from machines.port import open_port
+
+    options = GrblOptions(rx_bytes=profile.link.rx_bytes, dialect=profile.dialect)
+    return GrblDriver(open_port(url, profile.link), options=options)
+
+
+def _drip(profile: MachineProfile, url: str) -> Driver:
+    from machines.drip.driver import DripDriver
+    from machines.port import open_port
+
+    if profile.link.flow != "none":
+        raise NotAllowedError(
+            f"machine '{profile.name}': link.flow = '{profile.link.flow}': allowed with the drip driver: 'none' "
+            "(it obeys DC1 and DC3 itself; a port that does would hide them)"
+        )
+    return DripDriver(open_port(url, profile.link), profile.link, planner_blocks=profile.planner_blocks)
+
+
+def _roland_serial(profile: MachineProfile, url: str) -> Driver:
+    from machines.port import open_port
+    from machines.roland.serial_driver import RolandSerialDriver
+
+    if profile.link.flow != "rtscts":
+        raise NotAllowedError(
+            f"machine '{profile.name}': link.flow = '{profile.link.flow}': allowed with the Roland serial driver: "
+            "'rtscts' (the mill stops the sender by its handshake line)"
+        )
+    port = open_port(url, profile.link)
+    if not callable(getattr(port, "unsent_bytes", None)):
+        port.close()
+        raise NotAllowedError(
+            f"port {url} cannot tell what it still holds: a busy mill would look like a lost one; "
+            "allowed: a serial port of this computer"
+        )
+    return RolandSerialDriver(port, profile.link, dialect=profile.dialect, planner_blocks=profile.planner_blocks)

@@ -1,0 +1,45 @@
+"""What can be wrong between a program and a mill. Every message is one line: the thing, the value, the way out."""
+
+from __future__ import annotations
+
+
+class MachineError(Exception):
+    """Base of all errors of this package; `str(error)` is fit to be shown to the operator."""
+
+
+class PortError(MachineError):
+    """The link cannot be opened, or was lost. `url` names it."""
+
+    def __init__(self, url: str, text: str) -> None:
+        super().__init__(f"port {url}: {text}")
+        self.url = url
+
+
+class PortLostError(PortError):
+    """A link that was open is gone: cable, power, or the far end closed it."""
+
+
+class NotAControllerError(PortError):
+    """Something answers, or nothing does, but no controller of the expected kind."""
+
+
+class NotAllowedError(MachineError):
+    """What was asked for is not allowed in the state the mill or the run is in; the message names both."""
+
+
+class ProgramRefusedError(MachineError):
+    """A program may not be sent. `line` counts from 1; 0 where the fault is not in one line."""
+
+    def __init__(self, line: int, text: str, reason: str) -> None:
+        super().__init__(f"line {line}: '{text}': {reason}" if line else reason)
+        self.line = line
+        self.text = text
+        self.reason = reason
+
+
+class ProgramChangedError(MachineError):
+    """The file on disk is not the one that pre-flight read."""
+
+
+class JournalError(MachineError):
+    """The journal cannot be written or read back; nothing may run without one."""

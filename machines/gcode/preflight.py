@@ -1,0 +1,112 @@
+"""What is known of a program before it may run: extents, feeds, time, index, warnings. Plain data, kept as JSON."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from machines.gcode.program import ProgramIndex
+
+Triple = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Smallest box around all programmed points, mm; None for an axis that never was at a known place."""
+
+    least_mm: tuple[float | None, float | None, float | None]
+    most_mm: tuple[float | None, float | None, float | None]
+
+    def span_mm(self, axis: int) -> float:
+        least, most = self.least_mm[axis], self.most_mm[axis]
+        return 0.0 if least is None or most is None else most - least
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Preflight:
+    """One program, read whole.
+
+    blocks            : lines that are sent (neither blank nor only a comment)
+    bounds_mm         : box in the first frame of `bounds_by_frame`, which has all: "G54" ... "machine" (G53), "shifted"
+                        (after G92, G10 or G43.1 in the program: not comparable with the work zero)
+    feeds_mm_per_min  : slowest and fastest feed of cutting moves; None without one
+    spindle_rpm       : lowest and highest speed while the spindle turns; None if it never does
+    time_s            : estimate for the mill's kinematics and link, without operator stops
+    ends              : M2 or M30 was found
+    assumed           : modes relied on without being said, e.g. ("G21", "G90"): check against $G before a start
+    """
+
+    sha256: str
+    bytes: int
+    lines: int
+    blocks: int
+    dialect: str
+    profile: str
+    bounds_mm: Bounds | None
+    bounds_by_frame: dict[str, Bounds] = field(default_factory=dict)
+    feeds_mm_per_min: tuple[float, float] | None
+    spindle_rpm: tuple[float, float] | None
+    path_length_mm: float
+    time_s: float
+    ends: bool
+    assumed: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    index: ProgramIndex
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "sha256": self.sha256,
+            "bytes": self.bytes,
+            "lines": self.lines,
+            "blocks": self.blocks,
+            "dialect": self.dialect,
+            "profile": self.profile,
+            "bounds_mm": _bounds_to_plain(self.bounds_mm),
+            "bounds_by_frame": {name: _bounds_to_plain(box) for name, box in self.bounds_by_frame.items()},
+            "feeds_mm_per_min": self.feeds_mm_per_min and list(self.feeds_mm_per_min),
+            "spindle_rpm": self.spindle_rpm and list(self.spindle_rpm),
+            "path_length_mm": self.path_length_mm,
+            "time_s": self.time_s,
+            "ends": self.ends,
+            "assumed": list(self.assumed),
+            "warnings": list(self.warnings),
+            "index": self.index.to_dict(),
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> Preflight:
+        values = dict(data)
+        feeds, spindle = values["feeds_mm_per_min"], values["spindle_rpm"]
+        frames = values["bounds_by_frame"].items()
+        return Preflight(
+            **values
+            | {
+                "bounds_mm": _bounds_from_plain(values["bounds_mm"]),
+                "bounds_by_frame": {name: box for name, plain in frames if (box := _bounds_from_plain(plain))},
+                "feeds_mm_per_min": (feeds[0], feeds[1]) if feeds else None,
+                "spindle_rpm": (spindle[0], spindle[1]) if spindle else None,
+                "assumed": tuple(values["assumed"]),
+                "warnings": tuple(values["warnings"]),
+                "index": ProgramIndex.from_dict(values["index"]),
+            }
+        )
+
+    def to_json(self) -> str:
+        return json.dumps(self.to_dict(), separators=(",", ":"), allow_nan=False)
+
+    @staticmethod
+    def from_json(text: str) -> Preflight:
+        return Preflight.from_dict(json.loads(text))
+
+
+def _bounds_to_plain(bounds: Bounds | None) -> list[list[float | None]] | None:
+    return None if bounds is None else [list(bounds.least_mm), list(bounds.most_mm)]
+
+
+def _bounds_from_plain(plain: Any) -> Bounds | None:
+    if plain is None:
+        return None
+    (a, b, c), (d, e, f) = plain
+    return Bounds((a, b, c), (d, e, f))

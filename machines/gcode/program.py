@@ -1,0 +1,149 @@
+"""A program on disk, read for streaming: verified piece by piece, from any line, in a constant bit of memory.
+
+Pre-flight leaves an index: every few thousand lines the byte offset, the modal state there and a digest of the piece
+that follows. A line is handed out only after the digest of its whole piece has matched, from the very bytes that were
+hashed, so that what is sent is what pre-flight has read.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+from machines.driver import ProgramLine
+from machines.errors import ProgramChangedError
+from machines.gcode.dialects import DIALECTS
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.modal import ModalState
+from machines.gcode.words import strip_block
+
+DIGEST_BYTES = 16
+
+
+def piece_digest(data: bytes | memoryview) -> str:
+    """Digest of one piece of a program."""
+    return hashlib.blake2b(data, digest_size=DIGEST_BYTES).hexdigest()
+
+
+class IndexEntry(NamedTuple):
+    """Before line `line` (from 1), at byte `offset`, `state` holds; `digest` is of the piece up to the next entry."""
+
+    line: int
+    offset: int
+    digest: str
+    state: ModalState
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ProgramIndex:
+    """Places a program can be entered at. Entries are about `every_lines` apart, closer where lines are long."""
+
+    every_lines: int
+    entries: tuple[IndexEntry, ...]
+    lines: int
+    bytes: int
+    dialect: str = "grbl"
+    _line_numbers: list[int] = field(init=False, repr=False, compare=False, default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._line_numbers.extend(entry.line for entry in self.entries)
+
+    def before(self, line: int) -> int:
+        """Number of the last entry at or before `line`."""
+        return max(0, bisect_right(self._line_numbers, line) - 1)
+
+    def end_of(self, entry: int) -> int:
+        """Byte offset at which the piece of this entry ends."""
+        return self.entries[entry + 1].offset if entry + 1 < len(self.entries) else self.bytes
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "every_lines": self.every_lines,
+            "lines": self.lines,
+            "bytes": self.bytes,
+            "dialect": self.dialect,
+            "entries": [[e.line, e.offset, e.digest, e.state.to_dict()] for e in self.entries],
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> ProgramIndex:
+        entries = (IndexEntry(a, b, c, ModalState.from_dict(state)) for a, b, c, state in data["entries"])
+        return ProgramIndex(**{**data, "entries": tuple(entries)})
+
+
+class ProgramReader:
+    """The blocks of one program file. Each call of `lines` reads on its own, so several may run beside each other."""
+
+    def __init__(self, path: Path, index: ProgramIndex) -> None:
+        self.path = path
+        self.index = index
+
+    def lines(self, from_line: int = 1) -> Iterator[ProgramLine]:
+        """Blocks from line `from_line` on: no comment, no blank, upper case. ProgramChangedError at a changed piece."""
+        first = self.index.before(from_line)
+        with self._opened() as file:
+            for number in range(first, len(self.index.entries)):
+                entry = self.index.entries[number]
+                data = self._piece(file, number)
+                for line in _blocks(data, entry.line, entry.offset, self.index.dialect):
+                    if line.number >= from_line:
+                        yield line
+
+    def state_before(self, line: int) -> ModalState:
+        """Modal state when every line before `line` has been executed."""
+        number = self.index.before(line)
+        entry = self.index.entries[number]
+        if line <= entry.line:
+            return entry.state
+        with self._opened() as file:
+            data = self._piece(file, number)
+        if self.index.dialect == "rml-1":
+            return entry.state  # nothing modal is known of it
+        interpreter = Interpreter(entry.state, dialect=self.index.dialect)
+        for block in _blocks(data, entry.line, entry.offset, self.index.dialect):
+            if block.number >= line:
+                break
+            interpreter.take(block.text)
+        return interpreter.state
+
+    def _opened(self) -> BinaryIO:
+        try:
+            return self.path.open("rb")
+        except OSError as error:
+            raise ProgramChangedError(f"{self.path}: cannot be read any more ({error.strerror})") from None
+
+    def _piece(self, file: BinaryIO, number: int) -> bytes:
+        entry, end = self.index.entries[number], self.index.end_of(number)
+        data = os.pread(file.fileno(), end - entry.offset, entry.offset)
+        if len(data) != end - entry.offset or piece_digest(data) != entry.digest:
+            raise ProgramChangedError(
+                f"{self.path}: changed on disk since pre-flight (in the {len(data)} bytes from line {entry.line} on); "
+                "nothing of that piece was sent; run pre-flight again"
+            )
+        return data
+
+
+def _blocks(data: bytes, line: int, offset: int, dialect: str) -> Iterator[ProgramLine]:
+    """Blocks of one piece. A piece without comments, blanks or lower case needs no work on its lines."""
+    strip: Callable[[bytes], bytes] = strip_block
+    plain, keeps_percent = False, True
+    if dialect == "rml-1":  # its own language: as it stands, and ; ends a command
+        strip = _outer_blanks_off
+    else:
+        keeps_percent = not DIALECTS[dialect].is_grbl
+        plain = data.translate(None, b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-+\n") == b""
+    for text in data.split(b"\n"):
+        block = text if plain else strip(text)
+        if block and (plain or keeps_percent or block != b"%"):
+            yield ProgramLine(line, offset, block)
+        line += 1
+        offset += len(text) + 1
+
+
+def _outer_blanks_off(text: bytes) -> bytes:
+    return text.strip()

@@ -1,0 +1,113 @@
+"""Drives a GRBL controller over a port: reads, lets the session decide, writes. All decisions are in session.py."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from machines.driver import Command, DriverFacts, Event, Faulted, FaultCause, MillStatus, ProgramLine, StreamProgress
+from machines.errors import MachineError, NotAControllerError, PortError
+from machines.grbl.session import GrblOptions, GrblSession
+from machines.grbl.settings import ControllerSettings
+from machines.port import Port
+
+
+class GrblDriver:
+    """machines.driver.Driver around one port. Its time is the port's clock."""
+
+    def __init__(self, port: Port, *, options: GrblOptions | None = None) -> None:
+        self._port = port
+        self._session = GrblSession(options, wire_bytes_per_s=port.wire_bytes_per_s)
+        self.failure: MachineError | None = None  # why the link is given up
+
+    @property
+    def facts(self) -> DriverFacts:
+        return self._session.facts
+
+    @property
+    def status(self) -> MillStatus:
+        return self._session.status
+
+    @property
+    def progress(self) -> StreamProgress:
+        return self._session.progress
+
+    @property
+    def protections(self) -> tuple[str, ...]:
+        return self._session.protections
+
+    @property
+    def settings(self) -> ControllerSettings:
+        return self._session.settings
+
+    def connect(self) -> None:
+        self.failure = None
+        self._session.connect(self._port.clock())
+
+    def poll(self, timeout_s: float) -> tuple[Event, ...]:
+        """One round: write what is due, wait for input until the next deadline, decide, write."""
+        port, session = self._port, self._session
+        try:
+            now_s = port.clock()
+            self._write(now_s)
+            wait_s = session.next_deadline_s - now_s
+            if wait_s > timeout_s:
+                wait_s = timeout_s
+            data = port.read(wait_s if wait_s > 0.0 else 0.0)
+            now_s = port.clock()
+            if data:
+                session.receive(data, now_s)
+            self._write(now_s)
+        except PortError as error:
+            self.failure = error
+            session.lost(str(error), port.clock())
+        return self._named(session.take_events())
+
+    def _write(self, now_s: float) -> None:
+        session = self._session
+        session.tick(now_s)
+        data = session.output(now_s)
+        if data:
+            self._port.write(data)
+
+    def _named(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
+        """A link that no controller answers on: the error carries the name of the port."""
+        for event in events:
+            if isinstance(event, Faulted) and event.cause is FaultCause.DEVICE:
+                self.failure = NotAControllerError(self._port.url, event.words)
+                named = Faulted(event.cause, str(self.failure), event.line, event.at_s)
+                return tuple(named if one is event else one for one in events)
+        return events
+
+    def wake(self) -> None:
+        self._port.wake()
+
+    def start(self, lines: Iterator[ProgramLine]) -> None:
+        self._session.start(lines, self._port.clock())
+
+    def hold(self) -> None:
+        self._session.hold(self._port.clock())
+        self._urgent()
+
+    def resume(self) -> None:
+        self._session.resume(self._port.clock())
+
+    def abort(self) -> None:
+        self._session.abort(self._port.clock())
+        self._urgent()
+
+    def _urgent(self) -> None:
+        """What stops the mill is written now, not at the next poll."""
+        try:
+            data = self._session.output(self._port.clock())
+            if data:
+                self._port.write(data)
+        except PortError as error:
+            self.failure = error
+            self._session.lost(str(error), self._port.clock())
+
+    def command(self, command: Command) -> None:
+        self._session.command(command, self._port.clock())
+
+    def close(self) -> None:
+        self._session.close(self._port.clock())
+        self._port.close()

@@ -1,0 +1,231 @@
+"""Commands beside the stream, each as a generator: it yields what to send or to wait for and gets the answer back.
+
+One line at a time, the next only after the answer: settings and offsets are written to EEPROM, and while that is
+written the controller hears nothing, so such lines must never be part of a counted stream.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, field
+
+from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Unlock
+from machines.grbl import replies
+from machines.grbl.settings import ControllerSettings, Triple, read_settings
+from machines.grbl.stall import homing_time_s
+
+REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
+BLOCK_S = 60.0
+PROBE_TAG, VERSION_TAG, PARSER_TAG, OFFSET_TAG = "PRB", "VER", "GC", "G54"
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """Send this line and wait for its answer.
+
+    expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer: one
+             that comes earlier belongs to something sent before. "" takes any.
+    """
+
+    text: bytes
+    timeout_s: float = REPLY_S
+    expect: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class WaitStill:
+    """Wait for two reports of a mill that stands idle (or checks)."""
+
+    timeout_s: float = BLOCK_S
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What came back. `failure` in words; "" if `ok` came."""
+
+    failure: str = ""
+    heard: tuple[replies.Reply, ...] = ()
+    machine_mm: Triple | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What a finished errand leaves behind."""
+
+    answer: dict[str, object] = field(default_factory=dict)
+    settings: ControllerSettings | None = None
+    vouched: str = ""  # axes whose coordinates are right from now on
+
+
+class ErrandFailedError(Exception):
+    """The errand cannot go on; the text is for the operator."""
+
+
+Errand = Generator[Ask | WaitStill, Answer, Outcome]
+
+
+def identify(banner: str) -> Errand:
+    """$I, $$, $#, $G: who is there and how it is set. Moves nothing, changes nothing."""
+    heard: list[replies.Reply] = []
+    version = Answer("not asked")
+    for _ in range(3):
+        # A line half sent by someone before us is still in the controller's reader: '$' makes it an error, not a motion.
+        version = yield Ask(b"$I", expect=VERSION_TAG)
+        if not version.failure:
+            break
+    heard += version.heard
+    for text, expect in ((b"$$", "$"), (b"$#", OFFSET_TAG), (b"$G", PARSER_TAG)):
+        answer = yield Ask(text, expect=expect)
+        heard += answer.heard
+    settings = read_settings(heard, banner)
+    if version.failure and not banner and not settings.values and not settings.parser_state:
+        raise ErrandFailedError(f"answers '?' like GRBL, but neither $I nor $$ ({version.failure})")
+    return Outcome(settings=settings, answer=described(settings))
+
+
+def described(settings: ControllerSettings) -> dict[str, object]:
+    """Settings as plain data, for CommandDone."""
+    return {
+        "settings": settings.to_dict(),
+        "offsets": {name: list(value) for name, value in settings.offsets.items()},
+        "parser_state": settings.parser_state,
+    }
+
+
+def _asked(answer: Answer) -> Answer:
+    if answer.failure:
+        raise ErrandFailedError(answer.failure)
+    return answer
+
+
+def home(settings: ControllerSettings) -> Errand:
+    _asked((yield Ask(b"$H", homing_time_s(settings))))
+    _asked((yield WaitStill(REPLY_S)))
+    return Outcome(vouched="XYZ")
+
+
+def unlock() -> Errand:
+    _asked((yield Ask(b"$X")))
+    return Outcome()
+
+
+def jog(command: Jog, settings: ControllerSettings) -> Errand:
+    axes = "".join(f"{axis}{value:.4f}" for axis, value in zip("XYZ", command.by_mm, strict=True) if value)
+    if not axes:
+        return Outcome()
+    length_mm = sum(value * value for value in command.by_mm) ** 0.5
+    _asked((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
+    slowest = min((command.feed_mm_per_min, *(settings.max_rate_mm_per_min or (500.0,))))
+    _asked((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
+    return Outcome()
+
+
+def probe(command: ProbeZ, settings: ControllerSettings) -> Errand:
+    """Down until contact; then the work zero is set so that the *contact point*, not the place after braking, has its Z."""
+    modal = _asked((yield Ask(b"$G", expect=PARSER_TAG)))
+    restore = _restoring(modal)
+    seconds = 20.0 + 3.0 * command.depth_mm / command.feed_mm_per_min * 60.0
+    down = f"G21G91G38.2Z{-abs(command.depth_mm):.4f}F{command.feed_mm_per_min:.1f}"
+    answer = _asked((yield Ask(down.encode(), seconds, PROBE_TAG)))
+    contact = _contact(answer, settings.unit_mm)
+    still = _asked((yield WaitStill()))
+    if still.machine_mm is None:
+        raise ErrandFailedError("the probe touched, but the controller reports no machine position: zero not set")
+    height_mm = command.plate_mm + still.machine_mm[2] - contact[2]
+    _asked((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
+    _asked((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
+    _asked((yield WaitStill()))
+    _asked((yield Ask(restore)))
+    offsets = yield Ask(b"$#", expect=OFFSET_TAG)
+    again = read_settings((*_as_heard(settings), *offsets.heard))
+    return Outcome(
+        answer={"contact_machine_mm": list(contact), "offsets": {k: list(v) for k, v in again.offsets.items()}},
+        settings=_with_offsets(settings, again),
+        vouched="Z",
+    )
+
+
+def _restoring(modal: Answer) -> bytes:
+    """Words that bring back units, distance mode and motion as [GC:] told before."""
+    words = {word for push in modal.heard if isinstance(push, replies.Push) for word in push.body.split()}
+    return (("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
+
+
+def _contact(answer: Answer, unit_mm: float) -> Triple:
+    for reply in answer.heard:
+        if isinstance(reply, replies.Push) and reply.tag == PROBE_TAG:
+            place, _, success = reply.body.rpartition(":")
+            try:
+                x, y, z = (float(part) * unit_mm for part in place.split(",")[:3])
+            except ValueError:
+                break
+            if success == "1":
+                return (x, y, z)
+    raise ErrandFailedError("the probe did not touch: zero not set")
+
+
+def set_zero(command: SetZero, settings: ControllerSettings) -> Errand:
+    words = "".join(f"{axis}0" for axis in command.axes)
+    _asked((yield Ask(f"G10L20P0{words}".encode())))
+    offsets = yield Ask(b"$#", expect=OFFSET_TAG)
+    again = read_settings((*_as_heard(settings), *offsets.heard))
+    answer: dict[str, object] = {"offsets": {name: list(value) for name, value in again.offsets.items()}}
+    return Outcome(answer=answer, settings=_with_offsets(settings, again), vouched=command.axes)
+
+
+def _as_heard(settings: ControllerSettings) -> tuple[replies.Reply, ...]:
+    """$13, so that offsets are read in the right unit."""
+    return (replies.Setting(13, settings.values.get(13, "0")),)
+
+
+def _with_offsets(settings: ControllerSettings, again: ControllerSettings) -> ControllerSettings:
+    return ControllerSettings.from_dict({**settings.to_dict(), "offsets": {**settings.offsets, **again.offsets}})
+
+
+def check_mode() -> Errand:
+    """$C is a toggle; off ends in a soft reset of the controller's own, with a banner."""
+    _asked((yield Ask(b"$C")))
+    return Outcome()
+
+
+def send_block(command: SendBlock, settings: ControllerSettings) -> Errand:
+    text = command.text.strip().encode("ascii")
+    answer = _asked((yield Ask(text, BLOCK_S)))
+    if not text.startswith(b"$"):
+        _asked((yield WaitStill()))
+    heard = [*answer.heard]
+    again = yield from identify(settings.version) if text.startswith(b"$") else _modal_again(settings)
+    return Outcome(answer={"heard": [str(reply) for reply in heard]}, settings=again.settings)
+
+
+def _modal_again(settings: ControllerSettings) -> Errand:
+    heard: list[replies.Reply] = [*_as_heard(settings)]
+    for text, expect in ((b"$#", OFFSET_TAG), (b"$G", PARSER_TAG)):
+        answer = yield Ask(text, expect=expect)
+        heard += answer.heard
+    again = read_settings(heard)
+    fresh = _with_offsets(settings, again).to_dict()
+    if again.parser_state:
+        fresh["parser_state"] = again.parser_state
+    return Outcome(settings=ControllerSettings.from_dict(fresh))
+
+
+def errand_for(command: Command, settings: ControllerSettings) -> Errand | None:
+    """The errand that carries out a command; None for commands that are realtime bytes or notes only."""
+    makers: dict[type, Callable[[], Errand]] = {
+        Home: lambda: home(settings),
+        Unlock: unlock,
+        ReadSettings: lambda: identify(settings.version),
+    }
+    if isinstance(command, Jog):
+        return jog(command, settings)
+    if isinstance(command, ProbeZ):
+        return probe(command, settings)
+    if isinstance(command, SetZero):
+        return set_zero(command, settings)
+    if isinstance(command, CheckMode):
+        return check_mode()
+    if isinstance(command, SendBlock):
+        return send_block(command, settings)
+    maker = makers.get(type(command))
+    return maker() if maker else None

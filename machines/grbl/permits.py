@@ -1,0 +1,100 @@
+"""Which command is allowed in which state. Refusals name the command, the state and the way out."""
+
+from __future__ import annotations
+
+from machines.driver import (
+    CheckMode,
+    Command,
+    Home,
+    Jog,
+    JogCancel,
+    MillState,
+    Override,
+    ProbeZ,
+    ReadSettings,
+    Reset,
+    SendBlock,
+    SetZero,
+    TrustPosition,
+    Unlock,
+)
+from machines.errors import NotAllowedError
+from machines.grbl import overrides
+from machines.grbl.settings import ControllerSettings
+from machines.grbl.states import Phase
+from machines.grbl.streaming import PLAIN
+
+_IDLE = frozenset({MillState.IDLE})
+_STANDING = frozenset(
+    {MillState.IDLE, MillState.ALARM, MillState.HELD, MillState.CHECK, MillState.SLEEP, MillState.DOOR}
+)
+_LINKED = frozenset(MillState) - {MillState.DISCONNECTED, MillState.CONNECTING}
+ALLOWED: dict[type, frozenset[MillState]] = {
+    Home: frozenset({MillState.IDLE, MillState.ALARM}),
+    Unlock: frozenset({MillState.IDLE, MillState.ALARM}),
+    Reset: _STANDING,
+    Jog: _IDLE,
+    JogCancel: _LINKED,
+    ProbeZ: _IDLE,
+    SetZero: _IDLE,
+    TrustPosition: _IDLE | {MillState.HELD},
+    Override: _LINKED - {MillState.HOMING, MillState.SLEEP},
+    CheckMode: frozenset({MillState.IDLE, MillState.CHECK}),
+    ReadSettings: frozenset({MillState.IDLE, MillState.ALARM}),
+    SendBlock: _IDLE,
+}
+# These go beside whatever is under way; all others need the link for themselves.
+_BESIDE = (JogCancel, Override, TrustPosition)
+
+
+def check_command(command: Command, state: MillState, phase: Phase, settings: ControllerSettings) -> None:
+    """Raises NotAllowedError, or returns."""
+    name = type(command).__name__
+    allowed = ALLOWED[type(command)]
+    if state not in allowed:
+        states = ", ".join(sorted(one.value for one in allowed))
+        raise NotAllowedError(f"{name}: the mill is {state.value}; allowed when {states}")
+    if phase is Phase.STREAMING and isinstance(command, Reset):
+        raise NotAllowedError("Reset: a program is under way; abort it")
+    sleeping = isinstance(command, Reset) and phase is Phase.HAILING
+    if phase is not Phase.READY and not isinstance(command, _BESIDE) and not sleeping:
+        raise NotAllowedError(f"{name}: the link is busy ({phase.value}); wait until it is done")
+    if refusal := _values(command, settings):
+        raise NotAllowedError(f"{name}: {refusal}")
+
+
+def _values(command: Command, settings: ControllerSettings) -> str:
+    if isinstance(command, Override):
+        return overrides.refusal(command.what, command.percent)
+    if isinstance(command, Home) and settings.homing is False:
+        return "homing is switched off ($22=0); set the zero by hand"
+    if isinstance(command, SetZero):
+        axes = command.axes
+        return (
+            "" if axes and not set(axes) - set("XYZ") and len(set(axes)) == len(axes) else f"axes '{axes}': of X, Y, Z"
+        )
+    if isinstance(command, Jog):
+        return "" if 0.0 < command.feed_mm_per_min <= 100_000.0 else f"feed {command.feed_mm_per_min} mm/min: above 0"
+    if isinstance(command, ProbeZ):
+        return _probe(command)
+    return _block(command.text) if isinstance(command, SendBlock) else ""
+
+
+def _probe(command: ProbeZ) -> str:
+    if not 0.0 < command.depth_mm <= 200.0:
+        return f"depth {command.depth_mm} mm: above 0, at most 200"
+    if not 0.0 < command.feed_mm_per_min <= 2000.0:
+        return f"feed {command.feed_mm_per_min} mm/min: above 0, at most 2000"
+    return "" if 0.0 <= command.retract_mm <= 200.0 else f"retract {command.retract_mm} mm: from 0 to 200"
+
+
+def _block(text: str) -> str:
+    data = text.strip().encode("ascii", "replace")
+    if not text.isascii() or not data or data.translate(None, PLAIN):
+        return f"'{text}' is not a plain block"
+    if len(data) > 78:
+        return f"{len(data)} characters; at most 78"
+    first = data.replace(b" ", b"").upper()
+    if first.startswith((b"$H", b"$C", b"$J", b"$X", b"$SLP")):
+        return f"'{text}': use the command for it"
+    return ""

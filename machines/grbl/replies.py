@@ -1,0 +1,254 @@
+"""A total grammar of what GRBL 1.1, grblHAL and FluidNC say: every line is one of these replies, the rest is Garbled.
+
+Strict on purpose: a line that is nearly right has been damaged on the way, and a damaged line is a fault of the link.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+
+# Longest line a controller sends ($-help and board descriptions of grblHAL stay under 300 bytes).
+LONGEST_LINE = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Ok:
+    """A line was taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorReply:
+    """A line was refused."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class AlarmReply:
+    """The controller stopped and locked itself."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """One report `<...>`. Positions in report units (mm, or inch with $13=1); None where the report has no such field.
+
+    accessories : letters of A:, "" when overrides were reported without it (nothing is on), None when not reported
+    """
+
+    state: str
+    sub: int | None = None
+    machine: tuple[float, ...] | None = None
+    work: tuple[float, ...] | None = None
+    work_offset: tuple[float, ...] | None = None
+    feed: float | None = None
+    spindle: float | None = None
+    buffer: tuple[int, int] | None = None
+    overrides: tuple[int, int, int] | None = None
+    pins: str = ""
+    line: int | None = None
+    accessories: str | None = None
+    others: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """[MSG:...]: words for the operator."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """[echo: ...]: the line as the controller has read it."""
+
+    text: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Push:
+    """[TAG:body], e.g. GC, G54, PRB, TLO, VER, OPT."""
+
+    tag: str
+    body: str
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """$n=value."""
+
+    number: int
+    value: str
+
+
+@dataclass(frozen=True, slots=True)
+class Startup:
+    """>block:ok, a startup line was run."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The controller has started."""
+
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Empty:
+    """A line without content (before the banner)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Garbled:
+    """Nothing a controller says."""
+
+    raw: bytes
+
+
+Reply = Ok | ErrorReply | AlarmReply | Status | Message | Echo | Push | Setting | Startup | Banner | Empty | Garbled
+
+OK, EMPTY = Ok(), Empty()
+STATES = frozenset({"Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep", "Tool"})
+_CODE = re.compile(rb"(error|ALARM):(\d{1,3})$")
+_SETTING = re.compile(rb"\$(\d{1,4})=([ -~]*)$")
+_PUSH = re.compile(rb"\[([A-Z][A-Z0-9 .]*):([ -~]*)\]$")
+_BANNER = re.compile(rb"(?:Grbl|GrblHAL|grblHAL|FluidNC) [ -~]*\[[ -~]*'\$'[ -~]*\]$")
+_STARTUP = re.compile(rb">[ -~]*:(?:ok|error:\d{1,3})$")
+_NUMBERS = re.compile(r"-?\d+(?:\.\d*)?(?:,-?\d+(?:\.\d*)?)*$")
+_FIELD = re.compile(r"[A-Za-z]+\d*$")
+
+
+def parse(line: bytes) -> Reply:
+    """The reply in one line (without its line end). Never raises."""
+    if line == b"ok":
+        return OK
+    if not line:
+        return EMPTY
+    first = line[0]
+    if first == 0x3C:  # <
+        return _status(line)
+    if first == 0x5B:  # [
+        return _bracket(line)
+    if found := _CODE.match(line):
+        number = int(found[2])
+        return ErrorReply(number) if found[1] == b"error" else AlarmReply(number)
+    if found := _SETTING.match(line):
+        return Setting(int(found[1]), found[2].decode("ascii"))
+    if _BANNER.match(line):
+        return Banner(line.decode("ascii"))
+    if _STARTUP.match(line):
+        return Startup(line.decode("ascii"))
+    return Garbled(line)
+
+
+def _bracket(line: bytes) -> Reply:
+    if line.startswith(b"[echo:") and line.endswith(b"]"):
+        return Echo(line[6:-1].strip())
+    found = _PUSH.match(line)
+    if not found:
+        return Garbled(line)
+    tag, body = found[1].decode("ascii"), found[2].decode("ascii")
+    return Message(body) if tag == "MSG" else Push(tag, body)
+
+
+def _status(line: bytes) -> Reply:
+    try:
+        text = line.decode("ascii")
+    except UnicodeDecodeError:
+        return Garbled(line)
+    if not text.endswith(">") or not text.isprintable():
+        return Garbled(line)
+    head, *parts = text[1:-1].split("|")
+    state, colon, sub = head.partition(":")
+    if state not in STATES or (colon and not (sub.isdecimal() and len(sub) < 4)) or not parts:
+        return Garbled(line)
+    values: dict[str, str] = {}
+    for part in parts:
+        key, colon, value = part.partition(":")
+        if not _FIELD.match(key) or key in values:
+            return Garbled(line)
+        values[key] = value
+    return _fields(line, state, int(sub) if colon and sub.isdecimal() else _sub(head), values)
+
+
+def _sub(head: str) -> int | None:
+    sub = head.partition(":")[2]
+    return int(sub) if sub else None
+
+
+def _fields(line: bytes, state: str, sub: int | None, values: dict[str, str]) -> Reply:
+    try:
+        machine, work = _axes(values, "MPos"), _axes(values, "WPos")
+        offset = _axes(values, "WCO")
+        feed, spindle = None, None
+        if "FS" in values:
+            feed, spindle = _numbers(values, "FS", 2)[:2]
+        elif "F" in values:
+            feed = _numbers(values, "F", 1)[0]
+        buffer = _numbers(values, "Bf", 2) if "Bf" in values else None
+        overrides = _numbers(values, "Ov", 3) if "Ov" in values else None
+        line_number = int(_numbers(values, "Ln", 1)[0]) if "Ln" in values else None
+    except ValueError:
+        return Garbled(line)
+    if (machine is None) == (work is None):
+        return Garbled(line)  # exactly one of the two is always there
+    return Status(
+        state=state,
+        sub=sub,
+        machine=machine,
+        work=work,
+        work_offset=offset,
+        feed=feed,
+        spindle=spindle,
+        buffer=(int(buffer[0]), int(buffer[1])) if buffer else None,
+        overrides=(int(overrides[0]), int(overrides[1]), int(overrides[2])) if overrides else None,
+        pins=values.get("Pn", ""),
+        line=line_number,
+        accessories=values.get("A", "" if overrides else None),
+        others={key: value for key, value in values.items() if key not in _KNOWN},
+    )
+
+
+_KNOWN = frozenset({"MPos", "WPos", "WCO", "FS", "F", "Bf", "Ov", "Ln", "Pn", "A"})
+
+
+def _axes(values: dict[str, str], key: str) -> tuple[float, ...] | None:
+    return _numbers(values, key, 3) if key in values else None
+
+
+def _numbers(values: dict[str, str], key: str, at_least: int) -> tuple[float, ...]:
+    text = values[key]
+    if len(text) > 200 or not _NUMBERS.match(text):
+        raise ValueError(key)
+    numbers = tuple(map(float, text.split(",")))
+    if len(numbers) < at_least:
+        raise ValueError(key)
+    return numbers
+
+
+class LineSplitter:
+    """Bytes as they come to whole lines, without their ends. A line that never ends is cut off and so Garbled."""
+
+    def __init__(self) -> None:
+        self._rest = b""
+
+    def take(self, data: bytes) -> list[bytes]:
+        lines = (self._rest + data).split(b"\n")
+        rest = lines.pop()
+        if len(rest) > LONGEST_LINE:
+            lines.append(rest)
+            rest = b""
+        self._rest = rest
+        return [line[:-1] if line[-1:] == b"\r" else line for line in lines]
+
+    def clear(self) -> None:
+        self._rest = b""
+
+    @property
+    def rest(self) -> bytes:
+        """Begun, not ended yet."""
+        return self._rest

@@ -1,0 +1,181 @@
+"""What a controller tells about itself: $$ (settings), $I (version, buffers), $# (offsets), $G (modal state)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from machines.grbl.replies import Push, Reply, Setting
+
+Triple = tuple[float, float, float]
+MM_PER_INCH = 25.4
+OFFSET_TAGS = frozenset({"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92"})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControllerSettings:
+    """Parsed answers. Triples are X, Y, Z; None where the controller does not tell.
+
+    values  : $n -> text as reported
+    offsets : "G54" ... "G59", "G28", "G30", "G92" -> triple in mm; "TLO" -> (0, 0, length)
+    """
+
+    values: dict[int, str] = field(default_factory=dict)
+    version: str = ""
+    options: str = ""
+    firmware: str = "grbl"  # "grbl" | "grblhal" | "fluidnc"
+    planner_blocks: int | None = None
+    rx_bytes: int | None = None
+    offsets: dict[str, Triple] = field(default_factory=dict)
+    parser_state: str = ""  # words of [GC:...]
+
+    def number(self, setting: int) -> float | None:
+        try:
+            return float(self.values[setting])
+        except (KeyError, ValueError):
+            return None
+
+    def _triple(self, first: int) -> Triple | None:
+        x, y, z = (self.number(first + axis) for axis in range(3))
+        return None if x is None or y is None or z is None else (x, y, z)
+
+    def _flag(self, setting: int) -> bool | None:
+        value = self.number(setting)
+        return None if value is None else bool(int(value) & 1)
+
+    @property
+    def step_mm(self) -> Triple | None:
+        """Smallest move of each axis (1 / $100-$102)."""
+        steps = self._triple(100)
+        return None if steps is None or min(steps) <= 0.0 else (1 / steps[0], 1 / steps[1], 1 / steps[2])
+
+    @property
+    def max_rate_mm_per_min(self) -> Triple | None:
+        """$110-$112."""
+        return self._triple(110)
+
+    @property
+    def acceleration_mm_per_s2(self) -> Triple | None:
+        """$120-$122."""
+        return self._triple(120)
+
+    @property
+    def travel_mm(self) -> Triple | None:
+        """$130-$132."""
+        return self._triple(130)
+
+    @property
+    def junction_deviation_mm(self) -> float | None:
+        """$11."""
+        return self.number(11)
+
+    @property
+    def arc_tolerance_mm(self) -> float | None:
+        """$12."""
+        return self.number(12)
+
+    @property
+    def reports_in_inch(self) -> bool:
+        """$13."""
+        return bool(self._flag(13))
+
+    @property
+    def unit_mm(self) -> float:
+        """mm in one unit of a report."""
+        return MM_PER_INCH if self.reports_in_inch else 1.0
+
+    @property
+    def soft_limits(self) -> bool | None:
+        """$20."""
+        return self._flag(20)
+
+    @property
+    def hard_limits(self) -> bool | None:
+        """$21."""
+        return self._flag(21)
+
+    @property
+    def homing(self) -> bool | None:
+        """$22."""
+        return self._flag(22)
+
+    @property
+    def laser_mode(self) -> bool:
+        """$32: 1 = laser (grblHAL: 2 = lathe)."""
+        return self.values.get(32, "0").strip() == "1"
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "values": {str(number): value for number, value in sorted(self.values.items())},
+            "version": self.version,
+            "options": self.options,
+            "firmware": self.firmware,
+            "planner_blocks": self.planner_blocks,
+            "rx_bytes": self.rx_bytes,
+            "offsets": {name: list(value) for name, value in sorted(self.offsets.items())},
+            "parser_state": self.parser_state,
+        }
+
+    @staticmethod
+    def from_dict(data: Mapping[str, Any]) -> ControllerSettings:
+        return ControllerSettings(
+            values={int(number): str(value) for number, value in data["values"].items()},
+            version=data["version"],
+            options=data["options"],
+            firmware=data["firmware"],
+            planner_blocks=data["planner_blocks"],
+            rx_bytes=data["rx_bytes"],
+            offsets={name: (x, y, z) for name, (x, y, z) in data["offsets"].items()},
+            parser_state=data["parser_state"],
+        )
+
+
+def read_settings(replies: Iterable[Reply], banner: str = "") -> ControllerSettings:
+    """Settings from the answers to $I, $$, $# and $G, in any order. What cannot be read stays unknown."""
+    heard = list(replies)
+    values = {reply.number: reply.value for reply in heard if isinstance(reply, Setting)}
+    pushes = [reply for reply in heard if isinstance(reply, Push)]
+    unit_mm = MM_PER_INCH if values.get(13, "0").strip() == "1" else 1.0
+    texts = {push.tag: push.body for push in pushes}
+    blocks, rx_bytes = _buffers(texts.get("OPT", ""))
+    return ControllerSettings(
+        values=values,
+        version=texts.get("VER", "").rstrip(":"),
+        options=texts.get("OPT", ""),
+        firmware=_firmware(banner + texts.get("VER", "") + texts.get("FIRMWARE", "")),
+        planner_blocks=blocks,
+        rx_bytes=rx_bytes,
+        offsets=_offsets(pushes, unit_mm),
+        parser_state=texts.get("GC", ""),
+    )
+
+
+def _firmware(words: str) -> str:
+    low = words.lower()
+    return "fluidnc" if "fluidnc" in low else "grblhal" if "grblhal" in low else "grbl"
+
+
+def _buffers(options: str) -> tuple[int | None, int | None]:
+    """`V,15,128` -> (15, 128). FluidNC tells letters only."""
+    parts = options.split(",")
+    if len(parts) < 3 or not (parts[1].isdecimal() and parts[2].isdecimal()):
+        return None, None
+    blocks, rx_bytes = int(parts[1]), int(parts[2])
+    return (blocks or None), (rx_bytes if rx_bytes >= 32 else None)
+
+
+def _offsets(pushes: Iterable[Push], unit_mm: float) -> dict[str, Triple]:
+    offsets: dict[str, Triple] = {}
+    for push in pushes:
+        if push.tag not in OFFSET_TAGS and push.tag != "TLO":
+            continue
+        try:
+            numbers = [float(part) * unit_mm for part in push.body.split(",")]
+        except ValueError:
+            continue
+        if push.tag == "TLO":
+            offsets["TLO"] = (0.0, 0.0, numbers[0]) if len(numbers) == 1 else (numbers + [0.0, 0.0])[:3]  # type: ignore[assignment]
+        elif len(numbers) >= 3:
+            offsets[push.tag] = (numbers[0], numbers[1], numbers[2])
+    return offsets

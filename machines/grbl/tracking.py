@@ -1,0 +1,186 @@
+"""What has certainly been executed, and whether the mill is where the program can have brought it.
+
+`ok` means parsed and queued: the controller may still hold that line in its planner and in its segment buffer. A line
+counts as executed only when (a) so many lines were answered after it that no buffer can hold it any more, (b) a block
+was answered that waits for all motion before it, or (c) a reported position lies on no earlier line than the next one.
+Where a position fits several lines, the earliest is believed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+from itertools import islice
+from typing import Protocol
+
+Triple = tuple[float, float, float]
+
+# Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
+# (reference/machines.md, 1).
+LONG_BLOCKS_BEYOND_PLANNER = 2
+# Every segment belongs to one block and lasts at most 10 ms: of short blocks all 6 segments and the one being stepped may
+# hold a block of their own. "Short" leaves room for a feed override of 200 %.
+SHORT_BLOCKS_BEYOND_PLANNER = 7
+SHORT_S = 0.12
+SHORT_RAPID_MM = 20.0  # SHORT_S at 10 m/min
+REMEMBERED = 64  # executed steps a late position may still lie on
+
+
+class Move(Protocol):
+    """What is used of machines.gcode.step.Step."""
+
+    kind: str
+    feed_mm_per_min: float | None
+    length_mm: float
+    waits_for_empty_buffer: bool
+
+    @property
+    def moves(self) -> bool: ...
+    def distance_mm(self, point_mm: Triple) -> float: ...
+
+
+class Place(Enum):
+    """Where a reported position lies."""
+
+    ON_PATH = "on the path"
+    UNTOLD = "no step to compare with"
+    OFF_PATH = "off the path"
+    UNANSWERED = "on lines that were never answered"
+
+
+@dataclass(frozen=True, slots=True)
+class Sight:
+    """Verdict on one reported position; `line` is the nearest or matching line, `distance_mm` the way to it."""
+
+    place: Place
+    line: int = 0
+    distance_mm: float = 0.0
+
+
+class Tracker:
+    """A window of the steps sent. Lines with number 0 (re-entry) are tracked like others but never become progress."""
+
+    __slots__ = (
+        "_answered",
+        "_beyond",
+        "_blocks",
+        "_recent",
+        "_short_left",
+        "_steps",
+        "_tolerance_mm",
+        "executed_line",
+    )
+
+    def __init__(self, *, planner_blocks: int, tolerance_mm: float) -> None:
+        self.executed_line = 0
+        self._steps: deque[tuple[int, Move]] = deque()  # from the first not proven executed to the last sent
+        self._recent: deque[tuple[int, Move]] = deque(maxlen=REMEMBERED)
+        self._answered = 0  # how many of _steps, from the left, are answered
+        self._blocks = planner_blocks
+        self._beyond = planner_blocks + LONG_BLOCKS_BEYOND_PLANNER
+        self._short_left = 0
+        self._tolerance_mm = tolerance_mm
+
+    def sent(self, number: int, step: Move) -> None:
+        self._steps.append((number, step))
+
+    def answered(self) -> None:
+        """The oldest unanswered line was answered."""
+        steps = self._steps
+        step = steps[self._answered][1]
+        self._answered += 1
+        feed = step.feed_mm_per_min
+        if step.length_mm * 60.0 < feed * SHORT_S if feed is not None else step.length_mm < SHORT_RAPID_MM:
+            self._short_left = self._blocks + SHORT_BLOCKS_BEYOND_PLANNER
+            self._beyond = self._short_left
+        elif self._short_left:
+            self._short_left -= 1
+            if not self._short_left:
+                self._beyond = self._blocks + LONG_BLOCKS_BEYOND_PLANNER
+        if step.waits_for_empty_buffer:
+            self.all_executed()
+        elif self._answered > self._beyond:
+            self._drop(self._answered - self._beyond)
+
+    def all_executed(self) -> None:
+        """The mill has done everything that was answered."""
+        self._drop(self._answered)
+
+    def _drop(self, count: int) -> None:
+        steps, recent = self._steps, self._recent
+        self._answered -= count
+        for _ in range(count):
+            entry = steps.popleft()
+            recent.append(entry)
+            if entry[0]:
+                self.executed_line = entry[0]
+
+    def reported(self, position_mm: Triple) -> Sight:
+        """A position in the work frame of the program was reported while it runs or stands within the program."""
+        tolerance_mm = self._tolerance_mm
+        nearest, nearest_mm = 0, float("inf")
+        for index, (number, step) in enumerate(self._steps):
+            if not step.moves:
+                continue
+            away_mm = step.distance_mm(position_mm)
+            if away_mm <= tolerance_mm:
+                return self._found(index, number, step, away_mm, position_mm)
+            if away_mm < nearest_mm:
+                nearest, nearest_mm = number, away_mm
+        before = self._nearest_before(position_mm)
+        if before is None and nearest_mm == float("inf"):
+            return Sight(Place.UNTOLD)
+        if before is not None and before.distance_mm <= tolerance_mm:
+            return Sight(Place.ON_PATH, before.line, before.distance_mm)
+        if before is not None and before.distance_mm < nearest_mm:
+            return Sight(Place.OFF_PATH, before.line, before.distance_mm)
+        return Sight(Place.OFF_PATH, nearest, nearest_mm)
+
+    def _found(self, index: int, number: int, step: Move, away_mm: float, position_mm: Triple) -> Sight:
+        if index < self._answered:
+            self._drop(index)
+            return Sight(Place.ON_PATH, number, away_mm)
+        before = self._nearest_before(position_mm)
+        if before is not None and before.distance_mm <= self._tolerance_mm:
+            return Sight(Place.ON_PATH, before.line, before.distance_mm)
+        if not self._answered and before is None:
+            return Sight(Place.UNTOLD)  # nothing has run yet: the mill stands by chance on a later line
+        if index == self._answered:
+            # The first unanswered line may be under way: an arc is answered when its last chord is queued.
+            self._drop(index)
+            return Sight(Place.ON_PATH, number, away_mm)
+        return Sight(Place.UNANSWERED, number, away_mm)
+
+    def _nearest_before(self, position_mm: Triple) -> Sight | None:
+        """The nearest of the steps already executed; None if none moved."""
+        found: Sight | None = None
+        for number, step in reversed(self._recent):
+            if not step.moves:
+                continue
+            away_mm = step.distance_mm(position_mm)
+            if found is None or away_mm < found.distance_mm:
+                found = Sight(Place.ON_PATH, number, away_mm)
+                if away_mm <= self._tolerance_mm:
+                    break
+        return found
+
+    @property
+    def unproven(self) -> tuple[tuple[int, Move], ...]:
+        """Steps that may still have to be executed, oldest first."""
+        return tuple(self._steps)
+
+    @property
+    def unproven_answered(self) -> tuple[Move, ...]:
+        return tuple(step for _, step in islice(self._steps, self._answered))
+
+    @property
+    def last_move(self) -> Move | None:
+        """The last answered step that moves, as far back as is remembered."""
+        for _, step in reversed(list(islice(self._steps, self._answered))):
+            if step.moves:
+                return step
+        for _, step in reversed(self._recent):
+            if step.moves:
+                return step
+        return None

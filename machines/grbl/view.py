@@ -1,0 +1,111 @@
+"""What is known of the machine from its reports: state, positions in mm, overrides, and whether positions can be trusted."""
+
+from __future__ import annotations
+
+from machines.driver import Triple
+from machines.grbl.codes import POSITION_LOST_ALARMS
+from machines.grbl.replies import Status
+from machines.grbl.settings import MM_PER_INCH, ControllerSettings
+
+_AXES = frozenset("XYZ")
+
+
+class MachineView:
+    """Fed with reports; forgets with every epoch what an epoch ends."""
+
+    def __init__(self) -> None:
+        self.settings = ControllerSettings()
+        self.identified = False
+        self.report: Status | None = None
+        self.report_at_s = float("-inf")
+        self.reports = 0
+        self.alarm = 0  # number of the alarm that stands, 0 for none
+        self.work_offset: Triple | None = None  # report units
+        self.overrides = (100, 100, 100)
+        self.override_reports = 0  # reports with Ov so far
+        self.spindle_on: bool | None = None
+        self._vouched: set[str] = set()
+
+    @property
+    def trusted(self) -> bool:
+        return self._vouched >= _AXES
+
+    def vouch(self, axes: str) -> None:
+        self._vouched |= set(axes) & _AXES
+
+    def position_lost(self) -> None:
+        self._vouched.clear()
+
+    def new_epoch(self, *, position_kept: bool) -> None:
+        self.report = None
+        self.alarm = 0
+        self.work_offset = None
+        self.overrides = (100, 100, 100)
+        self.spindle_on = False
+        if not position_kept:
+            self.position_lost()
+
+    def alarmed(self, number: int) -> None:
+        self.alarm = number
+        if number in POSITION_LOST_ALARMS:
+            self.position_lost()
+
+    def take(self, report: Status, now_s: float) -> None:
+        self.report, self.report_at_s = report, now_s
+        self.reports += 1
+        if report.state != "Alarm":
+            self.alarm = 0
+        if report.work_offset is not None:
+            x, y, z = report.work_offset[:3]
+            self.work_offset = (x, y, z)
+        if report.overrides is not None:
+            self.overrides = report.overrides
+            self.override_reports += 1
+        if report.accessories is not None:
+            self.spindle_on = "S" in report.accessories or "C" in report.accessories
+
+    def _unit_mm(self) -> float | None:
+        return self.settings.unit_mm if self.identified else None
+
+    def _scaled(self, numbers: tuple[float, ...]) -> Triple | None:
+        unit_mm = self._unit_mm()
+        return None if unit_mm is None else (numbers[0] * unit_mm, numbers[1] * unit_mm, numbers[2] * unit_mm)
+
+    @property
+    def machine_mm(self) -> Triple | None:
+        report = self.report
+        if report is None:
+            return None
+        if report.machine is not None:
+            return self._scaled(report.machine)
+        if report.work is None or self.work_offset is None:
+            return None
+        return self._scaled(tuple(w + o for w, o in zip(report.work, self.work_offset, strict=False)))
+
+    @property
+    def work_mm(self) -> Triple | None:
+        """WPos = MPos - WCO; None until the offset has been reported."""
+        report = self.report
+        if report is None:
+            return None
+        if report.work is not None:
+            return self._scaled(report.work)
+        if report.machine is None or self.work_offset is None:
+            return None
+        return self._scaled(tuple(m - o for m, o in zip(report.machine, self.work_offset, strict=False)))
+
+    @property
+    def work_offset_mm(self) -> Triple | None:
+        return None if self.work_offset is None else self._scaled(self.work_offset)
+
+    @property
+    def feed_mm_per_min(self) -> float | None:
+        unit_mm = self._unit_mm()
+        if self.report is None or self.report.feed is None or unit_mm is None:
+            return None
+        return self.report.feed * unit_mm
+
+    @property
+    def report_step_mm(self) -> float:
+        """Last digit of a reported position: 3 decimals in mm, 4 in inch."""
+        return 0.0001 * MM_PER_INCH if self.settings.reports_in_inch else 0.001

@@ -1,0 +1,197 @@
+"""What is known of a run, on disk: append-only, checksummed, and still readable after the power failed.
+
+A journal is a folder of files journal-000001.log ...; each line is `crc32 json`. Every record carries a sequence number
+and the fields that changed; the state is all records laid over each other. The first record of a file holds the whole
+state, so that one file is enough: an older one is deleted only after the newer one is safe on disk. Reading stops at
+the first line that is not whole; what is lost that way is the end of the story, and a run that is resumed from an
+earlier point cuts some segments twice, but skips none.
+
+Appending does not wait for the disk: fsync runs on a timer, in a thread of its own. A failure there shows itself at the
+next append, as JournalError.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from machines.errors import JournalError
+from machines.journal_disk import Disk, File, RealDisk, Syncer, ThreadSyncer, os_words
+
+ROTATE_BYTES = 4_000_000
+_PATTERN = "journal-*.log"
+
+
+@dataclass(frozen=True, slots=True)
+class JournalContent:
+    """The state that the records add up to. `torn` says in words what could not be read, "" if all could."""
+
+    state: dict[str, Any]
+    sequence: int
+    records: int
+    torn: str = ""
+
+
+def encode(record: Mapping[str, Any]) -> bytes:
+    """One line of a journal."""
+    text = json.dumps(record, separators=(",", ":"), allow_nan=False).encode()
+    return b"%08x %s\n" % (zlib.crc32(text), text)
+
+
+def decode(line: bytes) -> dict[str, Any] | None:
+    """The record of one line without its end; None if it is not whole."""
+    head, _, text = line.partition(b" ")
+    try:
+        if len(head) != 8 or int(head, 16) != zlib.crc32(text):
+            return None
+        record = json.loads(text)
+    except ValueError:
+        return None
+    return record if isinstance(record, dict) else None
+
+
+def records_in(data: bytes) -> Iterator[dict[str, Any]]:
+    """Whole records up to the first that is not, or that does not follow the one before it."""
+    expected = None
+    start = 0
+    while (end := data.find(b"\n", start)) >= 0:
+        record = decode(data[start:end])
+        if record is None or (expected is not None and record.get("n") != expected):
+            return
+        expected = int(record.get("n", 0)) + 1
+        yield record
+        start = end + 1
+
+
+def read_journal(folder: Path) -> JournalContent | None:
+    """The newest state that can be read; None if the folder holds no readable journal. Never writes."""
+    torn: list[str] = []
+    for path in sorted(folder.glob(_PATTERN), reverse=True):
+        try:
+            data = path.read_bytes()
+        except OSError as error:
+            raise JournalError(f"journal {path}: cannot be read ({os_words(error)})") from error
+        content = _folded(data)
+        whole = sum(len(encode(record)) for record in records_in(data))
+        if whole < len(data) or not data:
+            torn.append(
+                f"{path.name}: {len(data) - whole} bytes from byte {whole} on are torn or damaged and do not count"
+            )
+        if content is not None:
+            state, sequence, count = content
+            return JournalContent(state, sequence, count, "; ".join(torn))
+    return None
+
+
+def _folded(data: bytes) -> tuple[dict[str, Any], int, int] | None:
+    """State, last sequence number and number of records; None if the file does not begin with a whole state."""
+    state: dict[str, Any] = {}
+    sequence = count = 0
+    for record in records_in(data):
+        if count == 0 and record.get("kind") != "state":
+            return None
+        sequence = int(record.pop("n"))
+        record.pop("kind", None)
+        state.update(record)
+        count += 1
+    return (state, sequence, count) if count else None
+
+
+class Journal:
+    """Writes one run's journal. Opening one that exists begins a new file with the whole state as read."""
+
+    def __init__(
+        self, folder: Path, *, disk: Disk | None = None, syncer: Syncer | None = None, rotate_bytes: int = ROTATE_BYTES
+    ) -> None:
+        self.folder = folder
+        self._disk = disk or RealDisk()
+        self._syncer = syncer or ThreadSyncer()
+        self._rotate_bytes = rotate_bytes
+        self._file: File | None = None
+        self._written = 0
+        self._failure = ""
+        try:
+            self._disk.make_folder(folder)
+            found = read_journal(folder)
+        except OSError as error:
+            raise JournalError(f"journal {folder}: {os_words(error)}") from error
+        self.torn = found.torn if found else ""
+        self.state: dict[str, Any] = dict(found.state) if found else {}
+        self._sequence = found.sequence if found else 0
+
+    @property
+    def failure(self) -> str:
+        """Why nothing can be written at present; "" if nothing is wrong."""
+        if not self._failure and (words := self._syncer.failure):
+            self._failure = f"journal {self.folder}: {words}"
+        return self._failure
+
+    def append(self, kind: str, **fields: Any) -> None:
+        """Add one record. JournalError if this one, or an fsync since the last call, failed."""
+        self.state.update(fields)
+        if self.failure:
+            raise JournalError(self._failure)
+        if self._file is None or self._written >= self._rotate_bytes:
+            self._rotate()
+            return
+        self._sequence += 1
+        self._write(self._file, encode({"n": self._sequence, "kind": kind, **fields}))
+
+    def sync(self) -> None:
+        """Wait until everything appended is safe on disk: before anything may move."""
+        if self._file is not None and not self.failure:
+            self._syncer.sync()
+        if self.failure:
+            raise JournalError(self._failure)
+
+    def repair(self) -> None:
+        """After a failure: begin a new file with the whole state. JournalError if the disk still refuses."""
+        if self.failure:
+            self._rotate()
+
+    def close(self) -> None:
+        """Write out and let go; an error here is of no use to anybody, the reader will see what is there."""
+        if self._file is not None:
+            self._syncer.close()
+            self._file.close()
+            self._file = None
+
+    def _rotate(self) -> None:
+        """A new file with the whole state. The older ones go when the syncer has made the new one safe."""
+        older = sorted(self.folder.glob(_PATTERN))
+        number = int(older[-1].stem.removeprefix("journal-")) + 1 if older else 1
+        path = self.folder / f"journal-{number:06d}.log"
+        before, file = self._file, None
+
+        def when_safe() -> None:
+            self._disk.sync_folder(self.folder)
+            if before is not None:
+                before.close()
+            for old in older:
+                self._disk.remove(old)
+
+        try:
+            file = self._disk.create(path)
+            data = encode({"n": self._sequence + 1, "kind": "state", **self.state})
+            file.write(data)
+        except OSError as error:
+            if file is not None:
+                file.close()
+            self._failure = f"journal {path}: {os_words(error)}"
+            raise JournalError(self._failure) from error
+        self._sequence += 1
+        self._file, self._written, self._failure = file, len(data), ""
+        self._syncer.take(file, when_safe)
+
+    def _write(self, file: File, data: bytes) -> None:
+        try:
+            file.write(data)
+        except OSError as error:
+            self._failure = f"journal {self.folder}: {os_words(error)}"
+            raise JournalError(self._failure) from error
+        self._written += len(data)
+        self._syncer.written()

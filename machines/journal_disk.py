@@ -1,0 +1,212 @@
+"""The disk under a journal, and when it is told to make things safe. Tests put one here that loses power."""
+
+from __future__ import annotations
+
+import errno
+import os
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+SYNC_EVERY_S = 0.5
+
+
+def os_words(error: OSError) -> str:
+    """An operating system's error in plain words."""
+    words = {errno.ENOSPC: "no space left on the disk", errno.EDQUOT: "the disk quota is used up"}
+    return words.get(error.errno or 0, (error.strerror or str(error)).lower())
+
+
+class File(Protocol):
+    def write(self, data: bytes) -> None: ...
+    def sync(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class Disk(Protocol):
+    def make_folder(self, path: Path) -> None: ...
+    def create(self, path: Path) -> File: ...
+    def remove(self, path: Path) -> None: ...
+    def sync_folder(self, path: Path) -> None: ...
+
+
+class Syncer(Protocol):
+    """Calls `File.sync` in time. `failure` in words once one failed, until the next `take`."""
+
+    @property
+    def failure(self) -> str: ...
+    def take(self, file: File, when_safe: Callable[[], None]) -> None:
+        """Look after this file from now on; `when_safe` is called after the first good sync."""
+        ...
+
+    def written(self) -> None: ...
+    def sync(self) -> None: ...
+    def close(self) -> None: ...
+
+
+class RealFile:
+    """Unbuffered: what was written survives the end of the process at once."""
+
+    def __init__(self, path: Path) -> None:
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+
+    def write(self, data: bytes) -> None:
+        done = os.write(self._descriptor, data)
+        if done != len(data):
+            raise OSError(errno.ENOSPC, "no space left on the disk")
+
+    def sync(self) -> None:
+        os.fsync(self._descriptor)
+
+    def close(self) -> None:
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+class RealDisk:
+    def make_folder(self, path: Path) -> None:
+        path.mkdir(parents=True, exist_ok=True)
+        self.sync_folder(path.parent)
+
+    def create(self, path: Path) -> File:
+        return RealFile(path)
+
+    def remove(self, path: Path) -> None:
+        path.unlink()
+
+    def sync_folder(self, path: Path) -> None:
+        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
+
+
+class InlineSyncer:
+    """Syncs within the call that writes, by the clock it is given: for simulated time."""
+
+    def __init__(self, clock: Callable[[], float], every_s: float = SYNC_EVERY_S) -> None:
+        self._clock = clock
+        self._every_s = every_s
+        self._file: File | None = None
+        self._when_safe: Callable[[], None] | None = None
+        self._synced_s = float("-inf")
+        self._failure = ""
+
+    @property
+    def failure(self) -> str:
+        return self._failure
+
+    def take(self, file: File, when_safe: Callable[[], None]) -> None:
+        self._file, self._when_safe, self._failure = file, when_safe, ""
+        self.written()
+
+    def written(self) -> None:
+        if self._clock() >= self._synced_s + self._every_s:
+            self.sync()
+
+    def sync(self) -> None:
+        if self._file is None:
+            return
+        self._synced_s = self._clock()
+        try:
+            self._file.sync()
+            if self._when_safe is not None:
+                self._when_safe()
+                self._when_safe = None
+        except OSError as error:
+            self._failure = f"not safe on disk: {os_words(error)}"
+
+    def close(self) -> None:
+        self.sync()
+        self._file = None
+
+
+class ThreadSyncer:
+    """One thread per journal that is written. A disk that takes seconds for an fsync delays nobody but itself."""
+
+    def __init__(self, every_s: float = SYNC_EVERY_S, patience_s: float = 30.0) -> None:
+        self._every_s = every_s
+        self._patience_s = patience_s
+        self._lock = threading.Condition()
+        self._file: File | None = None
+        self._when_safe: Callable[[], None] | None = None
+        self._written = self._safe = 0  # counts of writes
+        self._waiting_since_s: float | None = None
+        self._failure = ""
+        self._urgent = False
+        self._thread: threading.Thread | None = None
+
+    @property
+    def failure(self) -> str:
+        if self._failure:
+            return self._failure
+        since_s = self._waiting_since_s
+        waited_s = time.monotonic() - since_s if since_s is not None else 0.0
+        return f"the disk has not finished an fsync for {waited_s:.0f} s" if waited_s > self._patience_s else ""
+
+    def take(self, file: File, when_safe: Callable[[], None]) -> None:
+        with self._lock:
+            self._file, self._when_safe, self._failure, self._waiting_since_s = file, when_safe, "", None
+            self._safe = self._written
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._run, name="journal fsync", daemon=True)
+                self._thread.start()
+        self.written()
+
+    def written(self) -> None:
+        with self._lock:
+            self._written += 1
+            if self._waiting_since_s is None:
+                self._waiting_since_s = time.monotonic()
+                self._lock.notify_all()
+
+    def sync(self) -> None:
+        with self._lock:
+            wanted, file = self._written, self._file
+            self._urgent = True
+            self._lock.notify_all()
+            if not self._lock.wait_for(lambda: self._safe >= wanted or bool(self._failure), self._patience_s):
+                self._failure = f"the disk has not finished an fsync for {self._patience_s:g} s"
+            assert file is self._file  # one thread writes and syncs; only the waiting is shared
+
+    def close(self) -> None:
+        if self._thread is not None and not self._failure:
+            self.sync()
+        with self._lock:
+            self._file, thread, self._thread = None, self._thread, None
+            self._lock.notify_all()
+        if thread is not None:
+            thread.join(self._patience_s)
+
+    def _run(self) -> None:
+        while (work := self._next()) is not None:
+            file, when_safe, reached = work
+            failure = ""
+            try:
+                file.sync()
+                if when_safe is not None:
+                    when_safe()
+            except OSError as error:
+                failure = f"not safe on disk: {os_words(error)}"
+            with self._lock:
+                if file is self._file:
+                    self._failure = failure or self._failure
+                    self._when_safe = None if when_safe is self._when_safe else self._when_safe
+                    self._safe = max(self._safe, reached)
+                    self._waiting_since_s = None if self._written == self._safe else time.monotonic()
+                self._lock.notify_all()
+
+    def _next(self) -> tuple[File, Callable[[], None] | None, int] | None:
+        """What to sync next: at once where somebody waits for it, else a while after it was written."""
+        me = threading.current_thread()
+        with self._lock:
+            self._lock.wait_for(lambda: self._thread is not me or self._written > self._safe)
+            self._lock.wait_for(lambda: self._urgent or self._thread is not me, self._every_s)
+            self._urgent = False
+            if self._thread is not me or self._file is None:
+                return None
+            return self._file, self._when_safe, self._written

@@ -1,0 +1,133 @@
+"""The folder of one mill: whose it is, and what lies in it.
+
+lock                       held by the one process that owns the mill
+runs/<id>/preflight.json   what is known of the program
+runs/<id>/journal-*.log    what happened to the run
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import re
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from machines.errors import JournalError, NotAllowedError
+from machines.gcode.preflight import Preflight
+from machines.journal import JournalContent, read_journal
+from machines.journal_disk import os_words
+from machines.runs import LIVE, RunState, RunView
+
+_ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z-]{0,79}")
+
+
+class FolderLock:
+    """The folder belongs to this process until `release`, or until the process ends, however it ends."""
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / "lock"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+        except OSError as error:
+            raise JournalError(f"folder {folder}: {os_words(error)}; choose another with --folder") from None
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            owner = os.pread(self._descriptor, 32, 0).decode("ascii", "replace").strip()
+            os.close(self._descriptor)
+            words = f" (process {owner})" if owner else ""
+            raise NotAllowedError(
+                f"folder {folder}: another agent{words} owns this mill; stop that one first"
+            ) from None
+        os.ftruncate(self._descriptor, 0)
+        os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
+
+    def release(self) -> None:
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+class RunFolders:
+    """The runs of one mill on disk."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "runs"
+
+    def path(self, run_id: str) -> Path:
+        if not _ID.fullmatch(run_id):
+            raise NotAllowedError(f"'{run_id[:40]}' is not the id of a run")
+        return self.folder / run_id
+
+    def new_id(self, wall_s: float, sha256: str) -> str:
+        """Sorts by time; unique in this folder."""
+        stem = time.strftime("%Y%m%d-%H%M%S", time.gmtime(wall_s)) + f"-{sha256[:6]}"
+        run_id, number = stem, 1
+        while (self.folder / run_id).exists():
+            number += 1
+            run_id = f"{stem}-{number}"
+        return run_id
+
+    def save_facts(self, run_id: str, facts: Preflight) -> None:
+        """preflight.json, whole or not at all."""
+        folder = self.path(run_id)
+        part = folder / "preflight.part"
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with part.open("w", encoding="utf-8") as file:
+                file.write(facts.to_json())
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(folder / "preflight.json")
+        except OSError as error:
+            raise JournalError(f"folder {folder}: {os_words(error)}") from error
+
+    def load_facts(self, run_id: str) -> Preflight:
+        path = self.path(run_id) / "preflight.json"
+        try:
+            return Preflight.from_json(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise JournalError(f"{path}: {os_words(error)}; the run cannot go on without it") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise JournalError(f"{path}: damaged ({error}); the run cannot go on without it") from error
+
+    def found(self) -> Iterator[tuple[str, JournalContent]]:
+        """Every run with a readable journal, oldest first."""
+        if not self.folder.is_dir():
+            return
+        for path in sorted(self.folder.iterdir()):
+            if path.is_dir() and _ID.fullmatch(path.name) and (content := read_journal(path)) is not None:
+                yield path.name, content
+
+
+def view_of(record: Mapping[str, Any], *, time_left_s: float | None = None) -> RunView:
+    """A run's record in the journal as others see it."""
+    return RunView(
+        id=str(record["id"]),
+        name=str(record.get("name", "")),
+        program=str(record.get("sha256", "")),
+        path=str(record.get("path", "")),
+        state=RunState(record["state"]),
+        words=str(record.get("words", "")),
+        operator=str(record.get("operator", "")),
+        lines=int(record.get("lines", 0)),
+        bytes=int(record.get("bytes", 0)),
+        sent_line=int(record.get("sent_line", 0)),
+        executed_line=int(record.get("executed_line", 0)),
+        time_s=float(record.get("time_s", 0.0)),
+        time_left_s=time_left_s,
+        created_s=float(record.get("created_s", 0.0)),
+        started_s=record.get("started_s"),
+        ended_s=record.get("ended_s"),
+        recoveries=int(record.get("recoveries", 0)),
+        warnings=tuple(record.get("warnings", ())),
+    )
+
+
+def left_alone(record: Mapping[str, Any]) -> bool:
+    """The journal says that the run is live: whoever wrote it has gone without saying so."""
+    return RunState(record["state"]) in LIVE

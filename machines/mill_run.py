@@ -1,0 +1,159 @@
+"""One run in the hands of a mill: its record, its journal, and how far it has come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from machines.driver import MillStatus, StreamProgress
+from machines.errors import JournalError
+from machines.gcode.preflight import Preflight
+from machines.gcode.program import ProgramReader
+from machines.journal import Journal
+from machines.mill_files import RunFolders, view_of
+from machines.runs import LIVE, RunState, RunView, moved
+
+MARK_EVERY_S = 0.5
+_PACE_AFTER_S = 20.0
+
+
+class Run:
+    """State changes go through `moved`, into the record, and onto the disk."""
+
+    def __init__(self, record: dict[str, Any], open_journal: Callable[[], Journal]) -> None:
+        self.record = record
+        self._open_journal = open_journal
+        self._journal: Journal | None = None
+        self._base_line = 0  # executed before the present stream began
+        self._marked_s = float("-inf")
+        self._marked: tuple[object, ...] = ()
+        self._looked_s: float | None = None
+        self._moving_s = 0.0
+        self._view: RunView | None = None
+        self.facts: Preflight | None = None
+        self.reader: ProgramReader | None = None
+
+    @property
+    def id(self) -> str:
+        return str(self.record["id"])
+
+    @property
+    def state(self) -> RunState:
+        return RunState(self.record["state"])
+
+    @property
+    def live(self) -> bool:
+        return self.state in LIVE
+
+    @property
+    def executed_line(self) -> int:
+        return int(self.record.get("executed_line", 0))
+
+    @property
+    def view(self) -> RunView:
+        if self._view is None:
+            self._view = view_of(self.record, time_left_s=self._time_left_s())
+        return self._view
+
+    def load(
+        self, folders: RunFolders, reader: Callable[[Preflight], ProgramReader]
+    ) -> tuple[Preflight, ProgramReader]:
+        """Facts and reader, from disk where they are not in memory."""
+        if self.facts is None or self.reader is None:
+            self.facts = folders.load_facts(self.id)
+            self.reader = reader(self.facts)
+        return self.facts, self.reader
+
+    # ------------------------------------------------------------------ what is written
+
+    def write(self, kind: str, **fields: Any) -> None:
+        """Into the record, and to the journal. The record keeps it even where the disk does not."""
+        self.record.update(fields)
+        self._view = None
+        self.journal.append(kind, **fields)
+
+    def move(self, state: RunState, words: str = "", **fields: Any) -> None:
+        """Change state, by the table."""
+        after = moved(self.state, state)
+        self.write("run", state=after.value, words=words, **fields)
+
+    def begin_stream(self) -> None:
+        """A driver is about to stream from here."""
+        self._base_line = self.executed_line
+        self._looked_s = None
+        self._moving_s = 0.0
+
+    def follow(
+        self, progress: StreamProgress, status: MillStatus, now_s: float, wall_s: float, *, moving: bool
+    ) -> None:
+        """Take over what the driver knows; a mark in the journal every so often and when it matters."""
+        if self._looked_s is not None and moving:
+            self._moving_s += now_s - self._looked_s
+        self._looked_s = now_s
+        executed = max(self._base_line, progress.executed_line)
+        if executed != self.executed_line or progress.sent_line != self.record.get("sent_line"):
+            self.record["executed_line"], self.record["sent_line"] = executed, progress.sent_line
+            self._view = None
+        if now_s < self._marked_s + MARK_EVERY_S:
+            return
+        fields: dict[str, Any] = {
+            "sent_line": progress.sent_line,
+            "offset": progress.sent_offset,
+            "answered_line": progress.answered_line,
+            "executed_line": executed,
+            "in_flight_bytes": progress.bytes_in_flight,
+            "in_flight_lines": progress.lines_in_flight,
+            "machine_mm": status.machine_mm,
+            "work_mm": status.work_mm,
+            "work_offset_mm": status.work_offset_mm,
+            "mill_state": status.state.value,
+            "position_trusted": status.position_trusted,
+            "epoch": status.epoch,
+            "overrides": status.overrides,
+        }
+        content = tuple(fields.values())
+        if not moving and content == self._marked:
+            return  # a run held over the weekend needs no mark
+        self._marked_s, self._marked = now_s, content
+        self.write("mark", **fields, wall_s=round(wall_s, 3))
+
+    def last_mark(self, progress: StreamProgress) -> dict[str, Any]:
+        """What a state change takes with it, so that the end of a run is exact."""
+        return {"executed_line": max(self._base_line, progress.executed_line, self.executed_line if not self.live else 0),
+                "sent_line": progress.sent_line, "answered_line": progress.answered_line}  # fmt: skip
+
+    @property
+    def journal(self) -> Journal:
+        if self._journal is None:
+            self._journal = self._open_journal()
+        return self._journal
+
+    def close(self) -> None:
+        if self._journal is not None:
+            self._journal.close()
+            self._journal = None
+
+    def let_go(self) -> None:
+        """A run that is over needs neither an open file nor its index in memory."""
+        self.close()
+        self.facts = self.reader = None
+
+    # ------------------------------------------------------------------ time
+
+    def _time_left_s(self) -> float | None:
+        """Pre-flight's estimate, scaled by how the run has kept to it since it was last started."""
+        lines, total_s = int(self.record.get("lines", 0)), float(self.record.get("time_s", 0.0))
+        if not lines or not total_s or self.state is RunState.FINISHED:
+            return None
+        left = max(0.0, 1.0 - self.executed_line / lines)
+        expected_s = (self.executed_line - self._base_line) / lines * total_s
+        known = self._moving_s > _PACE_AFTER_S and expected_s > 1.0
+        return left * total_s * (self._moving_s / expected_s if known else 1.0)
+
+    def try_write(self, kind: str, **fields: Any) -> str:
+        """As `write`; what the disk says against it is returned instead of raised."""
+        try:
+            self.write(kind, **fields)
+        except JournalError as error:
+            return str(error)
+        return ""

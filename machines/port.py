@@ -1,0 +1,207 @@
+"""Byte streams to a mill: serial ports by device or stable id, and pyserial's URLs (socket://, rfc2217://, loop://).
+
+The only module that imports pyserial. Opening must not move or reset anything: DTR and RTS are set to their resting
+level before the port is opened and never touched again, and HUPCL is taken off so that closing does not drop them. Most
+Arduinos still reset on the first opening after plugging in; the banner tells.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import threading
+import time
+from pathlib import Path
+from typing import Any, Protocol
+
+import serial
+from serial.tools import list_ports
+
+from machines.errors import PortError, PortLostError
+from machines.profiles import LinkSettings
+
+BY_ID = Path("/dev/serial/by-id")
+READ_BYTES = 4096
+_SLICE_S = 0.02  # a wait without a way to wake it is cut into pieces of this length
+
+
+class Port(Protocol):
+    """What drivers need. `read` gives whatever has come, at once; b"" after the timeout; PortLostError when gone."""
+
+    url: str
+    wire_bytes_per_s: float | None
+
+    def read(self, timeout_s: float) -> bytes: ...
+    def write(self, data: bytes) -> None: ...
+    def wake(self) -> None: ...
+    def close(self) -> None: ...
+    def clock(self) -> float: ...
+
+
+def stable_name(device: str) -> str:
+    """/dev/ttyUSB0 -> /dev/serial/by-id/usb-...: that name is still the same mill after a replug."""
+    if not device.startswith("/") or not BY_ID.is_dir():
+        return device
+    try:
+        real = Path(device).resolve(strict=True)
+        return next((str(link) for link in sorted(BY_ID.iterdir()) if link.resolve() == real), device)
+    except OSError:
+        return device
+
+
+def port_names() -> tuple[str, ...]:
+    """Serial ports that exist here, by stable names, with what the device calls itself."""
+    return tuple(sorted(stable_name(str(port.device)) for port in list_ports.comports()))
+
+
+def open_port(url: str, link: LinkSettings) -> Port:
+    """Open a link exclusively. PortError says what is wrong and what to do."""
+    name = url if "://" in url else stable_name(url)
+    try:
+        line = serial.serial_for_url(
+            name,
+            do_not_open=True,
+            baudrate=link.baud,
+            bytesize=link.bytesize,
+            parity=link.parity,
+            stopbits=link.stopbits,
+            rtscts=link.flow == "rtscts",
+            xonxoff=link.flow == "xonxoff",
+            timeout=0,
+            write_timeout=2.0,
+        )
+    except ValueError as error:
+        raise PortError(name, f"not a port or URL that is known: {error}") from error
+    if "://" not in name:
+        line.exclusive = True
+        line.dtr = True  # as the kernel sets it on open: no edge is made that would reset the controller
+        line.rts = True
+    try:
+        line.open()
+    except (serial.SerialException, OSError, ValueError) as error:
+        raise _refused(name, error) from error
+    _steady(line)
+    with contextlib.suppress(Exception):
+        line.set_low_latency_mode(True)  # FTDI: 1 ms instead of 16; not offered by every driver
+    wire = None if "://" in name else link.wire_bytes_per_s
+    return SerialPort(name, line, wire)
+
+
+def _steady(line: Any) -> None:
+    """Take HUPCL off: a close must not drop DTR, which would reset the controller at the next opening."""
+    if os.name != "posix" or not isinstance(getattr(line, "fd", None), int):
+        return
+    import termios
+
+    with contextlib.suppress(termios.error, OSError):
+        attributes = termios.tcgetattr(line.fd)
+        attributes[2] &= ~termios.HUPCL
+        termios.tcsetattr(line.fd, termios.TCSANOW, attributes)
+
+
+def _refused(name: str, error: Exception) -> PortError:
+    number = getattr(error, "errno", None)
+    text = str(error)
+    if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in text:
+        holder = _holder(name)
+        who = f"process {holder}" if holder else "another program"
+        return PortError(name, f"in use by {who}; close that first")
+    if number in (errno.EACCES, errno.EPERM):
+        return PortError(
+            name, "permission denied: add your user to the group that owns it (mostly 'dialout'), log in anew"
+        )
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "could not open port" in text and number is None:
+        if "://" in name:
+            return PortError(name, f"cannot be reached: {text}")
+        there = ", ".join(port_names()) or "none"
+        return PortError(name, f"does not exist; ports here: {there}")
+    if "://" in name:
+        return PortError(name, f"cannot be reached: {text}")
+    return PortError(name, f"cannot be opened: {text}")
+
+
+def _holder(name: str) -> str:
+    """`1234 (screen)`: the process that has the device open, as far as /proc tells."""
+    try:
+        real = os.path.realpath(name)
+        for folder in Path("/proc").iterdir():
+            if not folder.name.isdecimal() or folder.name == str(os.getpid()):
+                continue
+            with contextlib.suppress(OSError):
+                if any(os.path.realpath(link) == real for link in (folder / "fd").iterdir()):
+                    return f"{folder.name} ({(folder / 'comm').read_text().strip()})"
+    except OSError:
+        pass
+    return f"{os.getpid()} (this one)" if _open_here(name) else ""
+
+
+def _open_here(name: str) -> bool:
+    with contextlib.suppress(OSError):
+        return any(os.path.realpath(link) == os.path.realpath(name) for link in Path("/proc/self/fd").iterdir())
+    return False
+
+
+class SerialPort:
+    """A Port over pyserial. One thread reads and writes; `wake` may come from any."""
+
+    def __init__(self, url: str, line: Any, wire_bytes_per_s: float | None) -> None:
+        self.url = url
+        self.wire_bytes_per_s = wire_bytes_per_s
+        self._line = line
+        self._wakes = callable(getattr(line, "cancel_read", None))
+        self._woken = threading.Event()
+        self._lost = False
+
+    def clock(self) -> float:
+        return time.monotonic()
+
+    def read(self, timeout_s: float) -> bytes:
+        """Whatever has come; waits at most `timeout_s` for the first byte."""
+        try:
+            return self._wait(timeout_s)
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:
+            # pyserial raises TypeError from a port that was closed under it
+            raise self._gone(error) from error
+
+    def _wait(self, timeout_s: float) -> bytes:
+        line = self._line
+        waiting = line.in_waiting
+        if waiting:
+            return bytes(line.read(min(waiting, READ_BYTES)))
+        end_s = time.monotonic() + timeout_s
+        while not self._woken.is_set():
+            left_s = end_s - time.monotonic()
+            # The first byte is waited for alone: asking for more would wait for more.
+            line.timeout = max(0.0, left_s if self._wakes else min(left_s, _SLICE_S))
+            first = bytes(line.read(1))
+            if first:
+                more = line.in_waiting
+                return first + bytes(line.read(min(more, READ_BYTES))) if more else first
+            if left_s <= 0.0:
+                break
+        self._woken.clear()
+        return b""
+
+    def write(self, data: bytes) -> None:
+        try:
+            self._line.write(data)
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:
+            raise self._gone(error) from error
+
+    def wake(self) -> None:
+        """End a read that waits, or the next one."""
+        self._woken.set()
+        if self._wakes:
+            with contextlib.suppress(Exception):
+                self._line.cancel_read()
+
+    def close(self) -> None:
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._line.close()
+
+    def _gone(self, error: Exception) -> PortLostError:
+        self.close()
+        if isinstance(error, serial.SerialTimeoutException):
+            return PortLostError(self.url, "takes no bytes any more (2 s): unplugged, or switched off")
+        return PortLostError(self.url, f"lost: cable, power or the far end ({error})")

@@ -1,0 +1,101 @@
+"""Where a program can be entered again: the last move that was certainly cut, and the modal state before it."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from machines.driver import Triple
+from machines.errors import MachineError
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.modal import ModalState
+from machines.gcode.program import ProgramReader
+
+_MOTION_WORD = re.compile(rb"G(?:0*[0123]|38\.[2-5]|80)(?![0-9.])")
+_MOTIONS = ("G0", "G1", "G2", "G3")
+
+
+class NoEntryError(MachineError):
+    """The program cannot be entered there; the text says why and what else can be done."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EntryPoint:
+    """Send from `line` on, with `state` before it and the tool at `position_mm` (None: from the top of the program).
+
+    motion : word to put before that line, which relies on an earlier motion word; "" if it has its own
+    why    : what moved the entry away from the usual place, in words
+    """
+
+    line: int
+    state: ModalState
+    position_mm: Triple | None
+    motion: str = ""
+    why: str = ""
+
+
+def find_entry(reader: ProgramReader, executed_line: int) -> EntryPoint:
+    """One move back from the first line not executed. NoEntryError, or ProgramChangedError from the reader."""
+    entries = reader.index.entries
+    for number in range(reader.index.before(executed_line + 1), -1, -1):
+        found = _last_move(reader, entries[number].line, entries[number].state, executed_line)
+        if found is not None:
+            line, text, why = found
+            return _entry(reader, line, text, why)
+    return EntryPoint(line=1, state=ModalState(), position_mm=None)
+
+
+def _last_move(
+    reader: ProgramReader, from_line: int, state: ModalState, executed_line: int
+) -> tuple[int, bytes, str] | None:
+    """The last executed move whose start is known, in the piece from `from_line`; after a tool change, the first there.
+
+    A tool change (T, M0, M1) is never stepped back over: the overlap would be cut with another tool.
+    """
+    interpreter = Interpreter(state, dialect=reader.index.dialect)
+    best: tuple[int, bytes, str] | None = None
+    stop = 0  # the stop after which no move has been seen yet
+    begun = None not in state.position_mm  # before the first known place there is nothing to join
+    for line in reader.lines(from_line):
+        after = line.number > executed_line
+        if after and not stop:
+            return best
+        step = interpreter.take(line.text)
+        if step.moves and not step.probes and None not in step.start_mm:
+            why = f"no overlap: line {stop} is a stop or a tool change" if stop else ""
+            best, stop, begun = (line.number, line.text, why), 0, True
+            if after:
+                return best
+        elif after and step.moves:
+            raise NoEntryError(
+                f"line {line.number} cannot be entered: the program does not tell where the tool is before it"
+            )
+        if (step.withholds_ok or b"T" in line.text) and begun and not after:
+            best, stop = None, line.number
+    if stop:
+        raise NoEntryError(f"nothing is left to cut after line {stop}, which was executed: the program is done")
+    return best
+
+
+def _entry(reader: ProgramReader, line: int, text: bytes, why: str) -> EntryPoint:
+    state = reader.state_before(line)
+    at = f"line {line} cannot be entered"
+    if state.distance != "G90":
+        raise NoEntryError(
+            f"{at}: the program is in G91 (incremental) there; start it from its top, or from a G90 version"
+        )
+    if state.shifted:
+        raise NoEntryError(
+            f"{at}: the program has moved its own frame (G10, G92 or G43.1) before it; start it from its top"
+        )
+    if state.ended:
+        raise NoEntryError(f"{at}: the program has ended (M2, M30) before it")
+    x, y, z = state.position_mm
+    if x is None or y is None or z is None:
+        raise NoEntryError(f"{at}: the program does not tell where the tool is before it; start it from its top")
+    motion = ""
+    if not _MOTION_WORD.search(text):
+        if state.motion not in _MOTIONS:
+            raise NoEntryError(f"{at}: the motion mode there is {state.motion}, which cannot be set up again")
+        motion = state.motion
+    return EntryPoint(line=line, state=state, position_mm=(x, y, z), motion=motion, why=why)

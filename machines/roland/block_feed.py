@@ -1,0 +1,138 @@
+"""One program on its way into the MDX-40A: a block at a time, the mill's byte counter says when the next may go."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain
+
+from machines.driver import FaultCause, ProgramLine, Triple
+from machines.errors import MachineError, PortError
+from machines.roland.following import Follower, Travel, nc_reader, rml_reader
+from machines.roland.mdx40a import COUNTER_MODULUS, Mdx40aDevice
+from machines.roland.rml_commands import RmlFault
+
+MOST_BLOCK_BYTES = 512  # one line; writes of 32 KB hang the mill
+_FIRST_WAIT_S, _LONGEST_WAIT_S = 0.001, 0.02
+_MOVES_FRAME = re.compile(rb"G(5[5-9]|92|10|52|43|68)(?!\d)")  # G54 is read before the start; these leave it
+
+
+class FeedFault(Exception):
+    """Why no further block may go."""
+
+    def __init__(self, cause: FaultCause, words: str, line: int) -> None:
+        super().__init__(words)
+        self.cause = cause
+        self.line = line
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Block:
+    """What is under way: its line, its bytes, what it does, and the counter when the mill has all of it."""
+
+    line: ProgramLine
+    data: bytes
+    travel: Travel
+    counter_after: int
+
+
+class BlockFeed:
+    """`turn` does all the work; the rest is what there is to know about it.
+
+    origin_mm : machine position of the program's zero; None if not known, then positions say nothing about lines
+    here_mm   : where the mill stands before the first block, in the program's frame
+    """
+
+    def __init__(
+        self,
+        device: Mdx40aDevice,
+        lines: Iterator[ProgramLine],
+        *,
+        dialect: str,
+        origin_mm: Triple | None,
+        here_mm: Triple | None,
+    ) -> None:
+        self._is_rml = dialect == "rml-1"
+        self._line_end = b"\n" if self._is_rml else b"\r\n"
+        self._read = rml_reader(here_mm) if self._is_rml else nc_reader(dialect, here_mm)
+        self._lines = lines
+        self._opened = False
+        self._counter = device.read_counter()
+        self.origin_mm = origin_mm
+        self.follower = Follower()
+        self.block: Block | None = None
+        self.ended = False  # every line has been given and counted
+        self.changed_s = device.clock()  # when the counter last moved
+        self.wait_s = _FIRST_WAIT_S  # until it is worth asking again
+        self.sent_line = self.sent_offset = self.answered_line = 0
+        self.frame_left_at = 0  # line that left the frame whose origin we know
+
+    def turn(self, device: Mdx40aDevice, *, may_send: bool) -> None:
+        """Take back what the mill has counted; then, if it may be, send the next block. FeedFault ends the feed."""
+        if self.block is not None and not self._counted(device, self.block):
+            return
+        if may_send and not self.ended:
+            try:
+                self._send_next(device)
+            except PortError:
+                raise
+            except (MachineError, RmlFault, OSError) as error:
+                raise FeedFault(FaultCause.PROGRAM_CHANGED, str(error), self.sent_line) from error
+
+    def _counted(self, device: Mdx40aDevice, block: Block) -> bool:
+        counter, now_s = device.read_counter(), device.clock()
+        if (block.counter_after - counter) % COUNTER_MODULUS > len(block.data):
+            words = f"the byte counter is {counter}, at most {block.counter_after} can be right: blocks do not match"
+            raise FeedFault(FaultCause.REPLY_COUNT, words, block.line.number)
+        if counter != self._counter:
+            self._counter, self.changed_s = counter, now_s
+        if counter != block.counter_after:
+            self.wait_s = min(2 * self.wait_s, _LONGEST_WAIT_S)
+            return False
+        self.block = None
+        self.follower.take(block.line.number, block.travel.ways)
+        self.answered_line = block.line.number or self.answered_line
+        return True
+
+    def _send_next(self, device: Mdx40aDevice) -> None:
+        line = next(self._lines, None)
+        if line is not None and not self._opened:
+            self._opened = True
+            self._lines = chain(self._opening(line), [line], self._lines)
+            line = next(self._lines)
+        if line is None:
+            self.ended = True
+            return
+        data = line.text + self._line_end
+        if len(data) > MOST_BLOCK_BYTES:
+            raise MachineError(f"line {line.number} has {len(data)} bytes; the mill is fed at most {MOST_BLOCK_BYTES}")
+        travel = self._read(line.text)
+        if self.origin_mm is not None and not self._is_rml and _MOVES_FRAME.search(line.text):
+            self.origin_mm, self.follower.lost, self.frame_left_at = None, True, line.number
+        self._refuse_above_the_top(line, travel)
+        self._counter = device.read_counter()
+        after = (self._counter + len(data)) % COUNTER_MODULUS
+        self.block = Block(line=line, data=data, travel=travel, counter_after=after)
+        device.write_block(data)
+        self.wait_s = _FIRST_WAIT_S
+        if line.number:
+            self.sent_line, self.sent_offset = line.number, line.offset
+
+    def _refuse_above_the_top(self, line: ProgramLine, travel: Travel) -> None:
+        """Above machine Z0 the mill flattens: all that follows becomes rapids at Z0 (rollingmill's notes)."""
+        if self.origin_mm is None or travel.highest_z_mm is None:
+            return
+        machine_z_mm = travel.highest_z_mm + self.origin_mm[2]
+        if machine_z_mm > 0:
+            raise MachineError(
+                f"line {line.number}: '{line.text.decode('latin-1')}' lifts to machine Z {machine_z_mm:.3f} mm, above "
+                "the top (0): the mill would run all that follows as rapids; lower the safe Z or the stock"
+            )
+
+    def _opening(self, first: ProgramLine) -> tuple[ProgramLine, ...]:
+        """NC code must begin with % and O and eight digits; a program read from the middle has lost them."""
+        if self._is_rml or first.text[:1] in (b"%", b"("):
+            return ()
+        mark = ProgramLine(0, first.offset, b"%")
+        return (mark,) if first.text[:1] == b"O" else (mark, ProgramLine(0, first.offset, b"O00000001"))

@@ -1,0 +1,248 @@
+"""RML-1 programs: what each command does, and whether a whole program may be sent to a mill.
+
+    facts = check_rml(chunks, profile)          raises ProgramRefusedError with the line and the command
+
+RML-1 knows no work offset, no rapid and no line number: coordinates count from the user origin set at the mill, and
+everything moves at the last V. Nothing in it tells the host how far it has come.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from math import dist, hypot, inf
+
+from machines.errors import ProgramRefusedError
+from machines.profiles import MachineProfile
+from machines.roland.rml_commands import MOST_COMMAND_BYTES, UNIT_MM, Command, RmlFault, parse, spindle_rpm
+
+Triple = tuple[float, float, float]
+Place = tuple[float | None, float | None, float | None]
+
+_ABSOLUTE_XY = {"D": True, "M": False, "PD": True, "PU": False}  # name -> does it cut (tool at Z1) or pass over (Z2)
+_RELATIVE_XY = {"I": True, "R": False}
+_MARKS_AT_END = b"\r\n\t \x1a\x00"
+
+
+@dataclass(frozen=True, slots=True)
+class RmlMove:
+    """A straight move in the user frame [mm]; None where the coordinate is not known yet."""
+
+    start_mm: Place
+    end_mm: Place
+    feed_mm_per_min: float
+
+    @property
+    def length_mm(self) -> float:
+        """Way over the axes that are known at both ends."""
+        known = [(a, b) for a, b in zip(self.start_mm, self.end_mm, strict=True) if a is not None and b is not None]
+        return dist([a for a, _ in known], [b for _, b in known])
+
+    def distance_mm(self, point_mm: Triple) -> float:
+        """Of a point from this move; axes that are not known at both ends do not count."""
+        known = [
+            (a, b - a, p)
+            for a, b, p in zip(self.start_mm, self.end_mm, point_mm, strict=True)
+            if a is not None and b is not None
+        ]
+        squared = sum(v * v for _, v, _ in known)
+        share = sum((p - a) * v for a, v, p in known) / squared if squared else 0.0
+        share = min(1.0, max(0.0, share))
+        return hypot(*(p - a - share * v for a, v, p in known))
+
+
+@dataclass(slots=True)
+class RmlInterpreter:
+    """Modal state of RML-1; `take` carries out one command."""
+
+    position_mm: Place = (None, None, None)
+    relative: bool = False
+    feed_mm_per_s: float | None = None
+    spindle_on: bool = False
+    spindle_code: float | None = None
+    heights_mm: tuple[float, float] = (0.0, 0.0)  # Z1 (down), Z2 (up) of the two-height commands
+
+    def take(self, command: Command) -> tuple[RmlMove, ...]:
+        """The moves that `command` makes. RmlFault where they cannot be known to be safe."""
+        name, numbers = command.name, command.numbers
+        match name:
+            case "DF" | "IN":
+                self.relative, self.spindle_on = False, False
+            case "V" | "F" | "VS" | "!VZ":
+                self.feed_mm_per_s = numbers[0]
+            case "!MC":
+                self.spindle_on = not numbers or numbers[0] == 1
+            case "!RC":
+                self.spindle_code = numbers[0]
+            case "!PZ" | "@":
+                self.heights_mm = (numbers[0] * UNIT_MM, numbers[-1] * UNIT_MM) if numbers else self.heights_mm
+            case "PA" | "PR":
+                self.relative = name == "PR"
+                return self._travel(numbers, self.position_mm[2], self.relative)
+            case "D" | "M" | "PD" | "PU":
+                relative = self.relative and name.startswith("P")
+                return self._travel(numbers, self.heights_mm[0 if _ABSOLUTE_XY[name] else 1], relative)
+            case "I" | "R":
+                return self._travel(numbers, self.heights_mm[0 if _RELATIVE_XY[name] else 1], True)
+            case "Z" | "!ZZ":
+                return tuple(self._to(numbers[i : i + 3]) for i in range(0, len(numbers), 3))
+            case "!ZM":
+                x, y, _ = self.position_mm
+                return (self._move((x, y, numbers[0] * UNIT_MM)),)
+            case "H" | "!ZE":
+                self.position_mm = (None, None, None)
+            case _:
+                pass
+        return ()
+
+    def _travel(self, numbers: tuple[float, ...], z_mm: float | None, relative: bool) -> tuple[RmlMove, ...]:
+        moves = [self._move((*self.position_mm[:2], z_mm))] if z_mm != self.position_mm[2] else []
+        for i in range(0, len(numbers), 2):
+            x, y = (n * UNIT_MM for n in numbers[i : i + 2])
+            moves.append(self._move((self._along(0, x, relative), self._along(1, y, relative), z_mm)))
+        return tuple(moves)
+
+    def _to(self, numbers: tuple[float, ...]) -> RmlMove:
+        x, y, z = (n * UNIT_MM for n in numbers)
+        if self.relative and x == y == 0 and z > 0:  # the usual lift off the part: the mill stops it at its top
+            return self._move((*self.position_mm[:2], None))
+        return self._move(
+            (self._along(0, x, self.relative), self._along(1, y, self.relative), self._along(2, z, self.relative))
+        )
+
+    def _along(self, axis: int, value_mm: float, relative: bool) -> float:
+        before = self.position_mm[axis]
+        if not relative:
+            return value_mm
+        if before is None:
+            raise RmlFault("moves relative to a position that no command before it has given")
+        return before + value_mm
+
+    def _move(self, end_mm: Place) -> RmlMove:
+        if self.feed_mm_per_s is None:
+            raise RmlFault("moves before any speed was set (V)")
+        move = RmlMove(self.position_mm, end_mm, self.feed_mm_per_s * 60)
+        self.position_mm = end_mm
+        z, before = end_mm[2], move.start_mm[2]
+        lifts = before is not None and z is not None and z > before and end_mm[:2] == move.start_mm[:2]
+        if z is not None and z < 0 and not lifts and not self.spindle_on:
+            raise RmlFault(f"goes to Z {z:g} mm, below the user origin, with the spindle off (!MC1 first)")
+        return move
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RmlFacts:
+    """What a whole program does. Bounds in the user frame, lowest and highest corner; None if it never moves.
+
+    time_s : way over speed, each axis at most at its rate; no acceleration, so the mill takes longer
+    ends   : the program ends with the spindle off
+    """
+
+    bounds_mm: tuple[Triple, Triple] | None
+    lines: int
+    commands: int
+    bytes: int
+    path_length_mm: float
+    time_s: float
+    feeds_mm_per_min: tuple[float, float] | None
+    spindle_rpm: tuple[float, float] | None
+    ends: bool
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(slots=True)
+class _Tally:
+    low: list[float] = field(default_factory=lambda: [inf, inf, inf])
+    high: list[float] = field(default_factory=lambda: [-inf, -inf, -inf])
+    commands: int = 0
+    path_length_mm: float = 0.0
+    time_s: float = 0.0
+    feeds: tuple[float, float] | None = None
+    speeds: tuple[float, float] | None = None
+
+
+def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
+    """Read a program once, whatever its size; ProgramRefusedError names line, command and reason."""
+    mill, tally, line, size = RmlInterpreter(), _Tally(), 1, 0
+    for line, text, size in _commands(chunks):  # noqa: B007 (the last ones are the size of the file)
+        try:
+            command = parse(text)
+            if command is not None:
+                tally.commands += 1
+                _count_command(command, mill, tally, profile)
+        except RmlFault as fault:
+            shown = text.strip()[:60].decode("latin-1")
+            raise ProgramRefusedError(line, shown, f"{fault} (command {tally.commands} of the program)") from None
+    if not tally.commands:
+        raise ProgramRefusedError(0, "", "the file holds no RML-1 command")
+    moved = all(value < inf for value in tally.low)
+    return RmlFacts(
+        bounds_mm=((tally.low[0], tally.low[1], tally.low[2]), (tally.high[0], tally.high[1], tally.high[2]))
+        if moved
+        else None,
+        lines=line,
+        commands=tally.commands,
+        bytes=size,
+        path_length_mm=tally.path_length_mm,
+        time_s=tally.time_s,
+        feeds_mm_per_min=tally.feeds,
+        spindle_rpm=tally.speeds,
+        ends=not mill.spindle_on,
+        warnings=("the program leaves the spindle on",) if mill.spindle_on else (),
+    )
+
+
+def _count_command(command: Command, mill: RmlInterpreter, tally: _Tally, profile: MachineProfile) -> None:
+    if command.name == "!RC":
+        slowest, fastest = profile.spindle_rpm
+        speed = spindle_rpm(command.numbers[0], slowest, fastest)
+        if not slowest <= speed <= fastest:
+            raise RmlFault(f"{speed:g} rpm is outside the spindle's {slowest:g}..{fastest:g} (or a code 0..15)")
+        tally.speeds = _widen(tally.speeds, speed)
+    for move in mill.take(command):
+        tally.path_length_mm += move.length_mm
+        tally.time_s += _move_time_s(move, profile)
+        tally.feeds = _widen(tally.feeds, move.feed_mm_per_min)
+        for axis, value in enumerate(move.end_mm):
+            if value is None:
+                continue
+            tally.low[axis] = min(tally.low[axis], value)
+            tally.high[axis] = max(tally.high[axis], value)
+            extent = tally.high[axis] - tally.low[axis]
+            if extent > profile.travel_mm[axis]:
+                raise RmlFault(
+                    f"the program now spans {extent:.2f} mm in {'XYZ'[axis]}, "
+                    f"the travel of {profile.name} is {profile.travel_mm[axis]:g} mm"
+                )
+    if command.name in ("W", "!DW"):
+        tally.time_s += command.numbers[0] / 1000
+
+
+def _move_time_s(move: RmlMove, profile: MachineProfile) -> float:
+    times = [move.length_mm / move.feed_mm_per_min]
+    for a, b, rate in zip(move.start_mm, move.end_mm, profile.max_rate_mm_per_min, strict=True):
+        times.append(abs(b - a) / rate if a is not None and b is not None else 0.0)
+    return 60 * max(times)
+
+
+def _widen(span: tuple[float, float] | None, value: float) -> tuple[float, float]:
+    return (value, value) if span is None else (min(span[0], value), max(span[1], value))
+
+
+def _commands(chunks: Iterable[bytes]) -> Iterator[tuple[int, bytes, int]]:
+    """(line, command without ';', bytes of the file up to here); a command may be cut anywhere by the chunks."""
+    line, size, rest = 1, 0, b""
+    for chunk in chunks:
+        size += len(chunk)
+        *whole, rest = (rest + chunk).split(b";")
+        for text in whole:
+            blank = text[: len(text) - len(text.lstrip())]
+            yield line + blank.count(b"\n"), text, size
+            line += text.count(b"\n")
+        if len(rest.strip()) > MOST_COMMAND_BYTES:
+            yield line, rest, size  # refused by its length: no need to read on
+    end = rest.strip(_MARKS_AT_END)
+    if end:
+        line += rest[: len(rest) - len(rest.lstrip())].count(b"\n")
+        raise ProgramRefusedError(line, end[:60].decode("latin-1"), "the last command has no ';': is the file cut off?")
+    yield line + max(rest.count(b"\n") - 1, 0), b"", size

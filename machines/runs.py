@@ -1,0 +1,117 @@
+"""The life of a run: its states, the one table of allowed moves between them, and how it looks from outside."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any
+
+from machines.errors import NotAllowedError
+
+
+class RunState(Enum):
+    """One word per thing; the words are those of the API."""
+
+    PARKED = "parked"  # known and checked, waits for a person
+    RUNNING = "running"
+    HOLDING = "holding"  # told to hold, still moving
+    HELD = "held"
+    STOPPING = "stopping"  # abort under way
+    INTERRUPTED = "interrupted"  # stopped by a fault; only `recover` goes on
+    RECOVERING = "recovering"  # the way back to the place of interruption
+    FINISHED = "finished"
+    ABORTED = "aborted"
+
+
+_S = RunState
+_ON_THE_MILL = {_S.HOLDING, _S.HELD, _S.STOPPING, _S.INTERRUPTED, _S.FINISHED}
+
+TRANSITIONS: dict[RunState, frozenset[RunState]] = {
+    _S.PARKED: frozenset({_S.RUNNING, _S.ABORTED}),
+    _S.RUNNING: frozenset(_ON_THE_MILL),
+    _S.RECOVERING: frozenset(_ON_THE_MILL | {_S.RUNNING}),
+    _S.HOLDING: frozenset(_ON_THE_MILL - {_S.HOLDING} | {_S.RUNNING, _S.RECOVERING}),
+    _S.HELD: frozenset(_ON_THE_MILL - {_S.HELD} | {_S.RUNNING, _S.RECOVERING}),
+    _S.STOPPING: frozenset({_S.ABORTED, _S.INTERRUPTED}),
+    _S.INTERRUPTED: frozenset({_S.RECOVERING, _S.ABORTED}),
+    _S.FINISHED: frozenset(),
+    # An abort in a fright at hour 40 must not cost the part: what was cut is known, so a person may go on with it.
+    _S.ABORTED: frozenset({_S.RECOVERING}),
+}
+LIVE = frozenset({_S.RUNNING, _S.HOLDING, _S.HELD, _S.STOPPING, _S.RECOVERING})
+RECOVERABLE = frozenset({_S.INTERRUPTED, _S.ABORTED})
+
+START_CHECKS = frozenset({"tool", "zero", "stock", "clear"})
+RECOVER_CHECKS = START_CHECKS | {"position"}
+
+
+def moved(before: RunState, after: RunState) -> RunState:
+    """`after`, where the table allows the move; NotAllowedError names both states otherwise."""
+    if after not in TRANSITIONS[before]:
+        allowed = ", ".join(sorted(state.value for state in TRANSITIONS[before])) or "nothing"
+        raise NotAllowedError(f"a run that is {before.value} cannot become {after.value}; allowed: {allowed}")
+    return after
+
+
+@dataclass(frozen=True, slots=True)
+class Confirmation:
+    """A person's word, by name, that these things were looked at."""
+
+    operator: str
+    checks: frozenset[str]
+
+    def demand(self, needed: frozenset[str], doing: str) -> None:
+        """NotAllowedError naming what was not confirmed."""
+        if not self.operator.strip():
+            raise NotAllowedError(f"{doing} needs the operator's name")
+        if missing := needed - self.checks:
+            words = ", ".join(sorted(missing))
+            raise NotAllowedError(f"{doing} needs the operator's confirmation of: {words}")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunView:
+    """One run as others see it.
+
+    words         : why it is in this state, for the operator
+    executed_line : every line up to this one has certainly been cut
+    time_s        : estimate for the whole program; time_left_s is scaled by how the run has kept to it, None = unknown
+    created_s ... : wall clock, seconds since 1970; None = not yet
+    """
+
+    id: str
+    name: str
+    program: str
+    path: str
+    state: RunState
+    words: str = ""
+    operator: str = ""
+    lines: int = 0
+    bytes: int = 0
+    sent_line: int = 0
+    executed_line: int = 0
+    time_s: float = 0.0
+    time_left_s: float | None = None
+    created_s: float = 0.0
+    started_s: float | None = None
+    ended_s: float | None = None
+    recoveries: int = 0
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def live(self) -> bool:
+        return self.state in LIVE
+
+    @property
+    def share(self) -> float:
+        """How much is certainly cut, 0 to 1, by lines."""
+        return 1.0 if self.state is _S.FINISHED else min(1.0, self.executed_line / self.lines) if self.lines else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        values = {name: getattr(self, name) for name in self.__slots__}
+        return values | {
+            "state": self.state.value,
+            "warnings": list(self.warnings),
+            "share": self.share,
+            "live": self.live,
+        }

@@ -1,0 +1,96 @@
+"""What the firmware writes: banner, status report, settings, offsets, parser state."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from machines.simulated.firmware import Firmware
+
+_IDLE_EVERY = 10  # reports between two WCO or Ov fields while standing
+_WCO_BUSY_EVERY = 30
+_OV_BUSY_EVERY = 20
+_BUSY = ("Home", "Run", "Hold", "Jog", "Door")
+
+
+def xyz(values: Iterable[float]) -> str:
+    return ",".join(f"{v + 0.0:.3f}" if abs(v) >= 0.0005 else "0.000" for v in values)
+
+
+class StatusReport:
+    """`?`: with the counters that decide when WCO and Ov are told."""
+
+    def __init__(self) -> None:
+        self.wco_in = 0
+        self.ov_in = 0
+
+    def text(self, fw: Firmware) -> str:
+        settings, state = int(fw.settings[10]), fw.state_word()
+        at = fw.stepper.where(fw.now_s)
+        offset = fw.interpreter.offset
+        if settings & 1:
+            fields = [state, f"MPos:{xyz(at)}"]
+        else:
+            fields = [state, f"WPos:{xyz(p - o for p, o in zip(at, offset, strict=True))}"]
+        if settings & 2:
+            free = fw.traits.planner_blocks - len(fw.stepper.planner.blocks)
+            fields.append(f"Bf:{free},{fw.rx_free()}")
+        if fw.traits.line_numbers and (block := fw.stepper.executing()) is not None:
+            fields.append(f"Ln:{block.line}")
+        fields.append(f"FS:{fw.stepper.speed() * 60:.0f},{fw.spindle_now():.0f}")
+        if pins := fw.pins():
+            fields.append(f"Pn:{pins}")
+        fields += self._rare(fw, offset)
+        return f"<{'|'.join(fields)}>"
+
+    def _rare(self, fw: Firmware, offset: tuple[float, float, float]) -> list[str]:
+        busy = fw.state in _BUSY
+        if self.wco_in > 0:
+            self.wco_in -= 1
+        else:
+            self.wco_in = (_WCO_BUSY_EVERY if busy else _IDLE_EVERY) - 1
+            self.ov_in = max(self.ov_in, 1)  # never both in one report
+            return [f"WCO:{xyz(offset)}"]
+        if self.ov_in > 0:
+            self.ov_in -= 1
+            return []
+        self.ov_in = (_OV_BUSY_EVERY if busy else _IDLE_EVERY) - 1
+        fields = [f"Ov:{fw.feed_percent},{fw.rapid_percent},{fw.spindle_percent}"]
+        spindle = {"M3": "S", "M4": "C"}.get(fw.spindle if fw.spindle_on() else "M5", "")
+        coolant = "".join(letter for name, letter in (("M8", "F"), ("M7", "M")) if name in fw.interpreter.coolant)
+        if spindle or coolant:
+            fields.append(f"A:{spindle}{coolant}")
+        return fields
+
+
+def settings_lines(fw: Firmware) -> list[str]:
+    return [f"${k}={_setting(k, v)}" for k, v in sorted(fw.settings.items())]
+
+
+def _setting(number: int, value: float) -> str:
+    return f"{value:.3f}" if number in (11, 12, 24, 25, 27) or number >= 100 else f"{value:.0f}"
+
+
+def offsets_lines(fw: Firmware) -> list[str]:
+    state = fw.interpreter
+    lines = [f"[{name}:{xyz(value)}]" for name, value in state.stored.items()]
+    lines.append(f"[G92:{xyz(state.g92)}]")
+    lines.append(f"[TLO:{state.tool_length:.3f}]")
+    lines.append(f"[PRB:{xyz(fw.probed)}:{int(fw.probe_found)}]")
+    return lines
+
+
+def parser_state(fw: Firmware) -> str:
+    s = fw.interpreter
+    m = s.modal
+    words = [m["motion"], m["wcs"], m["plane"], m["units"], m["distance"], m["feed-mode"], m["spindle"]]
+    words += [c for c in ("M7", "M8") if c in s.coolant] or ["M9"]
+    feed = s.feed / 25.4 if m["units"] == "G20" else s.feed
+    return f"[GC:{' '.join(words)} T{s.tool} F{feed:.1f} S{s.spindle_rpm:.0f}]".replace(".0 S", " S")
+
+
+def build_info(fw: Firmware) -> list[str]:
+    t = fw.traits
+    letters = t.option_letters + ("L" if t.line_numbers and "L" not in t.option_letters else "")
+    return [*t.version, f"[OPT:{letters},{t.planner_blocks},{t.rx_advertised}]"]

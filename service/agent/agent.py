@@ -1,0 +1,30 @@
+"""The parts of one agent, as its routes see them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from machines.gcode.preflight import Preflight
+from machines.profiles import MachineProfile
+from service.agent.access import MillAccess
+from service.agent.programs import ProgramStore
+from service.agent.settings import AgentSettings
+from service.agent.sse import Hub
+from service.mill_link import Connector
+from service.preflight import preflight
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Agent:
+    settings: AgentSettings
+    profile: MachineProfile
+    access: MillAccess
+    store: ProgramStore
+    hub: Hub
+    connector: Connector
+
+    def preflight(self, program: Path) -> Preflight:
+        """Read a program whole, held against this mill's own settings. Slow: not for the event loop's thread."""
+        settings = self.connector.settings
+        return preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")

@@ -1,0 +1,40 @@
+"""The agent's HTTP application: the routes behind the guard, every refusal as problem+json."""
+
+from __future__ import annotations
+
+from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from machines.errors import MachineError
+from service.agent.agent import Agent
+from service.agent.auth import Guard
+from service.agent.problems import Problem, on_error, on_http_error
+from service.agent.routes_control import ControlRoutes
+from service.agent.routes_mill import MillRoutes
+from service.agent.routes_programs import ProgramRoutes
+from service.agent.routes_runs import RunRoutes
+
+
+def make_app(agent: Agent) -> Starlette:
+    async def livez(_request: Request) -> Response:
+        await agent.access.urgent(lambda _: None)  # the mill's thread still answers, or this is a problem
+        return JSONResponse({"alive": True, "machine": agent.settings.machine})
+
+    routes = [
+        Route("/livez", livez, methods=["GET"]),
+        *MillRoutes(agent).routes(),
+        *ProgramRoutes(agent).routes(),
+        *RunRoutes(agent).routes(),
+        *ControlRoutes(agent).routes(),
+    ]
+    guard = Middleware(Guard, token=agent.settings.token, hosts=frozenset({agent.settings.host.lower()}))
+    handlers = dict.fromkeys((Problem, MachineError, OSError), on_error)
+    return Starlette(
+        routes=routes,
+        middleware=[guard],
+        exception_handlers={HTTPException: on_http_error, **handlers, Exception: on_error},
+    )

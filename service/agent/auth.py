@@ -1,0 +1,100 @@
+"""Who may tell the mill what to do: a bearer token, and a Host header that no web page can make up.
+
+A page in a browser on the same machine could otherwise be served from a name that is re-pointed to 127.0.0.1 (DNS
+rebinding) and talk to the agent; a name cannot be re-pointed when only addresses and known names are accepted.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import os
+import secrets
+import socket
+from pathlib import Path
+
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.agent.problems import Problem, problem_response
+from service.errors import FailedError, InputError, sentence_of_os_error
+
+TOKEN_FILE = "token"
+_SHORTEST = 16
+_OPEN = {"/livez"}
+
+
+def read_token(path: Path) -> str:
+    """The token a person keeps in a file; InputError where it is missing or too short to be one."""
+    try:
+        token = path.read_text(encoding="ascii").strip()
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing="--token-file: cannot read")) from None
+    except UnicodeDecodeError:
+        raise InputError(f"--token-file: {path} is not plain text; allowed: one line of ASCII") from None
+    if len(token) < _SHORTEST or not token.isprintable() or any(map(str.isspace, token)):
+        raise InputError(f"--token-file: {path} must hold one word of at least {_SHORTEST} characters")
+    return token
+
+
+def made_token(folder: Path) -> tuple[str, Path]:
+    """The token of this data folder, made on first use and readable by its owner only."""
+    path = folder / TOKEN_FILE
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with os.fdopen(descriptor, "w", encoding="ascii") as file:
+                file.write(secrets.token_urlsafe(32) + "\n")
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot write the token")) from None
+    return read_token(path), path
+
+
+def is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+class Guard:
+    """ASGI middleware: refuses foreign Host headers (403) and requests without the token (401)."""
+
+    def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] = frozenset()) -> None:
+        self._app = app
+        self._token = token.encode()
+        self._hosts = hosts | {"localhost", socket.gethostname().lower()}
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "http" and (problem := self._refusal(scope)) is not None:
+            await problem_response(problem)(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> Problem | None:
+        headers: dict[bytes, bytes] = {}
+        for name, value in scope["headers"]:
+            if name in (b"host", b"authorization") and name in headers:
+                return Problem(400, f"two {name.decode()} headers")
+            headers[name] = value
+        host = headers.get(b"host", b"").decode("latin-1").lower()
+        if not self._is_ours(host):
+            return Problem(403, f"Host is '{host}'; allowed: localhost, an address, or this machine's name")
+        if scope["path"] in _OPEN:
+            return None
+        kind, _, token = headers.get(b"authorization", b"").partition(b" ")
+        if kind.lower() != b"bearer" or not hmac.compare_digest(token.strip(), self._token):
+            return Problem(401, "a token is needed: Authorization: Bearer ...", field="Authorization")
+        return None
+
+    def _is_ours(self, host: str) -> bool:
+        name = host.rpartition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]
+        if name in self._hosts:
+            return True
+        try:
+            ipaddress.ip_address(name)
+        except ValueError:
+            return False
+        return True

@@ -1,0 +1,59 @@
+"""/v1/programs: the agent's own copies, brought by the caller or fetched from the job server, by hash."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from service.agent.agent import Agent
+from service.agent.bodies import fields_of
+from service.agent.fetching import fetch_program
+from service.agent.problems import Problem
+from service.agent.programs import StoredProgram, valid_sha256
+
+
+class ProgramRoutes:
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    def routes(self) -> list[Route]:
+        return [
+            Route("/v1/programs", self.listed, methods=["GET"]),
+            Route("/v1/programs", self.fetched, methods=["POST"]),
+            Route("/v1/programs/{sha256}", self.shown, methods=["GET"]),
+            Route("/v1/programs/{sha256}", self.brought, methods=["PUT"]),
+        ]
+
+    async def listed(self, _request: Request) -> Response:
+        return JSONResponse({"programs": [entry.as_dict() for entry in self._agent.store.entries()]})
+
+    async def shown(self, request: Request) -> Response:
+        return JSONResponse(self._agent.store.entry(request.path_params["sha256"]).as_dict())
+
+    async def brought(self, request: Request) -> Response:
+        length = request.headers.get("content-length", "")
+        announced = int(length) if length.isdigit() else None
+        sha256 = valid_sha256(request.path_params["sha256"])
+        return _stored(*await self._agent.store.receive(sha256, _body(request), announced_bytes=announced))
+
+    async def fetched(self, request: Request) -> Response:
+        fields = await fields_of(request)
+        url, sha256 = fields.text("url", longest=2000), valid_sha256(fields.text("sha256"))
+        token = fields.text("token") if fields.has("token") else None
+        fields.done()
+        return _stored(*await fetch_program(self._agent.store, url, sha256, token=token))
+
+
+async def _body(request: Request) -> AsyncIterator[bytes]:
+    try:
+        async for piece in request.stream():
+            yield piece
+    except ClientDisconnect:
+        raise Problem(400, "the connection ended before the program did; nothing is kept", field="program") from None
+
+
+def _stored(entry: StoredProgram, new: bool) -> Response:
+    return JSONResponse(entry.as_dict(), status_code=201 if new else 200)

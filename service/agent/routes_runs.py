@@ -1,0 +1,102 @@
+"""/v1/runs: parked, started, held, resumed, aborted, recovered. Each start is a person's word, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from machines.gcode.preflight import Preflight
+from machines.mill import Mill
+from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from service.agent.agent import Agent
+from service.agent.bodies import fields_of
+from service.agent.problems import Problem
+
+
+class RunRoutes:
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    def routes(self) -> list[Route]:
+        return [
+            Route("/v1/runs", self.listed, methods=["GET"]),
+            Route("/v1/runs", self.parked, methods=["POST"]),
+            Route("/v1/runs/{run}:start", self.started, methods=["POST"]),
+            Route("/v1/runs/{run}:recover", self.recovered, methods=["POST"]),
+            Route("/v1/runs/{run}:hold", self.told(Mill.hold, urgent=True), methods=["POST"]),
+            Route("/v1/runs/{run}:abort", self.told(Mill.abort, urgent=True), methods=["POST"]),
+            Route("/v1/runs/{run}:resume", self.told(Mill.resume), methods=["POST"]),
+            Route("/v1/runs/{run}/recovery", self.recovery, methods=["GET"]),
+            Route("/v1/runs/{run}", self.shown, methods=["GET"]),
+        ]
+
+    async def listed(self, _request: Request) -> Response:
+        return JSONResponse({"runs": [run.as_dict() for run in self._runs()]})
+
+    async def shown(self, request: Request) -> Response:
+        return JSONResponse(self._run(request).as_dict())
+
+    async def parked(self, request: Request) -> Response:
+        fields = await fields_of(request)
+        program = fields.text("program")
+        name = fields.text("name", program[:12], longest=200)
+        fields.done()
+        path = self._agent.store.path_of(program)
+        facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
+        run: RunView = await self._agent.access.call(lambda mill: mill.park(facts, path, name))
+        location = {"Location": f"/v1/runs/{run.id}"}
+        return JSONResponse(run.as_dict(), status_code=201, headers=location)
+
+    async def started(self, request: Request) -> Response:
+        run, said = self._run(request), await _confirmation(request, START_CHECKS)
+        await self._agent.access.call(lambda mill: mill.start(run.id, said))
+        return self._now(request)
+
+    async def recovered(self, request: Request) -> Response:
+        run, said = self._run(request), await _confirmation(request, RECOVER_CHECKS)
+        await self._agent.access.call(lambda mill: mill.recover(run.id, said))
+        return self._now(request)
+
+    async def recovery(self, request: Request) -> Response:
+        run = self._run(request)
+        plan = await self._agent.access.call(lambda mill: mill.plan_recovery(run.id))
+        return JSONResponse(plan.as_dict())
+
+    def told(self, function: Callable[[Mill], None], *, urgent: bool = False) -> Callable[..., object]:
+        """A control of the live run. Of another run it would be an order to the wrong one: refused."""
+
+        async def endpoint(request: Request) -> Response:
+            run = self._run(request)
+            live = self._agent.access.snapshot.run
+            if live is None or live.id != run.id:
+                raise Problem(
+                    409, f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself"
+                )
+            call = self._agent.access.urgent if urgent else self._agent.access.call
+            await call(function)
+            return self._now(request)
+
+        return endpoint
+
+    def _now(self, request: Request) -> Response:
+        return JSONResponse(self._run(request).as_dict(), status_code=202)
+
+    def _runs(self) -> tuple[RunView, ...]:
+        return self._agent.access.snapshot.runs
+
+    def _run(self, request: Request) -> RunView:
+        wanted = request.path_params["run"]
+        for run in self._runs():
+            if run.id == wanted:
+                return run
+        raise Problem(404, f"no run '{wanted}' here; GET /v1/runs lists them", field="run")
+
+
+async def _confirmation(request: Request, allowed: frozenset[str]) -> Confirmation:
+    fields = await fields_of(request)
+    said = Confirmation(operator=fields.text("operator", longest=100), checks=fields.texts("checks", allowed))
+    fields.done()
+    return said

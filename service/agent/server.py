@@ -1,0 +1,175 @@
+"""Starts and stops the agent: its address first, then the folder, then the port, and the mill's thread last.
+
+So a second agent ends in one clear line before anything has been sent to a mill. A stop (SIGTERM, SIGINT, SIGHUP)
+while the mill moves holds it first; only when it stands, or cannot be told, does the process end.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import uvicorn
+
+from machines.driver import MillState
+from machines.errors import PortError
+from machines.mill import Mill
+from machines.mill_thread import MillThread
+from machines.profiles import MachineProfile
+from service.agent.access import MillAccess
+from service.agent.agent import Agent
+from service.agent.app import make_app
+from service.agent.programs import ProgramStore
+from service.agent.settings import AgentSettings
+from service.agent.sse import Hub
+from service.agent.watch import Watch
+from service.errors import InputError, printable
+from service.mill_link import Connector
+
+_STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+_MOVING = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
+_STANDSTILL_S = 10.0
+_DRAIN_S = 2
+
+
+def run_agent(settings: AgentSettings, profile: MachineProfile) -> None:
+    """Serve until told to stop."""
+    with contextlib.ExitStack() as stack:
+        listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
+        connector = Connector(profile, settings.port_url)
+        mill = Mill(name=settings.machine, connect=connector, folder=settings.folder)
+        thread = MillThread(mill)
+        stack.callback(thread.stop, detach=True)
+        stack.callback(connector.close_unused)
+        _first_link(connector, settings.port_url)
+        thread.start()
+        asyncio.run(_serve(settings, profile, connector, thread, listener))
+
+
+def bound_socket(host: str, port: int) -> socket.socket:
+    """A listening address of our own; InputError where another process has it."""
+    try:
+        family, kind, proto, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InputError(f"--host {host}: {error.strerror or error}") from None
+    listener = socket.socket(family, kind, proto)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind(address)
+        listener.listen(64)
+    except OSError as error:
+        listener.close()
+        if error.errno == errno.EADDRINUSE:
+            raise InputError(
+                f"--bind-port {port} on {host} is in use, perhaps by another agent; allowed: a free port, or 0 for any"
+            ) from None
+        raise InputError(f"--host {host} --bind-port {port}: {(error.strerror or str(error)).lower()}") from None
+    return listener
+
+
+def _first_link(connector: Connector, url: str) -> None:
+    """Open the port now. One that is busy or makes no sense ends the agent; one that is not there yet is waited for."""
+    try:
+        connector.open_now()
+    except PortError as error:
+        if not (url.startswith("/") and not Path(url).exists()):
+            raise
+        print(f"{error}; waiting for it", file=sys.stderr, flush=True)
+
+
+async def _serve(
+    settings: AgentSettings, profile: MachineProfile, connector: Connector, thread: MillThread, listener: socket.socket
+) -> None:
+    access = MillAccess(thread)
+    hub = Hub(ring=settings.ring_events, readers=settings.subscribers)
+    store = ProgramStore(settings.folder / "programs", max_bytes=settings.max_program_bytes)
+    agent = Agent(settings=settings, profile=profile, access=access, store=store, hub=hub, connector=connector)
+    watch = Watch(thread, asyncio.get_running_loop(), hub)
+    server = _Server(
+        uvicorn.Config(
+            make_app(agent),
+            log_config=None,
+            log_level="warning",
+            access_log=False,
+            lifespan="off",
+            server_header=False,
+            timeout_keep_alive=60,
+            timeout_graceful_shutdown=_DRAIN_S,
+        )
+    )
+    watch.start()
+    try:
+        with _told_to_stop() as stop:
+            serving = asyncio.ensure_future(server.serve(sockets=[listener]))
+            _announce(settings, listener)
+            stopping = asyncio.ensure_future(stop.wait())
+            await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
+            if stop.is_set():
+                stop.clear()
+                await _stand_still(access, stop)
+            stopping.cancel()
+            hub.close()
+            server.should_exit = True
+            await serving
+    finally:
+        watch.stop()
+        access.close()
+
+
+class _Server(uvicorn.Server):
+    """uvicorn without its signal handlers: ours hold the mill first."""
+
+    @contextlib.contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        yield
+
+
+@contextlib.contextmanager
+def _told_to_stop() -> Iterator[asyncio.Event]:
+    """An event that is set by each signal that stops the agent; the handlers from before come back at the end."""
+    loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    before = {kind: signal.getsignal(kind) for kind in _STOPPING}
+    for kind in _STOPPING:
+        loop.add_signal_handler(kind, stop.set)
+    try:
+        yield stop
+    finally:
+        for kind, handler in before.items():
+            loop.remove_signal_handler(kind)
+            signal.signal(kind, handler)
+
+
+async def _stand_still(access: MillAccess, again: asyncio.Event) -> None:
+    """Hold a mill that moves and wait until it stands; a second signal ends the waiting."""
+    if not _moves(access):
+        return
+    print("stopping: feed hold", file=sys.stderr, flush=True)
+    await access.urgent(Mill.hold)
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(_STANDSTILL_S):
+            while _moves(access) and not again.is_set():
+                await asyncio.sleep(0.02)
+    if _moves(access):
+        words = "the mill was told to hold and has not said that it stands: LOOK AT IT, use its own stop button"
+    else:
+        words = "the mill stands in feed hold; its spindle may turn still"
+    print(f"{words}. The run can be recovered after a new start of this agent", file=sys.stderr, flush=True)
+
+
+def _moves(access: MillAccess) -> bool:
+    return access.snapshot.status.state in _MOVING
+
+
+def _announce(settings: AgentSettings, listener: socket.socket) -> None:
+    host, port = listener.getsockname()[:2]
+    shown = f"[{host}]" if ":" in host else host
+    print(f"agent of {printable(settings.machine)} on http://{shown}:{port}", flush=True)
+    if settings.token_path is not None:
+        print(f"token: {settings.token_path}", flush=True)
+    print(f"journal and programs: {settings.folder}", flush=True)

@@ -1,0 +1,218 @@
+"""Watches a run from the terminal until it ends: keys, signals, the display. The mill is driven by its own thread.
+
+Without a terminal a signal is an order to stop for good: hold, then abort from hold. On a terminal Ctrl-C holds and
+asks. Whatever ends this loop, the mill stands, or the last line says plainly that it may not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from machines.driver import MillState, Override
+from machines.errors import MachineError
+from machines.gcode.preflight import Preflight
+from machines.mill import Mill
+from machines.mill_thread import MillThread
+from machines.mill_view import MillSnapshot
+from machines.runs import RunState
+from service.stream_keys import Keys, Question, Wish, keys_in
+from service.stream_screen import Screen, StreamView
+from service.stream_signals import Signals
+
+_LOOK_S = 0.25
+_ABORT_WAIT_S = 20.0
+_REST_S = 5.0
+_ASK_EVERY_S = 2.0
+_STEP_PERCENT = 10
+
+
+class Ended(Enum):
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    FAULT = "fault"
+    LEFT = "left held"
+    ABANDONED = "abandoned"  # the mill could not be brought to a standstill from here
+
+
+_FINAL = {
+    RunState.FINISHED: Ended.FINISHED,
+    RunState.ABORTED: Ended.ABORTED,
+    RunState.INTERRUPTED: Ended.FAULT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    ended: Ended
+    snapshot: MillSnapshot
+    by_signal: bool
+
+
+class Follower:
+    """One run, followed."""
+
+    def __init__(
+        self, thread: MillThread, run_id: str, facts: Preflight, screen: Screen, *, keyboard: int | None
+    ) -> None:
+        self._thread = thread
+        self._run_id = run_id
+        self._facts = facts
+        self._screen = screen
+        self._keyboard = keyboard
+        self._keys = Keys()
+        self._by_signal = False
+        self._abort_by_s: float | None = None
+        self._fault_s: float | None = None
+        self._asked_s = time.monotonic()
+
+    def follow(self, signals: Signals) -> Outcome:
+        while True:
+            snapshot = self._thread.snapshot
+            ended = self._ended(snapshot)
+            self._screen.show(self._view(snapshot))
+            if ended is not None:
+                return Outcome(ended, snapshot, self._by_signal)
+            sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
+            ready, _, _ = select.select(sources, [], [], _LOOK_S)
+            for number in signals.came() if signals.descriptor in ready else ():
+                if (over := self._signalled(number)) is not None:
+                    return Outcome(over, self._thread.snapshot, True)
+            if self._keyboard is not None and self._keyboard in ready and (over := self._typed()) is not None:
+                return Outcome(over, self._thread.snapshot, self._by_signal)
+
+    def _is_driven(self) -> bool:
+        """The mill's thread still answers."""
+        now = time.monotonic()
+        if now < self._asked_s + _ASK_EVERY_S:
+            return True
+        self._asked_s = now
+        try:
+            self._thread.call(lambda _: None)
+        except MachineError as error:
+            self._screen.say(str(error))
+            return False
+        return True
+
+    def _ended(self, snapshot: MillSnapshot) -> Ended | None:
+        run = snapshot.run
+        if run is not None and run.id == self._run_id and run.state in _FINAL:
+            ended = _FINAL[run.state]
+            return ended if ended is not Ended.FAULT or self._stands(snapshot) else None
+        if not self._is_driven():
+            return Ended.ABANDONED
+        if self._abort_by_s is not None and time.monotonic() > self._abort_by_s:
+            return Ended.ABANDONED
+        return None
+
+    def _stands(self, snapshot: MillSnapshot) -> bool:
+        """After a fault: the mill has come to rest, or there was time enough for it."""
+        if self._fault_s is None:
+            self._fault_s = time.monotonic()
+        moves = snapshot.status.state in (MillState.RUN, MillState.HOLDING)
+        return not moves or time.monotonic() > self._fault_s + _REST_S
+
+    def _signalled(self, number: int) -> Ended | None:
+        self._by_signal = True
+        if self._keyboard is not None and number == signal.SIGINT:
+            return self._do(self._keys.interrupt())
+        if number == signal.SIGHUP:
+            self._keyboard = None  # the terminal is gone
+        if self._abort_by_s is None:
+            self._screen.say(f"{signal.Signals(number).name}: feed hold, then abort")
+            return self._do(Wish.ABORT)
+        return None
+
+    def _typed(self) -> Ended | None:
+        assert self._keyboard is not None
+        try:
+            data = os.read(self._keyboard, 256)
+        except OSError:
+            data = b""
+        if not data:  # the terminal is gone: nobody watches the mill any more
+            self._keyboard = None
+            return self._do(Wish.ABORT)
+        for key in keys_in(data):
+            if (wish := self._keys.key(key)) is not None and (over := self._do(wish)) is not None:
+                return over
+        return None
+
+    def _do(self, wish: Wish) -> Ended | None:
+        match wish:
+            case Wish.HOLD:
+                self._tell(Mill.hold)
+            case Wish.RESUME:
+                self._tell(Mill.resume)
+            case Wish.FASTER:
+                self._override(_STEP_PERCENT)
+            case Wish.SLOWER:
+                self._override(-_STEP_PERCENT)
+            case Wish.ABORT:
+                self._keys.question = Question.ABORTING
+                self._abort_by_s = time.monotonic() + _ABORT_WAIT_S
+                self._tell(Mill.abort)
+            case Wish.LEAVE:
+                return self._leave()
+            case Wish.GIVE_UP:
+                return Ended.ABANDONED
+        return None
+
+    def _leave(self) -> Ended | None:
+        """Leave the mill held; while it still moves that is not on offer."""
+        if self._thread.snapshot.status.state in (MillState.RUN, MillState.HOLDING):
+            self._screen.say("the mill does not stand yet; press l again when it does")
+            return None
+        return Ended.LEFT
+
+    def _override(self, change: int) -> None:
+        percent = min(200, max(10, self._thread.snapshot.status.overrides[0] + change))
+        self._tell(lambda mill: mill.command(Override("feed", percent)))
+
+    def _tell(self, order: Callable[[Mill], object]) -> None:
+        try:
+            self._thread.call(order)
+        except MachineError as error:
+            self._screen.say(f"not done: {error}")
+
+    def _view(self, snapshot: MillSnapshot) -> StreamView:
+        status, progress, run = snapshot.status, snapshot.progress, snapshot.run
+        capacity = "?" if status.buffer_bytes is None else str(status.buffer_bytes)
+        spindle = "" if status.spindle_rpm is None else f"{status.spindle_rpm:.0f} rpm"
+        return StreamView(
+            state=status.state.value,
+            detail=status.detail,
+            run_state=run.state.value if run is not None else "",
+            line=progress.sent_line,
+            executed_line=progress.executed_line,
+            total_lines=self._facts.lines,
+            time_left_s=run.time_left_s if run is not None else None,
+            position_mm=status.work_mm,
+            buffer=f"{progress.bytes_in_flight} of {capacity} bytes, {progress.lines_in_flight} lines",
+            feed_mm_per_min=status.feed_mm_per_min,
+            spindle=spindle,
+            overrides=status.overrides,
+            protections=snapshot.protections,
+            question=self._keys.question.value if self._keyboard is not None else "",
+        )
+
+
+def at_once(thread: MillThread) -> Callable[[], None]:
+    """What a signal does before anything else: the hold."""
+
+    def hold() -> None:
+        with contextlib.suppress(MachineError):
+            thread.call(Mill.hold)
+
+    return hold
+
+
+def keyboard() -> int | None:
+    """The terminal's descriptor, None where there is no terminal on both sides."""
+    return sys.stdin.fileno() if sys.stdin.isatty() and sys.stdout.isatty() else None

@@ -1,0 +1,112 @@
+"""What a key or a Ctrl-C means while a program runs, and the terminal mode in which keys come one by one.
+
+`Keys` is pure: it knows which question stands open and turns each key into one `Wish`. Nothing here talks to the mill.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import sys
+import termios
+from collections.abc import Iterator
+from enum import Enum
+
+_ESCAPE = re.compile(r"\x1b(\[[0-9;?]*[ -/]*[@-~]|O.|.)?", re.DOTALL)
+
+
+class Wish(Enum):
+    """What the person at the terminal wants now."""
+
+    HOLD = "hold"
+    RESUME = "resume"
+    ABORT = "abort"
+    FASTER = "faster"
+    SLOWER = "slower"
+    LEAVE = "leave held"
+    GIVE_UP = "give up"  # a further Ctrl-C while the abort is under way
+
+
+class Question(Enum):
+    """What the keys answer at the moment; the text is what the screen shows."""
+
+    NONE = "h hold   r resume   a abort   + - feed   q stop and ask   Ctrl-C hold, then ask"
+    STOP = "Held. r resume   a abort   l leave it held and quit   (Ctrl-C again: abort)"
+    ABORT = "Abort the run? It can be recovered later.  y yes   n no"
+    ABORTING = "Aborting: hold first, then reset from hold. Waiting for the mill to stand still."
+
+
+class Keys:
+    """The state of the dialogue during a run."""
+
+    def __init__(self) -> None:
+        self.question = Question.NONE
+
+    def key(self, key: str) -> Wish | None:
+        """One key; None where it means nothing now."""
+        match self.question, key.lower():
+            case Question.NONE, "h" | " " | "!":
+                return Wish.HOLD
+            case Question.NONE, "r" | "~":
+                return Wish.RESUME
+            case Question.NONE, "+" | "=":
+                return Wish.FASTER
+            case Question.NONE, "-":
+                return Wish.SLOWER
+            case Question.NONE, "a":
+                self.question = Question.ABORT
+            case Question.NONE, "q":
+                self.question = Question.STOP
+                return Wish.HOLD
+            case Question.STOP, "r" | "~":
+                self.question = Question.NONE
+                return Wish.RESUME
+            case Question.STOP, "l":
+                return Wish.LEAVE
+            case (Question.STOP, "a") | (Question.ABORT, "y"):
+                self.question = Question.ABORTING
+                return Wish.ABORT
+            case Question.ABORT, "h" | " " | "!":  # whatever stands open, a hold is a hold
+                self.question = Question.STOP
+                return Wish.HOLD
+            case Question.ABORT, _:
+                self.question = Question.NONE
+        return None
+
+    def interrupt(self) -> Wish:
+        """Ctrl-C: hold and ask; again: abort; again: give up waiting."""
+        match self.question:
+            case Question.STOP:
+                self.question = Question.ABORTING
+                return Wish.ABORT
+            case Question.ABORTING:
+                return Wish.GIVE_UP
+        self.question = Question.STOP
+        return Wish.HOLD
+
+
+def keys_in(data: bytes) -> str:
+    """The plain keys in what the terminal sent; arrows and function keys are left out."""
+    return _ESCAPE.sub("", data.decode("ascii", errors="ignore"))
+
+
+@contextlib.contextmanager
+def single_keys(descriptor: int | None = None) -> Iterator[None]:
+    """Keys at once and unechoed. Ctrl-C stays a signal; Ctrl-Z, Ctrl-\\ and Ctrl-S do nothing.
+
+    Suspended or frozen, this program would let the mill run dry in the middle of a cut, with the spindle on.
+    """
+    descriptor = sys.stdin.fileno() if descriptor is None else descriptor
+    before = termios.tcgetattr(descriptor)
+    now = termios.tcgetattr(descriptor)
+    now[0] &= ~(termios.IXON | termios.IXOFF)
+    now[3] &= ~(termios.ICANON | termios.ECHO)
+    for key in (termios.VSUSP, termios.VQUIT):
+        now[6][key] = b"\0"
+    now[6][termios.VMIN], now[6][termios.VTIME] = 1, 0
+    termios.tcsetattr(descriptor, termios.TCSADRAIN, now)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(termios.error):  # the terminal may be gone
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)

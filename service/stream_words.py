@@ -1,0 +1,64 @@
+"""What `stream` prints before and after a run: the mill, the program, a fault and the way on."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator
+from pathlib import Path
+
+from machines.driver import DriverFacts, MillStatus
+from machines.gcode.preflight import Preflight
+from service.stream_screen import duration_words, position_words
+
+DEFAULT_MACHINE = "grbl"
+_AXES = "XYZ"
+
+
+def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts: DriverFacts | None) -> Iterator[str]:
+    """The machine, where it is, and how the link is guarded."""
+    state = f"{status.state.value}{f' ({status.detail})' if status.detail else ''}"
+    yield f"mill:       {status.controller or 'unknown controller'} on {url}, {state}"
+    trusted = "trusted" if status.position_trusted else "not trusted: neither homed nor vouched for"
+    yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {trusted}"
+    offset = "unknown" if status.work_offset_mm is None else position_words(status.work_offset_mm)
+    yield f"offset:     work zero at machine {offset}"
+    if facts is not None:
+        yield f"link:       {facts.capacity}; {facts.acknowledgement}"
+        yield f"stop:       {facts.stop}"
+    for number, words in enumerate(protections or ("none",)):
+        yield f"{'protection:' if number == 0 else '           '} {words}"
+
+
+def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
+    """What the program is and wants."""
+    yield f"program:    {path.name}: {facts.lines:,} lines, {facts.bytes:,} bytes, about {duration_words(facts.time_s)}"
+    if facts.bounds_mm is not None:
+        pairs = zip(_AXES, facts.bounds_mm.least_mm, facts.bounds_mm.most_mm, strict=True)
+        spans = (f"{axis} {low:.3f} to {high:.3f}" for axis, low, high in pairs if low is not None and high is not None)
+        yield f"extents:    {', '.join(spans)} mm"
+    if facts.feeds_mm_per_min is not None:
+        low, high = facts.feeds_mm_per_min
+        yield f"feed:       {low:g} to {high:g} mm/min, path {facts.path_length_mm / 1000:.2f} m"
+    spindle = facts.spindle_rpm
+    yield f"spindle:    {f'{spindle[0]:g} to {spindle[1]:g} rpm' if spindle else 'never on in this program'}"
+    if facts.assumed:
+        yield f"assumed:    {' '.join(facts.assumed)}, which the program does not say itself"
+    for warning in facts.warnings:
+        yield f"warning:    {warning}"
+
+
+def recover_command(program: Path, port: str | None, machine: str) -> str:
+    """The exact command that goes on with a run."""
+    words = ["causticmill", "stream", str(program)]
+    if port is not None:
+        words += ["--port", port]
+    if machine != DEFAULT_MACHINE:
+        words += ["--machine", machine]
+    return shlex.join([*words, "--recover"])
+
+
+def left_words(status: MillStatus) -> str:
+    """In which state the mill is left."""
+    spindle = {True: "spindle ON", False: "spindle off", None: "spindle state unknown"}[status.spindle_on]
+    where = position_words(status.work_mm)
+    return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"

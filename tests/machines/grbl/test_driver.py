@@ -1,0 +1,432 @@
+"""The driver against the simulated mill, in simulated time: programs, holds, aborts, commands, handshakes."""
+
+from __future__ import annotations
+
+import math
+import re
+
+import pytest
+from grbl_bench import Bench, Tap, numbered, spiral
+
+from machines.driver import (
+    CheckMode,
+    CommandDone,
+    Faulted,
+    FaultCause,
+    Home,
+    Jog,
+    JogCancel,
+    MillState,
+    Override,
+    ProbeZ,
+    ProgramDone,
+    ReadSettings,
+    Reset,
+    Restarted,
+    SendBlock,
+    SetZero,
+    Stopped,
+    TrustPosition,
+    Unlock,
+)
+from machines.errors import NotAControllerError, NotAllowedError
+from machines.grbl.driver import GrblDriver
+from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
+
+
+@pytest.mark.parametrize("traits", [GRBL_11, GRBL_11_ECHO, GRBLHAL, FLUIDNC], ids=["1.1", "echo", "hal", "fluidnc"])
+def test_the_path_cut_is_the_path_programmed(traits: Traits) -> None:
+    bench = Bench(traits).connected()
+    lines, points = spiral(500)
+    bench.driver.start(iter(lines))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 120.0)
+    assert not bench.of(Faulted)
+    assert bench.last_whole(points) == 500
+    assert bench.driver.progress.executed_line == len(lines)
+    assert bench.most_in_flight <= traits.rx_advertised - 1 and bench.mill.serial.lost_overflow == 0
+    assert ("echo" in "".join(bench.driver.protections)) == traits.echo
+    assert "corridor" in "".join(bench.driver.protections)
+
+
+def test_what_was_written_is_the_program_and_realtime_bytes_only() -> None:
+    bench = Bench().connected()
+    begin = len(bench.tap.written)
+    lines, _ = spiral(100)
+    bench.driver.start(iter(lines))
+    bench.until(lambda: bench.of(ProgramDone))
+    data = b"".join(data for _, data in bench.tap.written[begin:])
+    assert data.replace(b"?", b"") == b"".join(line.text + b"\n" for line in lines)
+
+
+def test_the_wire_never_has_more_than_twelve_milliseconds_waiting() -> None:
+    bench = Bench(GRBLHAL).connected()
+    begin = len(bench.tap.written)
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.until(lambda: bench.of(ProgramDone))
+    empty_s = 0.0
+    for at_s, data in bench.tap.written[begin:]:
+        empty_s = max(empty_s, at_s) + len(data) / 11520.0
+        assert empty_s - at_s < 0.012
+
+
+def test_hold_and_resume_in_the_middle() -> None:
+    bench = Bench().connected()
+    lines, points = spiral(300)
+    bench.driver.start(iter(lines))
+    bench.until(lambda: bench.driver.progress.executed_line > 100)
+    bench.driver.hold()
+    assert bench.tap.written[-1][1].startswith(b"!")  # written at once, not at the next poll
+    assert bench.until(lambda: bench.state() is MillState.HELD, 2.0)
+    reached = len(bench.cut_ends())
+    bench.pass_time(30.0)
+    assert len(bench.cut_ends()) == reached and not bench.of(Faulted)  # a hold is neither a fault nor a stall
+    bench.driver.resume()
+    assert bench.until(lambda: bench.of(ProgramDone))
+    assert bench.last_whole(points) == 300
+
+
+def test_a_hold_from_a_button_is_neither_fault_nor_stall() -> None:
+    bench = Bench().connected()
+    lines, points = spiral(200)
+    bench.driver.start(iter(lines))
+    bench.until(lambda: bench.driver.progress.executed_line > 60)
+    bench.mill.press("hold")
+    assert bench.until(lambda: bench.state() is MillState.HELD, 2.0)
+    bench.pass_time(20.0)
+    bench.mill.press("start")
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
+    assert bench.last_whole(points) == 200
+
+
+def test_abort_holds_first_then_clears_and_keeps_the_position() -> None:
+    bench = Bench().connected()
+    bench.driver.command(TrustPosition())
+    lines, points = spiral(300)
+    bench.driver.start(iter(lines))
+    bench.until(lambda: bench.driver.progress.executed_line > 100)
+    begin = len(bench.tap.written)
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped), 5.0)
+    assert bench.of(Stopped) == [Stopped(position_kept=True)]
+    stops = b"".join(data for _, data in bench.tap.written[begin:]).replace(b"?", b"")
+    assert stops == b"!\x18"
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0)
+    done = bench.last_whole(points)
+    assert 0 <= 6 + done - bench.driver.progress.executed_line <= 22
+    bench.pass_time(5.0)
+    assert bench.last_whole(points) == done and bench.driver.status.position_trusted
+
+
+def test_a_program_stop_waits_for_a_person() -> None:
+    blocks = [b"G21G90G94G17", b"G1X1F600", b"M0", b"G1X2", b"M2"]
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered(blocks)))
+    assert bench.until(lambda: bench.state() is MillState.TOOL, 10.0)
+    bench.pass_time(60.0)
+    assert not bench.of(Faulted) and bench.state() is MillState.TOOL
+    bench.driver.resume()
+    assert bench.until(lambda: bench.of(ProgramDone), 10.0)
+
+
+def test_long_moves_and_dwells_are_no_stall() -> None:
+    blocks = [b"G21G90G94G17", b"G1X20F30", b"G4P15", b"M3S5000", b"G1X0F30", b"M2"]
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered(blocks)))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 200.0)
+    assert not bench.of(Faulted)
+
+
+def test_offsets_written_by_a_program_are_sent_alone() -> None:
+    blocks = [b"G21G90G94G17", b"G1X1F600", b"G10L2P2X0Y0Z0", b"G1X2", b"G1X3", b"M2"]
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered(blocks)))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 30.0)
+    assert not bench.of(Faulted) and bench.mill.serial.lost_deaf == 0
+
+
+class InchTap(Tap):
+    """Turns positions in reports into inch, as $13=1 does."""
+
+    _rest = b""
+
+    def read(self, timeout_s: float) -> bytes:
+        whole, newline, self._rest = (self._rest + super().read(timeout_s)).rpartition(b"\n")
+        return re.sub(rb"(MPos|WCO):([-.0-9,]+)", self._inch, whole) + newline
+
+    @staticmethod
+    def _inch(found: re.Match[bytes]) -> bytes:
+        return found[1] + b":" + b",".join(b"%.4f" % (float(part) / 25.4) for part in found[2].split(b","))
+
+
+def test_inch_reports_are_followed_in_mm() -> None:
+    bench = Bench(GRBL_11.with_settings({13: 1}))
+    bench.tap = InchTap(bench.tap.port)
+    bench.driver = GrblDriver(bench.tap)
+    bench.connected()
+    lines, points = spiral(200)
+    bench.driver.start(iter(lines))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
+    assert not bench.of(Faulted) and bench.last_whole(points) == 200
+    bench.pass_time(1.0)
+    assert bench.driver.status.work_mm[2] == pytest.approx(5.0, abs=0.003)
+
+
+def test_the_handshake_never_resets_and_never_moves() -> None:
+    bench = Bench(GRBLHAL)
+    bench.connected()
+    data = b"".join(data for _, data in bench.tap.written)
+    assert set(data.replace(b"?", b"").split(b"\n")) == {b"$I", b"$$", b"$#", b"$G", b""}
+    assert bench.driver.settings.rx_bytes == 1024 and bench.driver.settings.planner_blocks == 100
+
+
+def test_a_locked_mill_is_alarm_until_unlocked_or_homed() -> None:
+    bench = Bench(Traits(homing=True)).connected()
+    assert bench.state() is MillState.ALARM
+    with pytest.raises(NotAllowedError, match="alarm"):
+        bench.driver.start(iter(()))
+    bench.driver.command(Home())
+    assert bench.until(lambda: bench.of(CommandDone), 200.0)
+    assert bench.of(CommandDone)[-1].failure == ""
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0) and bench.driver.status.position_trusted
+
+
+def test_unlocking_does_not_make_a_position_trusted() -> None:
+    bench = Bench(Traits(homing=True)).connected()
+    bench.driver.command(Unlock())
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0)
+    assert not bench.driver.status.position_trusted
+
+
+def test_a_damaged_memory_answers_an_error_before_its_banner() -> None:
+    bench = Bench(Traits(damaged_eeprom=True)).connected()
+    lines, points = spiral(50)
+    bench.driver.start(iter(lines))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
+    assert bench.last_whole(points) == 50
+
+
+def test_a_reset_from_outside_ends_the_epoch_and_the_program() -> None:
+    bench = Bench().connected()
+    bench.driver.command(TrustPosition())
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.until(lambda: bench.driver.progress.executed_line > 50)
+    epoch = bench.driver.status.epoch
+    bench.mill.power_cycle()
+    assert bench.until(lambda: bench.of(Faulted), 5.0)
+    assert bench.of(Faulted)[0].cause is FaultCause.RESET and bench.driver.status.epoch == epoch + 1
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0)
+    assert not bench.driver.status.position_trusted and not bench.driver.progress.streaming
+
+
+def test_a_pulled_cable_is_a_state_not_an_exception() -> None:
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.until(lambda: bench.driver.progress.executed_line > 50)
+    bench.mill.unplug()
+    assert bench.until(lambda: bench.of(Faulted), 5.0)
+    assert bench.of(Faulted)[0].cause is FaultCause.PORT_LOST and bench.state() is MillState.DISCONNECTED
+    bench.driver.hold()  # allowed at any time
+    with pytest.raises(NotAllowedError):
+        bench.driver.resume()
+
+
+@pytest.mark.parametrize("percent", [10, 87, 100, 133, 200])
+def test_feed_override_reaches_any_percentage_while_streaming(percent: int) -> None:
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(2000)[0]))
+    bench.until(lambda: bench.driver.progress.executed_line > 20)
+    bench.driver.command(Override("feed", percent))
+    assert bench.until(lambda: bench.of(CommandDone), 20.0)
+    assert bench.of(CommandDone)[0].failure == "" and bench.driver.status.overrides[0] == percent
+    assert not bench.of(Faulted)
+
+
+def test_rapid_override_and_refused_values() -> None:
+    bench = Bench().connected()
+    bench.driver.command(Override("rapid", 25))
+    assert bench.until(lambda: bench.of(CommandDone), 10.0) and bench.driver.status.overrides[1] == 25
+    for what, percent in (("rapid", 30), ("feed", 9), ("feed", 201), ("speed", 100)):
+        with pytest.raises(NotAllowedError, match=r"override"):
+            bench.driver.command(Override(what, percent))
+
+
+def test_jog_arrives_and_can_be_cancelled() -> None:
+    bench = Bench().connected()
+    bench.driver.command(Jog((5.0, 0.0, -2.0), 600.0))
+    assert bench.until(lambda: bench.of(CommandDone), 10.0)
+    assert bench.driver.status.machine_mm == pytest.approx((5.0, 0.0, -2.0), abs=0.005)
+    bench.driver.command(Jog((50.0, 0.0, 0.0), 600.0))
+    assert bench.until(lambda: bench.state() is MillState.JOG, 2.0)
+    bench.driver.command(JogCancel())
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 3.0)
+    assert bench.driver.status.machine_mm[0] < 40.0
+
+
+def test_probing_sets_the_contact_to_the_height_of_the_plate() -> None:
+    """The surface is at physical Z -5; the tool overshoots while braking, the zero must not."""
+    bench = Bench().connected()
+    bench.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=100.0, plate_mm=1.5, retract_mm=3.0))
+    assert bench.until(lambda: bench.of(CommandDone), 60.0)
+    done = bench.of(CommandDone)[0]
+    assert done.failure == "" and done.answer["contact_machine_mm"][2] == pytest.approx(-5.0, abs=0.01)
+    bench.pass_time(2.0)
+    status = bench.driver.status
+    assert status.work_offset_mm[2] == pytest.approx(-6.5, abs=0.01)
+
+
+def test_a_probe_that_meets_nothing_sets_nothing() -> None:
+    bench = Bench(Traits(probe_surface_mm=None)).connected()
+    bench.driver.command(ProbeZ(depth_mm=3.0, feed_mm_per_min=100.0))
+    assert bench.until(lambda: bench.of(CommandDone), 60.0)
+    assert "ALARM:5" in bench.of(CommandDone)[0].failure
+
+
+def test_zero_setting_is_read_back() -> None:
+    bench = Bench().connected()
+    bench.driver.command(Jog((5.0, 4.0, -2.0), 600.0))
+    bench.until(lambda: bench.of(CommandDone), 10.0)
+    bench.driver.command(SetZero("XYZ"))
+    assert bench.until(lambda: len(bench.of(CommandDone)) == 2, 5.0)
+    assert bench.of(CommandDone)[1].answer["offsets"]["G54"] == pytest.approx([5.0, 4.0, -2.0], abs=0.005)
+    bench.pass_time(2.0)
+    assert bench.driver.status.work_mm == pytest.approx((0.0, 0.0, 0.0), abs=0.005)
+    assert bench.driver.status.position_trusted
+
+
+def test_a_dry_run_moves_nothing_and_leaves_check_mode() -> None:
+    bench = Bench().connected()
+    bench.driver.command(CheckMode(on=True))
+    assert bench.until(lambda: bench.state() is MillState.CHECK, 5.0)
+    lines, _ = spiral(200)
+    bench.driver.start(iter(lines))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 30.0)
+    assert not bench.of(Faulted) and not bench.mill.recording.segments
+    bench.driver.command(CheckMode(on=False))
+    assert bench.until(lambda: bench.of(Restarted) and bench.state() is MillState.IDLE, 10.0)
+
+
+def test_settings_are_answered_as_plain_data() -> None:
+    bench = Bench().connected()
+    bench.driver.command(ReadSettings())
+    assert bench.until(lambda: bench.of(CommandDone), 5.0)
+    answer = bench.of(CommandDone)[0].answer
+    assert answer["settings"]["values"]["110"].startswith("5000") and "G54" in answer["offsets"]
+    assert "G21" in answer["parser_state"]
+
+
+def test_a_typed_block_is_refused_by_the_controller_in_words() -> None:
+    bench = Bench().connected()
+    bench.driver.command(SendBlock("G81 X1"))
+    assert bench.until(lambda: bench.of(CommandDone), 5.0)
+    assert "error:20 (G or M code not supported" in bench.of(CommandDone)[0].failure
+    for text in ("G1 X1!", "", "$H", "G1\nX1", "é"):
+        with pytest.raises(NotAllowedError):
+            bench.driver.command(SendBlock(text))
+
+
+def test_commands_that_do_not_go_with_a_program_are_refused() -> None:
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.until(lambda: bench.driver.progress.executed_line > 20)
+    for command in (Home(), Unlock(), Reset(), Jog(), SetZero(), SendBlock("G0X0"), ReadSettings(), CheckMode(on=True)):
+        with pytest.raises(NotAllowedError, match=r"run|under way"):
+            bench.driver.command(command)
+    with pytest.raises(NotAllowedError):
+        bench.driver.start(iter(()))
+    assert bench.until(lambda: bench.of(ProgramDone)) and not bench.of(Faulted)
+
+
+def test_reset_when_idle_is_a_new_epoch_with_the_position_kept() -> None:
+    bench = Bench().connected()
+    bench.driver.command(TrustPosition())
+    bench.driver.command(Reset())
+    assert bench.until(lambda: len(bench.of(Restarted)) == 2 and bench.state() is MillState.IDLE, 10.0)
+    assert bench.driver.status.position_trusted
+
+
+class Dumb:
+    """A port on which something else answers."""
+
+    url, wire_bytes_per_s = "dumb://", None
+
+    def __init__(self, answer: bytes) -> None:
+        self.answer, self.now_s, self.asked = answer, 0.0, b""
+
+    def read(self, timeout_s: float) -> bytes:
+        self.now_s += max(timeout_s, 0.001)
+        return self.answer
+
+    def write(self, data: bytes) -> None:
+        self.asked += data
+
+    def wake(self) -> None: ...
+    def close(self) -> None: ...
+    def clock(self) -> float:
+        return self.now_s
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (b"", "nothing answers"),
+        (bytes([0xF8, 0x80, 0x78, 0xFE]), "baud rate"),
+        (b"login: \r\n", "not a GRBL"),
+        (b"T:20.0 /0.0\nok\n", "not a GRBL"),
+    ],
+)
+def test_what_is_not_a_controller_is_named_and_only_asked(answer: bytes, words: str) -> None:
+    port = Dumb(answer)
+    driver = GrblDriver(port)
+    driver.connect()
+    events = []
+    while not events or driver.status.state is not MillState.DISCONNECTED:
+        events += driver.poll(0.2)
+        assert port.now_s < 30.0
+    assert set(port.asked) == {ord("?")}
+    assert isinstance(driver.failure, NotAControllerError) and words in str(driver.failure) and "dumb://" in str(driver.failure)
+    assert any(isinstance(event, Faulted) and words in event.words for event in events)
+
+
+def test_a_wrong_baud_rate_is_named() -> None:
+    bench = Bench(baud=9600)
+    bench.driver.connect()
+    assert bench.until(lambda: bench.driver.failure is not None, 15.0)
+    assert not bench.mill.recording.segments
+
+
+def test_a_running_mill_is_found_running_and_can_be_aborted() -> None:
+    """The host that streamed has died; a new one connects while the rest of the buffer is cut."""
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered([b"G21G90G94", *(b"G1X%dF300" % (k % 2 * 20) for k in range(1, 9))])))
+    bench.pass_time(3.0)
+    second = GrblDriver(bench.tap)
+    second.connect()
+    events = []
+    end_s = bench.mill.now_s + 3.0
+    while second.status.state is not MillState.RUN and bench.mill.now_s < end_s:
+        events += second.poll(0.1)
+    assert second.status.state is MillState.RUN
+    second.abort()
+    while not any(isinstance(event, Stopped) for event in events):
+        events += second.poll(0.1)
+        assert bench.mill.now_s < end_s + 5.0
+    assert math.isclose(bench.mill.firmware.stepper.x % 20, bench.mill.firmware.stepper.x % 20)
+
+
+def test_the_driver_runs_on_any_chunks() -> None:
+    """Bytes one by one, with a USB adapter's latency, or in large pieces: the same program is done."""
+
+    class Chopped(Tap):
+        def read(self, timeout_s: float) -> bytes:
+            self.rest = getattr(self, "rest", b"") or super().read(timeout_s)
+            data, self.rest = self.rest[:1], self.rest[1:]
+            return data
+
+    bench = Bench()
+    bench.tap = Chopped(bench.tap.port)
+    bench.driver = GrblDriver(bench.tap)
+    bench.connected()
+    lines, points = spiral(60)
+    bench.driver.start(iter(lines))
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
+    assert bench.last_whole(points) == 60

@@ -1,0 +1,274 @@
+"""Each kind of fault ends in a named cause, with '!' on the wire in the poll that saw the first sign, and nothing skipped."""
+
+from __future__ import annotations
+
+import pytest
+from grbl_bench import Bench, Tap, numbered, spiral
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from machines.driver import Faulted, FaultCause, Home, MillState, ProgramDone, ProgramLine, Stopped
+from machines.errors import ProgramChangedError
+from machines.grbl.driver import GrblDriver
+from machines.grbl.session import GrblOptions, GrblSession
+from machines.grbl.states import Phase
+from machines.simulated.faults import Fault
+from machines.simulated.traits import GRBL_11, GRBL_11_ECHO, Traits
+
+FIRST_POINT_LINE = 7  # of the spiral
+
+
+def faulted(bench: Bench, lines: list[ProgramLine], within_s: float = 60.0) -> Faulted:
+    """Run into the fault and through the stop; '!' must have been written by the poll that brought the event."""
+    bench.driver.start(iter(lines))
+    begin = len(bench.tap.written)
+    assert bench.until(lambda: bench.of(Faulted) or bench.of(ProgramDone), within_s)
+    (fault,) = bench.of(Faulted)
+    if fault.cause is not FaultCause.RESET:
+        stop = next(at_s for at_s, data in bench.tap.written[begin:] if b"!" in data)
+        assert stop == pytest.approx(fault.at_s, abs=1e-9)
+        assert bench.until(lambda: bench.of(Stopped), 20.0)
+    assert bench.until(lambda: bench.state() in (MillState.IDLE, MillState.ALARM), 20.0)
+    return fault
+
+
+def test_a_refused_block_stops_the_lines_behind_it() -> None:
+    """GRBL itself would go on with what it holds; the reset from Hold clears that. (This one has no mist.)"""
+    blocks = [b"G21G90G94G17", b"G1X0.5F300", b"M7", *(b"G1X%dF300" % k for k in range(2, 40)), b"M2"]
+    bench = Bench(Traits(mist=False)).connected()
+    fault = faulted(bench, numbered(blocks))
+    assert (fault.cause, fault.line) == (FaultCause.ERROR_REPLY, 3)
+    assert "error:20" in fault.words and "M7" in fault.words
+    bench.pass_time(10.0)
+    assert max(x for x, _, _ in bench.cut_ends()) < 1.5
+
+
+def test_an_alarm_in_a_program_is_named_and_its_missing_reply_is_not_waited_for() -> None:
+    bench = Bench(GRBL_11.with_settings({20: 1, 22: 1})).connected()
+    bench.driver.command(Home())
+    bench.until(lambda: bench.state() is MillState.IDLE, 200.0)
+    fault = faulted(bench, numbered([b"G21G90G94G17", b"G91", b"G1X-1F300", b"G1X-900", b"G1X-1", b"M2"]))
+    assert fault.cause is FaultCause.ALARM and "soft limit" in fault.words
+    assert bench.driver.status.position_trusted  # a soft limit stops before it is hit
+
+
+def test_a_lost_reply_is_found() -> None:
+    lines, points = spiral(200)
+    bench = Bench(faults=(Fault(kind="lose-reply", line=100),)).connected()
+    fault = faulted(bench, lines)
+    assert fault.cause in (FaultCause.STALL, FaultCause.REPLY_COUNT) and "line" in fault.words
+    assert bench.driver.progress.executed_line - FIRST_POINT_LINE + 1 <= bench.last_whole(points) + 3
+
+
+def test_a_restart_in_the_middle_skips_nothing() -> None:
+    """Planner and segments hold up to 21 short blocks; the claim stays behind them."""
+    for line in range(60, 200, 7):
+        lines, points = spiral(250)
+        bench = Bench(faults=(Fault(kind="power-cycle", line=line),)).connected()
+        fault = faulted(bench, lines)
+        assert fault.cause is FaultCause.RESET and not bench.driver.status.position_trusted
+        claimed = bench.driver.progress.executed_line - FIRST_POINT_LINE + 1
+        assert claimed <= bench.last_whole(points)
+
+
+def test_a_dropped_point_is_seen_by_the_corridor() -> None:
+    """X105 instead of X10.5: no error from the controller, every line answered, but reports leave the path."""
+
+    class Dropping(Tap):
+        def write(self, data: bytes) -> None:
+            super().write(data.replace(b"X10.5", b"X105"))
+
+    bench = Bench()
+    bench.tap = Dropping(bench.tap.port)
+    bench.driver = GrblDriver(bench.tap)
+    bench.connected()
+    fault = faulted(bench, numbered([b"G21G90G94G17", b"G1X1F600", b"X2Y4", b"X10.5", b"X0", b"M2"]))
+    assert fault.cause is FaultCause.OFF_PATH and "allowed 0.0" in fault.words
+    assert max(x for x, _, _ in bench.cut_ends()) < 10.5 + 600 / 60 * (bench.options.poll_s + 0.2)
+
+
+def test_a_program_that_ends_in_the_wrong_place_is_not_done() -> None:
+    class Dropping(Tap):
+        def write(self, data: bytes) -> None:
+            super().write(data.replace(b"X10.53", b"X10.5"))
+
+    bench = Bench()
+    bench.tap = Dropping(bench.tap.port)
+    bench.driver = GrblDriver(bench.tap)
+    bench.connected()
+    fault = faulted(bench, numbered([b"G21G90G94G17", b"G1X10F600", b"X10.53"]))
+    assert fault.cause is FaultCause.OFF_PATH and not bench.of(ProgramDone)
+
+
+@pytest.mark.parametrize("mask", [0x01, 0x02, 0x04, 0x08, 0x10])
+def test_with_echo_every_damaged_byte_is_stopped_before_the_cut(mask: int) -> None:
+    bench = Bench(GRBL_11_ECHO, faults=(Fault(kind="flip", byte=1500, mask=mask),)).connected()
+    lines, points = spiral(200)
+    fault = faulted(bench, lines)
+    assert fault.cause in (FaultCause.ECHO, FaultCause.ERROR_REPLY, FaultCause.REPLY_COUNT, FaultCause.STALL)
+    done = bench.last_whole(points)  # fails on a foreign cut
+    assert bench.driver.progress.executed_line - FIRST_POINT_LINE + 1 <= done
+
+
+@pytest.mark.parametrize("kind", ["drop", "duplicate"])
+def test_with_echo_dropped_and_doubled_bytes_are_stopped_too(kind: str) -> None:
+    for byte in range(1500, 1530, 3):
+        bench = Bench(GRBL_11_ECHO, faults=(Fault(kind=kind, byte=byte),)).connected()
+        lines, points = spiral(150)
+        bench.driver.start(iter(lines))
+        assert bench.until(lambda bench=bench: bench.of(Faulted) or bench.of(ProgramDone), 60.0)
+        bench.pass_time(3.0)
+        bench.last_whole(points)
+
+
+def test_a_program_that_changes_under_way_holds_the_mill() -> None:
+    def changing():
+        yield from spiral(100)[0][:50]
+        raise ProgramChangedError("x.nc: changed on disk since pre-flight")
+
+    bench = Bench().connected()
+    bench.driver.start(changing())
+    assert bench.until(lambda: bench.of(Faulted), 20.0)
+    assert bench.of(Faulted)[0].cause is FaultCause.PROGRAM_CHANGED
+    assert bench.until(lambda: bench.of(Stopped), 10.0)
+
+
+@pytest.mark.parametrize("text", [b"G1X1!", b"G1X1\nG1X2", b"G1X1\x18", b"", b"G1X1~", b"G1X\xff", b"G1" + b"X" * 200])
+def test_bytes_that_act_at_once_never_get_into_a_stream(text: bytes) -> None:
+    bench = Bench().connected()
+    begin = len(bench.tap.written)
+    bench.driver.start(iter([ProgramLine(1, 0, b"G21"), ProgramLine(2, 4, text)]))
+    assert bench.until(lambda: bench.of(Stopped), 10.0)
+    assert bench.of(Faulted)[0].cause is FaultCause.PROGRAM_CHANGED
+    data = b"".join(data for _, data in bench.tap.written[begin:])
+    assert not text or text not in data
+
+
+IDLE = b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>\r\n"
+BANNER = b"Grbl 1.1h ['$' for help]\r\n"
+IDENTITY = (b"[VER:1.1h.2019:]\r\n[OPT:V,15,128]\r\nok\r\n", b"$13=0\r\n$110=5000\r\n$111=5000\r\n$112=5000\r\nok\r\n",
+            b"[G54:0.000,0.000,0.000]\r\nok\r\n", b"[GC:G0 G54 G17 G21 G90 G94]\r\nok\r\n")  # fmt: skip
+
+
+def ready_session() -> GrblSession:
+    session = GrblSession(GrblOptions())
+    session.connect(0.0)
+    session.tick(0.0)
+    session.receive(IDLE, 0.1)
+    for number, data in enumerate(IDENTITY):
+        session.output(0.1)
+        session.receive(data, 0.2 + number * 0.1)
+    session.take_events()
+    assert session.phase is Phase.READY
+    return session
+
+
+def streaming_session(count: int = 50) -> GrblSession:
+    session = ready_session()
+    session.start(iter(numbered([b"G21G90G94G17G1F600", *(b"X%d" % (k % 7) for k in range(count))])), 1.0)
+    session.tick(1.0)
+    session.output(1.0)
+    return session
+
+
+@pytest.mark.parametrize(
+    ("said", "cause"),
+    [
+        (b"error:2\r\n", FaultCause.ERROR_REPLY),
+        (b"ALARM:1\r\n", FaultCause.ALARM),
+        (b"o*\r\n", FaultCause.GARBLED_REPLY),
+        (b"okok\r\n", FaultCause.GARBLED_REPLY),
+        (BANNER, FaultCause.RESET),
+        (b"ok\r\n" * 60, FaultCause.REPLY_COUNT),
+        (b"[echo: X999]\r\n", FaultCause.ECHO),
+        (b"<Run|MPos:3.000,2.000,0.000|FS:600,0>\r\n", FaultCause.OFF_PATH),
+        (b"<Alarm|MPos:0.000,0.000,0.000|FS:0,0>\r\n", FaultCause.ALARM),
+    ],
+)
+def test_the_first_sign_is_answered_in_the_same_call(said: bytes, cause: FaultCause) -> None:
+    session = streaming_session(20)
+    session.receive(said, 1.01)
+    data = session.output(1.01)
+    faults = [event for event in session.take_events() if isinstance(event, Faulted)]
+    assert [fault.cause for fault in faults] == [cause] and faults[0].words
+    assert cause is FaultCause.RESET or data[:1] in (b"!", b"\x18")
+    assert b"X" not in data and session.phase is not Phase.STREAMING
+
+
+def test_silence_is_a_fault() -> None:
+    session, now_s = streaming_session(), 1.0
+    while session.phase is Phase.STREAMING and now_s < 10.0:
+        now_s += 0.05
+        session.tick(now_s)
+        session.output(now_s)
+    assert now_s < 3.5
+    assert any(isinstance(event, Faulted) and event.cause is FaultCause.STALL for event in session.take_events())
+
+
+def test_no_reset_while_the_mill_may_move() -> None:
+    """After a fault Ctrl-X waits for a report of standstill, however long it takes."""
+    session, now_s = streaming_session(), 1.0
+    session.receive(b"error:2\r\n", now_s)
+    written = session.output(now_s)
+    for _ in range(400):
+        now_s += 0.05
+        session.tick(now_s)
+        written += session.output(now_s)
+        session.receive(b"<Run|MPos:0.500,0.000,0.000|FS:600,0>\r\n" + b"ok\r\n<Hold:1|MPos:0.600,0.000,0.000|FS:1,0>\r\n", now_s)
+    assert b"\x18" not in written and b"!" in written
+    for _ in range(3):
+        now_s += 0.05
+        session.receive(b"<Hold:0|MPos:0.600,0.000,0.000|FS:0,0>\r\n", now_s)
+    assert b"\x18" in session.output(now_s)
+
+
+def test_an_error_before_the_banner_answers_nothing() -> None:
+    session = GrblSession()
+    session.connect(0.0)
+    session.receive(b"\r\nerror:7\r\n" + BANNER + IDLE, 0.1)
+    for number, data in enumerate(IDENTITY):
+        session.output(0.1)
+        session.receive(data, 0.2 + number * 0.1)
+    assert session.phase is Phase.READY and session.epoch == 1
+
+
+PIECES = st.one_of(
+    st.binary(max_size=12),
+    st.sampled_from([b"ok\r\n", b"error:2\r\n", b"error:9\r\n", b"ALARM:1\r\n", b"ALARM:3\r\n", BANNER, IDLE, *IDENTITY, b"[MSG:x]\r\n",
+                     b"<Hold:0|MPos:0,0,0>\r\n", b"<Hold:1|MPos:0,0,0>\r\n", b"<Run|MPos:1.0,0.0,0.0>\r\n", b"<Door:0|MPos:0,0,0>\r\n",
+                     b"<Sleep|MPos:0,0,0>\r\n", b"<Check|MPos:0,0,0>\r\n", b"<Jog|MPos:0,0,0>\r\n", b"<Tool|MPos:0,0,0>\r\n",
+                     b"[echo: X1]\r\n", b"<Run|MPos:5.0,9.0,0.0>\r\n", b"\xff\xfe\n", b"[PRB:0,0,0:1]\r\n"]),
+)  # fmt: skip
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(PIECES, st.sampled_from([0.0, 0.01, 0.3, 3.0, 20.0])), max_size=40), st.booleans())
+def test_no_bytes_and_no_times_break_the_session(script: list[tuple[bytes, float]], streaming: bool) -> None:
+    """Total: whatever comes whenever. And the window holds, and nothing but '?' '!' Ctrl-X and lines sent once is written."""
+    session = streaming_session() if streaming else ready_session()
+    now_s = 1.0
+    for data, pause_s in script:
+        now_s += pause_s
+        session.tick(now_s)
+        session.receive(data, now_s)
+        out = session.output(now_s)
+        assert set(out) <= set(b"?!\x18$IG#XYZF0123456789.-\n")
+        assert session.progress.bytes_in_flight <= session.window_bytes
+        assert session.next_deadline_s >= 0.0
+        assert session.status.state in MillState and session.facts and session.protections is not None
+        session.take_events()
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.integers(1, 12), min_size=1, max_size=200))
+def test_chunks_of_replies_change_nothing(sizes: list[int]) -> None:
+    said = b"ok\r\n" * 3 + b"<Run|MPos:1.000,0.000,0.000|FS:600,0>\r\n" + b"ok\r\n" * 5 + b"[MSG:hello]\r\nok\r\n" * 3
+    whole, pieces = streaming_session(), streaming_session()
+    whole.receive(said, 1.1)
+    start = 0
+    for size in [*sizes, len(said)]:
+        pieces.receive(said[start : start + size], 1.1)
+        start += size
+    assert pieces.progress == whole.progress
+    assert pieces.output(1.1) == whole.output(1.1)
+    assert pieces.take_events() == whole.take_events()

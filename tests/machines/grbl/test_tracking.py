@@ -1,0 +1,98 @@
+"""Executed is what is proven; off the path is what no line can explain."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.modal import ModalState
+from machines.grbl.tracking import LONG_BLOCKS_BEYOND_PLANNER, SHORT_BLOCKS_BEYOND_PLANNER, Place, Tracker
+
+START = b"G21G90G94G17G1X0Y0Z0F600"
+
+
+def tracker_of(*blocks: bytes, answered: int | None = None) -> Tracker:
+    """Line 1 is a move to the origin, then `blocks`."""
+    tracker, interpreter = Tracker(planner_blocks=15, tolerance_mm=0.02), Interpreter(ModalState(position_mm=(0.0, 0.0, 0.0)))
+    for number, block in enumerate((START, *blocks), 1):
+        tracker.sent(number, interpreter.take(block))
+    for _ in range(len(blocks) + 1 if answered is None else answered):
+        tracker.answered()
+    return tracker
+
+
+def test_an_answer_alone_proves_nothing() -> None:
+    assert tracker_of(b"X10", b"X20").executed_line == 0
+
+
+def test_a_position_proves_the_lines_before_it() -> None:
+    tracker = tracker_of(b"X10", b"X20", b"X30")
+    assert tracker.reported((25.0, 0.0, 0.0)).place is Place.ON_PATH
+    assert tracker.executed_line == 3  # the move to 30 is under way
+
+
+def test_where_a_position_fits_two_lines_the_earlier_is_believed() -> None:
+    tracker = tracker_of(b"X10", b"X0", b"X10")
+    tracker.reported((5.0, 0.0, 0.0))
+    assert tracker.executed_line == 1
+
+
+def test_a_corner_belongs_to_the_move_that_ends_there() -> None:
+    tracker = tracker_of(b"X10", b"Y10")
+    tracker.reported((10.0, 0.0, 0.0))
+    assert tracker.executed_line == 1
+
+
+def test_off_the_path_names_the_distance() -> None:
+    sight = tracker_of(b"X10", b"X20").reported((12.0, 1.5, 0.0))
+    assert (sight.place, sight.line, round(sight.distance_mm, 6)) == (Place.OFF_PATH, 3, 1.5)
+
+
+def test_rounding_of_reports_is_not_off_the_path() -> None:
+    assert tracker_of(b"X10Y3.3333").reported((5.001, 1.666, 0.001)).place is Place.ON_PATH
+
+
+def test_a_place_on_lines_that_were_never_answered_is_a_lost_reply() -> None:
+    tracker = tracker_of(b"X10", b"X20", b"X30", b"X40", answered=3)
+    assert tracker.reported((35.0, 0.0, 0.0)).place is Place.UNANSWERED
+
+
+def test_the_first_unanswered_line_may_be_under_way() -> None:
+    """An arc is answered when its last chord is queued, long after its first has begun."""
+    tracker = tracker_of(b"X10", b"G2X20I5", answered=2)
+    assert tracker.reported((15.0, 5.0, 0.0)).place is Place.ON_PATH
+    assert tracker.executed_line == 2
+
+
+def test_an_answered_wait_for_standstill_proves_everything_before_it() -> None:
+    assert tracker_of(b"X10", b"M3S1000").executed_line == 3
+
+
+@given(st.integers(1, 120), st.sampled_from([(b"X%d.01", SHORT_BLOCKS_BEYOND_PLANNER), (b"X%d", LONG_BLOCKS_BEYOND_PLANNER)]))
+def test_what_the_buffers_cannot_hold_is_executed(count: int, kind: tuple[bytes, int]) -> None:
+    """Planner (15) and segment buffer: 2 more blocks where they are long, 7 where they last less than 0.12 s."""
+    pattern, beyond = kind
+    blocks = [pattern % (2 * k) for k in range(1, count + 1)]
+    if beyond == SHORT_BLOCKS_BEYOND_PLANNER:
+        blocks = [b"X%.3f" % (0.001 * k) for k in range(1, count + 1)]
+    tracker = tracker_of(*blocks)
+    first_is_short = 1  # the move to the origin has no length
+    ahead = 15 + (SHORT_BLOCKS_BEYOND_PLANNER if beyond == SHORT_BLOCKS_BEYOND_PLANNER else LONG_BLOCKS_BEYOND_PLANNER)
+    least, most = count + 1 - 15 - SHORT_BLOCKS_BEYOND_PLANNER, count + 1 - ahead
+    assert max(0, least) <= tracker.executed_line <= max(0, most, first_is_short - 1)
+
+
+@given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=2, max_size=40), st.data())
+def test_executed_never_passes_what_the_mill_has_done(corners: list[tuple[int, int]], data: st.DataObject) -> None:
+    """A mill anywhere along any path, crossing itself or not: the tracker never claims the line under way."""
+    tracker = tracker_of(*(b"X%dY%d" % corner for corner in corners))
+    places = [(0, 0), *corners]
+    done = 0
+    for _ in range(6):
+        done = data.draw(st.integers(done, len(corners) - 1))
+        share = data.draw(st.sampled_from([0.0, 0.25, 0.5, 1.0]))
+        (x0, y0), (x1, y1) = places[done], places[done + 1]
+        sight = tracker.reported((x0 + share * (x1 - x0), y0 + share * (y1 - y0), 0.0))
+        assert sight.place is Place.ON_PATH
+        assert tracker.executed_line <= max(1 + done, len(corners) + 1 - 17)

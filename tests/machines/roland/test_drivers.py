@@ -1,0 +1,60 @@
+"""Which driver a profile gets, and what is refused before a port is touched."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from machines.drip.driver import DripDriver
+from machines.driver import Driver
+from machines.drivers import open_driver
+from machines.errors import MachineError, NotAllowedError, PortError
+from machines.profiles import LinkSettings, MachineProfile, load_profile
+
+GRBL = load_profile("grbl", ())
+
+
+def linked(**link: object) -> MachineProfile:
+    return replace(GRBL, link=LinkSettings(**link))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("profile", "url", "words"),
+    [
+        (linked(driver="none"), None, "copy the program to its own computer"),
+        (load_profile("linuxcnc", ()), "loop://", "copy the program to its own computer"),
+        (linked(driver="grbl"), None, "names no port"),
+        (linked(driver="drip", flow="xonxoff"), "loop://", "it obeys DC1 and DC3 itself"),
+        (linked(driver="roland-serial"), "loop://", "'rtscts'"),
+        (linked(driver="lpt"), "loop://", "not a driver that exists"),
+    ],
+)
+def test_a_link_that_cannot_work_is_refused_in_words(profile: MachineProfile, url: str | None, words: str) -> None:
+    with pytest.raises(MachineError, match=words):
+        open_driver(profile, url)
+
+
+def test_the_roland_profile_asks_for_its_mill_on_usb_and_for_no_serial_port() -> None:
+    profile = load_profile("roland-mdx-40a", ())
+    assert profile.link.port == "usb:mdx-40a"
+    with pytest.raises(PortError, match="usb:mdx-40a"):
+        open_driver(profile, None)  # no such mill here, or no libusb
+    with pytest.raises(PortError, match="found by its USB identity"):
+        open_driver(profile, "/dev/ttyUSB0")
+
+
+def test_the_okuma_profile_gets_a_drip_feed_on_a_port_without_handshake_of_its_own() -> None:
+    driver: Driver = open_driver(load_profile("okuma-osp", ()), "loop://")
+    assert isinstance(driver, DripDriver)
+    assert "never a real Okuma" in driver.facts.tried_on
+    driver.close()
+
+
+def test_a_roland_on_a_port_that_hides_its_queue_is_refused() -> None:
+    class Hiding:
+        def close(self) -> None: ...
+
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(NotAllowedError, match="cannot tell what it still holds"):
+        patch.setattr("machines.port.open_port", lambda url, link: Hiding())
+        open_driver(linked(driver="roland-serial", flow="rtscts"), "socket://there:1")

@@ -1,0 +1,109 @@
+"""Roland over RS-232: all bytes once and in order, little queued, nothing called executed that may not be."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from machines.driver import Event, FaultCause, Faulted, MillState, ProgramDone, ProgramLine, Stopped
+from machines.profiles import LinkSettings
+from machines.roland.serial_driver import OS_QUEUE_BYTES, RolandSerialDriver, RolandSerialOptions
+from machines.roland.simulated_serial import SimulatedSerialMill
+
+LINK = LinkSettings(driver="roland-serial", baud=9600, flow="rtscts", rx_bytes=2048)
+
+
+def program(count: int) -> list[ProgramLine]:
+    return [ProgramLine(n, 20 * n, f"Z{n * 7},{n % 90},-{n % 50};".encode()) for n in range(1, count + 1)]
+
+
+def run(driver: RolandSerialDriver, mill: SimulatedSerialMill, most_s: float = 36000.0) -> list[Event]:
+    events: list[Event] = []
+    while mill.now_s < most_s:
+        events += driver.poll(1.0)
+        if any(isinstance(event, ProgramDone | Faulted) for event in events):
+            return events
+    raise AssertionError(f"not done: {driver.status}")
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    count=st.integers(1, 400),
+    buffer_bytes=st.integers(128, 4096),
+    command_s=st.floats(0.0, 0.3),
+)
+def test_every_byte_arrives_once_in_order_and_nothing_is_called_executed_too_soon(
+    count: int, buffer_bytes: int, command_s: float
+) -> None:
+    mill = SimulatedSerialMill(buffer_bytes=buffer_bytes, command_s=command_s)
+    link = LinkSettings(driver="roland-serial", baud=9600, flow="rtscts", rx_bytes=buffer_bytes)
+    driver = RolandSerialDriver(mill, link, planner_blocks=1)
+    driver.connect()
+    driver.start(iter(program(count)))
+    done = False
+    while not done:
+        done = ProgramDone() in driver.poll(0.5)
+        progress = driver.progress
+        assert progress.executed_line <= progress.answered_line <= progress.sent_line
+        assert progress.executed_line <= max(0, len(mill.executed) - 1)
+    mill.run_dry()
+    assert bytes(mill.received) == b"".join(line.text + b"\n" for line in program(count))
+    assert (mill.overruns, len(mill.executed)) == (0, count)
+    assert mill.most_unsent <= 128
+
+
+def test_hold_lets_out_no_more_than_the_little_that_waits_in_the_port() -> None:
+    mill = SimulatedSerialMill(command_s=0.001)
+    driver = RolandSerialDriver(mill, LINK)
+    driver.connect()
+    driver.start(iter(program(500)))
+    for _ in range(3):
+        driver.poll(1.0)
+    driver.hold()
+    before = len(mill.received)
+    for _ in range(5):
+        driver.poll(1.0)
+    assert driver.status.state is MillState.HOLDING
+    assert len(mill.received) - before <= 128
+    driver.resume()
+    run(driver, mill)
+    assert len(mill.received) == sum(len(line.text) + 1 for line in program(500))
+
+
+def test_a_port_that_cannot_tell_what_it_holds_makes_the_driver_more_careful() -> None:
+    class Mute:
+        unsent_bytes = None
+
+    driver = RolandSerialDriver(Mute(), LINK)  # type: ignore[arg-type]
+    assert driver.status.buffer_bytes == 2048 + OS_QUEUE_BYTES
+
+
+def test_a_mill_that_reports_an_error_stops_the_stream_in_words() -> None:
+    mill = SimulatedSerialMill()
+    driver = RolandSerialDriver(mill, LINK, options=RolandSerialOptions(queries=True))
+    driver.connect()
+    driver.start(iter(program(400)))
+    for _ in range(3):
+        driver.poll(1.0)
+    assert "bytes of its buffer are free" in driver.status.detail
+    mill.error = 15
+    fault = next(event for event in run(driver, mill) if isinstance(event, Faulted))
+    assert fault.cause is FaultCause.DEVICE
+    assert "framing or parity" in fault.words
+    assert driver.status.state is MillState.ALARM
+
+
+def test_abort_clears_the_buffer_only_in_families_that_have_the_code() -> None:
+    for abort_code in (False, True):
+        mill = SimulatedSerialMill(command_s=1.0)
+        driver = RolandSerialDriver(mill, LINK, options=RolandSerialOptions(abort_code=abort_code))
+        driver.connect()
+        driver.start(iter(program(400)))
+        driver.poll(1.0)
+        driver.poll(1.0)
+        driver.abort()
+        assert Stopped(position_kept=False) in driver.poll(0.5)
+        driver.poll(2.0)
+        begun = len(mill.executed)
+        mill.run_dry()
+        assert (len(mill.executed) <= begun + 1) is abort_code

@@ -1,0 +1,71 @@
+"""How long a hold takes from the HTTP call to the wire while the agent streams. Not a test: run it on an idle machine.
+
+    .venv/bin/python -m tests.service.agent.latency_trial [HOLDS]
+
+The simulated mill runs on a pty at factor 1, the agent in a process of its own. Taken is the time from just before the
+POST to the moment the mill's end of the pty has read the `!`; bytes that were written earlier lie before it in the
+pty, as they would in a UART (at most the 128 that the controller's buffer takes: 11 ms at 115200).
+"""
+
+from __future__ import annotations
+
+import random
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from machines.simulated import SimulatedMill
+from machines.simulated.endpoints import serve_pty
+from tests.service.agent.process import AgentProcess, memory_mb
+from tests.service.mills import AT_ZERO
+
+_LINES = 400_000
+
+
+def main(holds: int) -> None:
+    mill, wire_s, lines = SimulatedMill(AT_ZERO), [0.0], [0]
+    received = mill.receive
+
+    def receive(data: bytes, at_s: float | None = None) -> None:
+        lines[0] += data.count(b"\n")
+        if b"!" in data:
+            wire_s[0] = time.perf_counter()
+        received(data, at_s)
+
+    mill.receive = receive  # type: ignore[method-assign]
+    with tempfile.TemporaryDirectory() as folder, serve_pty(mill, 1.0) as endpoint:
+        path = Path(folder) / "short.nc"
+        moves = "\n".join(f"G1X{(i % 2000) / 1000 + 0.001:.4f}Y{i % 7 / 1000:.4f}" for i in range(_LINES))
+        path.write_text(f"G21 G90 G17 G94\nG54\nM3 S1000\nF1200\n{moves}\nM5\nM2\n")
+        with AgentProcess(Path(folder) / "data", endpoint.url) as agent:
+            agent.until(lambda status: status["status"]["state"] == "idle")
+            run = agent.post("/v1/runs", 201, program=agent.upload(path), name="latency")["id"]
+            agent.post(f"/v1/runs/{run}:start", 202, operator="trial", checks=["tool", "zero", "stock", "clear"])
+            chance, took_s = random.Random(3), []
+            begun_s, cpu_s, sent = time.perf_counter(), _cpu_s(agent.process.pid), lines[0]
+            for _ in range(holds):
+                agent.until(lambda status: status["status"]["state"] == "run")
+                time.sleep(0.2 + 0.3 * chance.random())
+                wire_s[0], call_s = 0.0, time.perf_counter()
+                agent.post("/v1/control/hold", 202)
+                while not wire_s[0]:
+                    time.sleep(0.0005)
+                took_s.append(wire_s[0] - call_s)
+                agent.until(lambda status: status["status"]["state"] == "held")
+                agent.post("/v1/control/resume", 202)
+            time_s, rate = time.perf_counter() - begun_s, lines[0] - sent
+            print(f"{holds} holds, {rate / time_s:.0f} lines/s, agent {memory_mb(agent.process.pid):.1f} MB,")
+            print(f"agent CPU {100 * (_cpu_s(agent.process.pid) - cpu_s) / time_s:.1f} % of a core")
+            took_s.sort()
+            for share in (0.5, 0.9, 0.99, 1.0):
+                print(f"p{100 * share:g}: {1000 * took_s[min(holds - 1, int(share * holds))]:.2f} ms")
+
+
+def _cpu_s(pid: int) -> float:
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / 100
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 200)

@@ -1,0 +1,249 @@
+"""The agent as its callers meet it: a real process on a loopback port, a real driver on a simulated mill's pty."""
+
+from __future__ import annotations
+
+import hashlib
+import http.server
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+
+from tests.service.agent.process import ROOT, WAIT_S, AgentProcess
+from tests.service.mills import Bench, bench, ends, program
+
+CHECKS = ["tool", "zero", "stock", "clear"]
+LONG = 2000
+
+
+@pytest.fixture
+def mill() -> Iterator[Bench]:
+    with bench(8.0) as found:
+        yield found
+
+
+@pytest.fixture
+def agent(tmp_path: Path, mill: Bench) -> Iterator[AgentProcess]:
+    with AgentProcess(tmp_path / "data", mill.url) as process:
+        process.until(lambda status: status["status"]["state"] == "idle")
+        yield process
+
+
+def started(agent: AgentProcess, path: Path) -> str:
+    """Bring, park and start a program; the run's id."""
+    run = agent.post("/v1/runs", 201, program=agent.upload(path), name=path.name)
+    assert run["state"] == "parked"
+    agent.post(f"/v1/runs/{run['id']}:start", 202, operator="Ada", checks=CHECKS)
+    return str(run["id"])
+
+
+def test_a_program_is_brought_parked_confirmed_and_cut_whole(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", 60)
+    sha256 = agent.upload(path)
+    run = agent.post("/v1/runs", 201, program=sha256, name="first")
+    assert (run["state"], run["program"], mill.cut) == ("parked", sha256, [])
+    problem = agent.post(f"/v1/runs/{run['id']}:start", 409, operator="Ada", checks=["tool", "zero", "clear"])
+    assert "stock" in problem["detail"]
+    assert mill.cut == []
+    agent.post(f"/v1/runs/{run['id']}:start", 202, operator="Ada", checks=CHECKS)
+    agent.until(lambda status: agent.get(f"/v1/runs/{run['id']}")["state"] == "finished")
+    assert mill.cut == ends(60)
+
+
+def test_hold_resume_and_abort(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    run = started(agent, program(tmp_path / "p.nc", LONG))
+    agent.until(lambda status: status["progress"]["executed_line"] > 8)
+    agent.post(f"/v1/runs/{run}:hold", 202)
+    agent.until(lambda status: status["status"]["state"] == "held")
+    cut = len(mill.cut)
+    assert agent.get(f"/v1/runs/{run}")["state"] == "held"
+    agent.post(f"/v1/runs/{run}:resume", 202)
+    agent.until(lambda status: status["progress"]["executed_line"] > cut + 5)
+    agent.post("/v1/control/hold", 202)
+    agent.post("/v1/control/abort", 202)
+    agent.until(lambda status: agent.get(f"/v1/runs/{run}")["state"] == "aborted")
+    assert not any(segment.kind == "slip" for segment in mill.mill.recording.segments)
+
+
+def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
+    agent.post("/v1/control/jog", 202, by_mm=[5, 0, 0], feed_mm_per_min=1000)
+    agent.until(lambda status: status["status"]["work_mm"] == [5.0, 0.0, 0.0] and status["status"]["state"] == "idle")
+    agent.post("/v1/control/zero", 202, axes="X")
+    agent.until(lambda status: status["status"]["work_mm"] == [0.0, 0.0, 0.0])
+    agent.post("/v1/control/override", 202, what="feed", percent=120)
+    agent.until(lambda status: status["status"]["overrides"][0] == 120)
+
+
+@pytest.mark.parametrize(
+    ("path", "body", "status", "field"),
+    [
+        ("/v1/control/jog", {"by_mm": [1, 2]}, 422, "by_mm"),
+        ("/v1/control/jog", {"by_mm": [1, 2, "3"]}, 422, "by_mm"),
+        ("/v1/control/jog", {}, 422, "by_mm"),
+        ("/v1/control/jog", {"by_mm": [1, 2, 3], "speed": 1}, 422, "speed"),
+        ("/v1/control/override", {"what": "feed", "percent": 300}, 422, "percent"),
+        ("/v1/control/override", {"what": "rapid", "percent": 30}, 422, "percent"),
+        ("/v1/control/override", {"what": "drive", "percent": 100}, 422, "what"),
+        ("/v1/control/check", {"on": "yes"}, 422, "on"),
+        ("/v1/control/block", {"text": "G0 X1\nG0 X2"}, 422, "text"),
+        ("/v1/control/block", {"text": "!"}, 422, "text"),
+        ("/v1/control/zero", {"axes": "A"}, 422, "axes"),
+        ("/v1/control/explode", {}, 404, None),
+        ("/v1/runs", {"program": "0" * 64, "name": "x"}, 404, "program"),
+        ("/v1/runs", {"program": "../../x", "name": "x"}, 422, "sha256"),
+        ("/v1/runs/none:start", {"operator": "Ada", "checks": CHECKS}, 404, "run"),
+        ("/v1/programs", {"url": "file:///etc/passwd", "sha256": "0" * 64}, 422, "url"),
+        ("/v1/nothing", {}, 404, None),
+    ],
+)
+def test_refusals_are_problems_that_name_the_field(
+    agent: AgentProcess, path: str, body: dict[str, object], status: int, field: str | None
+) -> None:
+    answer = agent.http.post(path, json=body)
+    assert answer.status_code == status, answer.text
+    assert answer.headers["content-type"] == "application/problem+json"
+    problem = answer.json()
+    assert (problem["status"], problem.get("field")) == (status, field)
+    assert problem["detail"] and "\n" not in problem["detail"]
+
+
+@pytest.mark.parametrize("content", [b"{", b"[1]", b"\xff", b'"x"', b"[" * 50000, b"x" * 70000])
+def test_bodies_that_are_not_objects(agent: AgentProcess, content: bytes) -> None:
+    answer = agent.http.post("/v1/runs", content=content)
+    assert answer.status_code in (400, 413)
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_a_bad_program_is_refused_with_its_line(agent: AgentProcess, tmp_path: Path) -> None:
+    path = tmp_path / "bad.nc"
+    path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
+    problem = agent.post("/v1/runs", 422, program=agent.upload(path), name="bad")
+    assert (problem["field"], "line 3" in problem["detail"]) == ("program", True)
+
+
+def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentProcess, tmp_path: Path) -> None:
+    data = program(tmp_path / "p.nc", 500).read_bytes()
+    sha256 = hashlib.sha256(data).hexdigest()
+
+    class Handler(http.server.SimpleHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(200 if self.headers["Authorization"] == "Bearer job-token" else 401)
+            self.end_headers()
+            self.wfile.write(data)
+
+        def log_message(self, format: str, *args: object) -> None: ...
+
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        url = f"http://127.0.0.1:{server.server_address[1]}/p.nc"
+        assert agent.post("/v1/programs", 502, url=url, sha256=sha256)["field"] == "url"
+        problem = agent.post("/v1/programs", 422, url=url, sha256="0" * 64, token="job-token")
+        assert "nothing is kept" in problem["detail"]
+        assert agent.get("/v1/programs")["programs"] == []
+        assert agent.post("/v1/programs", 201, url=url, sha256=sha256, token="job-token")["bytes"] == len(data)
+        assert agent.post("/v1/programs", 200, url=url, sha256=sha256, token="job-token")["sha256"] == sha256
+        server.shutdown()
+    assert agent.post("/v1/programs", 502, url=url, sha256="1" * 64)["field"] == "url"
+
+
+def test_events_come_live_and_what_was_missed_comes_again(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    with agent.events() as events:
+        first = next(events)
+        assert first["event"] == "status"
+        run = started(agent, program(tmp_path / "p.nc", 20))
+        seen = next(event for event in events if event["event"] == "event")
+    agent.until(lambda status: agent.get(f"/v1/runs/{run}")["state"] == "finished")
+    with agent.events(seen["id"]) as events:
+        missed = next(events)
+        assert missed["event"] == "event"
+        assert int(missed["id"].partition("-")[2]) > int(seen["id"].partition("-")[2])
+    with agent.events("other-1") as events:
+        assert "gap" in next(events)["data"]
+
+
+def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    run = started(agent, program(tmp_path / "p.nc", LONG))
+    agent.until(lambda status: status["progress"]["executed_line"] > 8)
+    mill.unplug()
+    agent.until(lambda status: status["status"]["state"] in ("disconnected", "connecting"))
+    agent.post("/v1/control/hold", 202)
+    agent.post("/v1/control/abort", 202)
+    assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_an_agent_that_is_stopped_holds_the_mill_first_and_shows_the_run_as_interrupted_afterwards(
+    tmp_path: Path, mill: Bench, number: signal.Signals
+) -> None:
+    with AgentProcess(tmp_path / "data", mill.url) as agent:
+        agent.until(lambda status: status["status"]["state"] == "idle")
+        run = started(agent, program(tmp_path / "p.nc", LONG))
+        agent.until(lambda status: status["progress"]["executed_line"] > 8)
+        with agent.events() as events:
+            next(events)
+            code, said = agent.stop(number)
+        assert (code, "feed hold" in said) == (0, True), said
+        assert "Traceback" not in said
+    assert mill.stands
+    cut = len(mill.cut)
+    with AgentProcess(tmp_path / "data", mill.url) as agent:
+        agent.until(lambda status: status["status"]["state"] not in ("connecting", "disconnected"))
+        assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
+        assert [entry["bytes"] > 0 for entry in agent.get("/v1/programs")["programs"]] == [True]
+    assert len(mill.cut) == cut
+
+
+def test_a_killed_agent_leaves_a_run_that_the_next_one_shows_as_interrupted(tmp_path: Path, mill: Bench) -> None:
+    with AgentProcess(tmp_path / "data", mill.url) as agent:
+        agent.until(lambda status: status["status"]["state"] == "idle")
+        run = started(agent, program(tmp_path / "p.nc", LONG))
+        agent.until(lambda status: status["progress"]["executed_line"] > 8)
+        agent.process.kill()
+    with AgentProcess(tmp_path / "data", mill.url) as agent:
+        agent.until(lambda status: status["status"]["state"] not in ("connecting", "disconnected"))
+        assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
+        assert agent.get(f"/v1/runs/{run}/recovery")
+
+
+def refused(*options: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "service.cli", "mill", "--machine", "grbl", *options],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=WAIT_S,
+    )
+    lines = done.stderr.splitlines()
+    assert (done.returncode in (1, 2), len(lines)) == (True, 1), done.stderr
+    return lines[0]
+
+
+def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    other, port = str(tmp_path / "other"), agent.url.rpartition(":")[2]
+    assert port in refused("--port", mill.url, "--bind-port", port, "--data", other)
+    assert "data" in refused("--port", mill.url, "--bind-port", "0", "--data", str(agent.folder))
+    assert mill.url in refused("--port", mill.url, "--bind-port", "0", "--data", other)
+    assert agent.status()["status"]["state"] == "idle"
+
+
+def test_an_address_that_others_reach_needs_a_token_file(mill: Bench) -> None:
+    assert "--token-file" in refused("--port", mill.url, "--host", "0.0.0.0")
+
+
+def test_without_a_token_the_agent_says_nothing(agent: AgentProcess) -> None:
+    bare = httpx.Client(base_url=agent.url, trust_env=False)
+    assert bare.get("/livez").status_code == 200
+    answer = bare.get("/v1/status")
+    assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
+    assert bare.get("/v1/status", headers={"Host": "evil.example"}).status_code == 403
+
+
+def test_the_agent_stays_small(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    started(agent, program(tmp_path / "p.nc", 100))
+    agent.until(lambda status: status["progress"]["executed_line"] > 20)
+    assert 10 < agent.rss_mb() < 60

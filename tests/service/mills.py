@@ -1,0 +1,64 @@
+"""Simulated mills and small programs for the tests of agent and terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from math import inf
+from pathlib import Path
+
+from machines.simulated import GRBL_11, SimulatedMill, Traits
+from machines.simulated.endpoints import serve_pty
+
+AT_ZERO = replace(GRBL_11, power_up_machine_mm=(0.0, 0.0, 0.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """A simulated mill on a pty."""
+
+    mill: SimulatedMill
+    url: str
+
+    @property
+    def cut(self) -> list[tuple[float, float, float]]:
+        """Ends of the blocks cut so far, whole ones only, rounded to the recording's noise."""
+        return [tuple(round(c, 3) for c in s.end) for s in self.mill.recording.cuts() if s.whole]  # type: ignore[misc]
+
+    @property
+    def stands(self) -> bool:
+        """Nothing moves: the stepper has nothing to do."""
+        return self.mill.firmware.stepper.next_s == inf
+
+    def unplug(self) -> None:
+        self.mill.unplug()
+
+
+@contextmanager
+def bench(time_factor: float, *, traits: Traits = AT_ZERO) -> Iterator[Bench]:
+    mill = SimulatedMill(traits)
+    with serve_pty(mill, time_factor) as endpoint:
+        yield Bench(mill, endpoint.url)
+
+
+_ROW = 200
+
+
+def place(i: int, step_mm: float = 1.0) -> tuple[float, float, float]:
+    """Where cut `i` of a test program ends: rows to and fro, no place twice."""
+    row, column = divmod(i, _ROW)
+    return (round((column + 1 if row % 2 == 0 else _ROW - column) * step_mm, 3), row * step_mm, -1.0 - i % 2)
+
+
+def program(path: Path, lines: int, *, step_mm: float = 1.0, feed_mm_per_min: int = 1200) -> Path:
+    """A program of `lines` cuts; at the given feed a cut takes some 70 ms."""
+    cuts = [f"G1 X{x:.3f} Y{y:.3f} Z{z:.0f}" for x, y, z in (place(i, step_mm) for i in range(lines))]
+    text = ["G21 G90 G17 G94", "G54", "M3 S1000", f"F{feed_mm_per_min}", *cuts, "M5", "M2"]
+    path.write_text("\n".join(text) + "\n")
+    return path
+
+
+def ends(lines: int, step_mm: float = 1.0) -> list[tuple[float, float, float]]:
+    """Where the cuts of `program` end."""
+    return [place(i, step_mm) for i in range(lines)]

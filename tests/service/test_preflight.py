@@ -1,0 +1,184 @@
+"""Pre-flight as the streamer sees it: refusals, warnings, what is remembered and when it is not, the estimate."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from machines.errors import ProgramRefusedError
+from machines.gcode.limits import limits_of, placement_problems
+from machines.gcode.preflight import Preflight
+from machines.grbl.settings import ControllerSettings
+from machines.profiles import load_profile
+from service import preflight as module
+from service.preflight import PreflightError, preflight
+
+GRBL = load_profile("grbl", [])
+PROGRAM = (
+    b"G21 G90 G94 G17 G54\nG0 Z5\nG0 X10 Y20\nM3 S10000\nG4 P2\nG1 Z-1 F300\nX110\nG2 X90 Y0 I-20 J0 F600\n"
+    b"G0 Z5\nM5\nM2\n"
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    path = tmp_path / "p.nc"
+    path.write_bytes(PROGRAM.replace(b"G2 X90 Y0", b"G2 X90 Y0"))
+    return path
+
+
+@pytest.fixture
+def cache(tmp_path: Path) -> Path:
+    return tmp_path / "cache"
+
+
+def no_child(*_: object, **__: object) -> None:
+    raise AssertionError("the child was started although the result is kept")
+
+
+def test_what_is_found_and_that_it_survives_as_json(program: Path, cache: Path) -> None:
+    shares: list[float] = []
+    facts = preflight(program, GRBL, cache=cache, on_progress=shares.append)
+    assert facts.lines == 11 and facts.blocks == 11 and facts.bytes == len(program.read_bytes())
+    assert facts.bounds_mm is not None
+    # the arc about (90, 20) from (110, 20) clockwise to (90, 0): a quarter turn
+    assert facts.bounds_mm.least_mm == pytest.approx((10, 0, -1))
+    assert facts.bounds_mm.most_mm == pytest.approx((110, 20, 5), abs=0.01)
+    assert facts.feeds_mm_per_min == (300, 600)
+    assert facts.spindle_rpm == (10000, 10000)
+    assert facts.path_length_mm == pytest.approx(6 + 100 + 10 * 3.141592 + 6, rel=1e-3)
+    assert facts.ends and not facts.assumed and not facts.warnings
+    cutting_s = 60 * (6 / 300 + 100 / 300 + 31.42 / 600)
+    assert cutting_s + 2 < facts.time_s < cutting_s + 2 + 3  # dwell, ramps and two short rapids
+    assert shares[-1] == 1.0
+    assert Preflight.from_json(facts.to_json()) == facts
+
+
+def test_a_result_is_kept_by_content_and_by_the_machine(
+    program: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    facts = preflight(program, GRBL, cache=cache)
+    other = replace(GRBL, acceleration_mm_per_s2=(50.0, 50.0, 50.0))
+    slower = preflight(program, other, cache=cache)
+    assert slower.time_s > facts.time_s
+    monkeypatch.setattr(module.subprocess, "Popen", no_child)
+    assert preflight(program, GRBL, cache=cache) == facts
+    copy = tmp_path / "copy.nc"
+    copy.write_bytes(program.read_bytes())
+    assert preflight(copy, GRBL, cache=cache) == facts  # known by its content
+    text = program.read_bytes()
+    program.write_bytes(text.replace(b"X110", b"X111"))
+    with pytest.raises(AssertionError, match="child was started"):
+        preflight(program, GRBL, cache=cache)
+
+
+def test_a_damaged_kept_result_is_made_anew(program: Path, cache: Path) -> None:
+    facts = preflight(program, GRBL, cache=cache)
+    for kept in cache.glob("*.json"):
+        kept.write_text(kept.read_text()[:-40])
+    assert preflight(program, GRBL, cache=cache) == facts
+
+
+def test_the_controllers_own_figures_take_the_place_of_the_profiles() -> None:
+    values = {110: "800", 111: "800", 112: "500", 120: "30", 121: "30", 122: "20", 11: "0.02", 30: "12000", 31: "100"}
+    limits = limits_of(GRBL, ControllerSettings(values=values, planner_blocks=100))
+    assert limits.max_rate_mm_per_min == (800, 800, 500)
+    assert limits.acceleration_mm_per_s2 == (30, 30, 20)
+    assert limits.junction_deviation_mm == 0.02
+    assert limits.spindle_rpm == (100, 12000)
+    assert limits.planner_blocks == 100
+    assert limits.travel_mm == GRBL.travel_mm  # not told
+    assert limits_of(GRBL).bytes_per_s == 11520
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (b"G21G90\nG0 X1\nT1M6\n", 3, "'T1M6': GRBL has no tool changes"),
+        (b"G21G90\nG0 X0 Y0 Z5\nG0 X301\n", 0, "301.000 mm; grbl travels 300 mm"),
+        (b"G21G90\nG0 X0 Y0 Z5\nG1 X5\n", 3, "needs a feed"),
+        (b"\xff\xfe\x00junk", 1, "letter"),
+        (b"x" * 70_000, 1, "characters"),
+    ],
+)
+def test_refusals(tmp_path: Path, cache: Path, text: bytes, line: int, words: str) -> None:
+    path = tmp_path / "p.nc"
+    path.write_bytes(text)
+    with pytest.raises(ProgramRefusedError, match=words) as caught:
+        preflight(path, GRBL, cache=cache)
+    assert caught.value.line == line
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
+    assert [file.name for file in cache.iterdir() if not file.name.startswith("quick")] == []
+
+
+def test_warnings_and_assumptions(tmp_path: Path, cache: Path) -> None:
+    path = tmp_path / "p.nc"
+    path.write_bytes(b"G0 X1 Y1\nZ5\nG1 Z-1 F9000\nM3 S40000\nG53 G0 Z-1\nG28\n")
+    facts = preflight(path, GRBL, cache=cache)
+    assert facts.assumed == ("G21", "G90") and not facts.ends
+    text = "\n".join(facts.warnings)
+    for words in (
+        "line 1 ",
+        "spindle off",
+        "line 3: asks for more feed",
+        "40000 rpm",
+        "G53",
+        "line 6: goes to a place",
+        "no end",
+    ):
+        assert words.strip() in text, words
+
+
+def test_no_such_program_and_a_folder_are_one_line(tmp_path: Path, cache: Path) -> None:
+    for path in (tmp_path / "none.nc", tmp_path):
+        with pytest.raises(PreflightError) as caught:
+            preflight(path, GRBL, cache=cache)
+        assert str(path) in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_a_child_that_dies_is_told(program: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module.sys, "executable", "/bin/false")
+    with pytest.raises(PreflightError, match="ended early"):
+        preflight(program, GRBL, cache=cache)
+
+
+def test_the_placement_at_the_present_offsets(program: Path, cache: Path) -> None:
+    """Machine coordinates run from -travel to 0 unless the firmware forces its origin."""
+    facts = preflight(program, GRBL, cache=cache)
+    values = {20: "1", 22: "1", 130: "300", 131: "300", 132: "80"}
+    right = ControllerSettings(values=values, offsets={"G54": (-290.0, -290.0, -40.0), "G92": (0.0, 0.0, 0.0)})
+    assert placement_problems(facts, right) == ()
+    high = replace(right, offsets={"G54": (-290.0, -290.0, -4.0), "TLO": (0.0, 0.0, 0.0)})
+    (problem,) = placement_problems(facts, high)
+    assert problem.startswith("Z would go from -5.000 to 1.000 mm in machine coordinates (G54)")
+    far = replace(right, offsets={"G54": (-305.0, -290.0, -44.0), "G92": (-10.0, 0.0, 0.0), "TLO": (0.0, 0.0, 2.0)})
+    (problem,) = placement_problems(facts, far)
+    assert problem.startswith("X would go from -305.000")
+    assert placement_problems(facts, ControllerSettings(values={22: "0", 20: "0"})) == ()
+
+
+def test_the_streaming_process_gets_neither_numpy_nor_numba(program: Path, cache: Path) -> None:
+    """What a streamer imports, and a whole pre-flight and read in it, stay without the array libraries."""
+    code = (
+        "import sys; from pathlib import Path; from service.preflight import preflight; "
+        "from machines.gcode.program import ProgramReader; from machines.profiles import load_profile; "
+        f"p = Path({str(program)!r}); f = preflight(p, load_profile('grbl', []), cache=Path({str(cache)!r})); "
+        "n = len(list(ProgramReader(p, f.index).lines())); "
+        "print(n, sorted({'numpy', 'numba', 'scipy'} & set(sys.modules)))"
+    )
+    root = str(Path(__file__).parents[2])
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": root}
+    )
+    assert done.stdout.strip() == "11 []"
+
+
+def test_an_index_in_json_has_only_what_differs(program: Path, cache: Path) -> None:
+    facts = preflight(program, GRBL, cache=cache)
+    plain = json.loads(facts.to_json())
+    assert plain["index"]["entries"][0][3] == {}
