@@ -354,8 +354,9 @@ class Mill:
         self._folders.save_facts(run_id, program)
         record = {
             "id": run_id, "name": name, "sha256": program.sha256, "path": str(path.absolute()), "lines": program.lines,
-            "bytes": program.bytes, "time_s": program.time_s, "profile": program.profile, "created_s": round(self._wall(), 3),
-            "warnings": list(program.warnings), "state": RunState.PARKED.value,
+            "bytes": program.bytes, "time_s": program.time_s, "profile": program.profile,
+            "created_s": round(self._wall(), 3),
+            "warnings": list(program.warnings), "state": RunState.PARKED.value, "executed_line": 0,
         }  # fmt: skip
         run = Run(
             {"id": run_id, "state": RunState.PARKED.value}, lambda: self._open_journal(self._folders.path(run_id))
@@ -386,9 +387,8 @@ class Mill:
         self._check_modes(facts, answer)
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer)
-        run.begin_stream()
-        run.move(RunState.RUNNING, "", started_s=round(self._wall(), 3), executed_line=0, **baseline)
-        self._go(run, driver, lambda: driver.start(reader.lines(1)))
+        baseline |= {"started_s": round(self._wall(), 3), "executed_line": 0}
+        self._go(run, RunState.RUNNING, baseline, lambda: driver.start(reader.lines(1)))
 
     def plan_recovery(self, run_id: str) -> RecoveryPlan:
         """How the run would go on now: what has to be done first, and what would be sent. Sends only questions."""
@@ -427,27 +427,28 @@ class Mill:
         answer = self._asked()
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer)
-        run.begin_stream()
-        run.move(RunState.RECOVERING, "", recoveries=int(run.record.get("recoveries", 0)) + 1, ended_s=None, **baseline)
-        self._recovering = True
-        self._go(run, driver, lambda: driver.start(plan.lines(reader)))
+        baseline |= {"recoveries": int(run.record.get("recoveries", 0)) + 1, "ended_s": None}
+        self._go(run, RunState.RECOVERING, baseline, lambda: driver.start(plan.lines(reader)))
 
-    def _go(self, run: Run, driver: Driver, start: Callable[[], None]) -> None:
+    def _go(self, run: Run, state: RunState, baseline: dict[str, Any], start: Callable[[], None]) -> None:
         """The last step of start and recover: only when the journal is safe on disk does the first byte leave."""
         if self._active is not None and self._active is not run:
             self._active.let_go()
-        self._active = self._driven = run
-        self._hold_asked = self._abort_asked = False
-        self._journal_words = self._retouch = ""
+        before = {name: run.record.get(name) for name in ("state", "words", *baseline)}
         try:
+            run.journal.repair()
+            run.move(state, "", **baseline)
             run.journal.sync()
+            run.begin_stream()
             start()
-        except MachineError as error:
-            self._driven, self._recovering = None, False
-            run.record.update(state=RunState.INTERRUPTED.value, words=f"did not begin: {error}")
-            run.try_write("run", state=RunState.INTERRUPTED.value, words=f"did not begin: {error}")
+        except MachineError:
+            run.take_back(before)
             self._publish()
             raise
+        self._active = self._driven = run
+        self._hold_asked = self._abort_asked = False
+        self._recovering = state is RunState.RECOVERING
+        self._journal_words = self._retouch = ""
         self._say("run", f"{run.view.name}: {run.state.value}, confirmed by {run.record['operator']}")
         self._look()
 
@@ -457,7 +458,8 @@ class Mill:
         known = answer or {}
         return {
             "operator": confirmation.operator, "checks": sorted(confirmation.checks), "offsets": known.get("offsets"),
-            "settings": known.get("settings"), "parser_state": known.get("parser_state"), "restarted": False, "zeroed": "",
+            "settings": known.get("settings"), "parser_state": known.get("parser_state"), "restarted": False,
+            "zeroed": "",
             "controller": status.controller, "epoch": status.epoch, "position_trusted": status.position_trusted,
             "machine_mm": status.machine_mm, "work_mm": status.work_mm, "work_offset_mm": status.work_offset_mm,
             "wall_s": round(self._wall(), 3),
@@ -616,12 +618,18 @@ class Mill:
         except NotAllowedError:
             return None
         until_s = self._clock() + ASK_S
-        while self._clock() < until_s and self._driver is driver:
+        answer: dict[str, Any] | None = None
+        ended = False
+        # The work position comes with the offset, and that only with every tenth report or so.
+        while self._clock() < until_s and self._driver is driver and not (ended and driver.status.work_mm is not None):
             for event in driver.poll(0.05):
                 self._on(event)
                 if isinstance(event, CommandDone) and event.command == wanted:
-                    return None if event.failure else dict(event.answer)
-        return None
+                    ended = True
+                    answer = None if event.failure else dict(event.answer)
+            if ended and answer is None:
+                break
+        return answer
 
     # ------------------------------------------------------------------ ending
 
@@ -630,7 +638,7 @@ class Mill:
         run = self._live()
         if detach or run is None or self.status.state not in _MOVES:
             return
-        raise NotAllowedError(f"stop: run {run.id} is {run.state.value} and the mill is {self.status.state.value}; hold it first, "
+        raise NotAllowedError(f"stop: run {run.id} is {run.state.value}, the mill {self.status.state.value}; hold it, "
                               "or say that it may go on without us (detach)")  # fmt: skip
 
     def close(self, *, detach: bool = False) -> None:

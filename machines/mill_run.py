@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
 from typing import Any
 
@@ -119,8 +120,11 @@ class Run:
 
     def last_mark(self, progress: StreamProgress) -> dict[str, Any]:
         """What a state change takes with it, so that the end of a run is exact."""
-        return {"executed_line": max(self._base_line, progress.executed_line, self.executed_line if not self.live else 0),
-                "sent_line": progress.sent_line, "answered_line": progress.answered_line}  # fmt: skip
+        return {
+            "executed_line": max(self.executed_line, progress.executed_line),
+            "sent_line": progress.sent_line,
+            "answered_line": progress.answered_line,
+        }
 
     @property
     def journal(self) -> Journal:
@@ -150,10 +154,7 @@ class Run:
         known = self._moving_s > _PACE_AFTER_S and expected_s > 1.0
         return left * total_s * (self._moving_s / expected_s if known else 1.0)
 
-    def try_write(self, kind: str, **fields: Any) -> str:
-        """As `write`; what the disk says against it is returned instead of raised."""
-        try:
-            self.write(kind, **fields)
-        except JournalError as error:
-            return str(error)
-        return ""
+    def take_back(self, fields: dict[str, Any]) -> None:
+        """A start that did not come about. Where the disk refuses this too, its next good record will have it."""
+        with contextlib.suppress(JournalError):
+            self.write("run", **fields)

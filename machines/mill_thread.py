@@ -90,7 +90,7 @@ class MillThread:
         return call.answer(timeout_s)
 
     def stop(self, *, detach: bool = False) -> None:
-        """End the thread and let go of the mill. Refused while the mill moves, unless `detach` says that it may go on."""
+        """End the thread and let go of the mill. Refused while it moves, unless `detach` says that it may go on."""
         if self._thread.is_alive():
             self.call(lambda mill: self._end(mill, detach))
             self._thread.join(_CALL_S)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import threading
 import time
 from pathlib import Path
@@ -23,7 +24,8 @@ from machines.profiles import LinkSettings
 
 BY_ID = Path("/dev/serial/by-id")
 READ_BYTES = 4096
-_SLICE_S = 0.02  # a wait without a way to wake it is cut into pieces of this length
+_SLICE_S = 0.02  # how often a line that cannot be selected is looked at
+_GATHER_S = 0.003  # of the 11 ms of wire that a full receive buffer covers
 
 
 class Port(Protocol):
@@ -85,7 +87,17 @@ def open_port(url: str, link: LinkSettings) -> Port:
     with contextlib.suppress(Exception):
         line.set_low_latency_mode(True)  # FTDI: 1 ms instead of 16; not offered by every driver
     wire = None if "://" in name else link.wire_bytes_per_s
-    return SerialPort(name, line, wire)
+    return SerialPort(name, line, wire, gather_s=_GATHER_S if link.driver == "grbl" else 0.0)
+
+
+def _descriptor(line: Any) -> int | None:
+    """The file behind a line, to wait on; None where there is none (loop://, rfc2217://, Windows)."""
+    if os.name != "posix":
+        return None
+    try:
+        return int(line.fileno())
+    except (AttributeError, OSError, ValueError, serial.SerialException):
+        return None
 
 
 def _steady(line: Any) -> None:
@@ -111,7 +123,7 @@ def _refused(name: str, error: Exception) -> PortError:
         return PortError(
             name, "permission denied: add your user to the group that owns it (mostly 'dialout'), log in anew"
         )
-    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or "could not open port" in text and number is None:
+    if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or ("could not open port" in text and number is None):
         if "://" in name:
             return PortError(name, f"cannot be reached: {text}")
         there = ", ".join(port_names()) or "none"
@@ -143,15 +155,23 @@ def _open_here(name: str) -> bool:
 
 
 class SerialPort:
-    """A Port over pyserial. One thread reads and writes; `wake` may come from any."""
+    """A Port over pyserial. One thread reads and writes; `wake` may come from any.
 
-    def __init__(self, url: str, line: Any, wire_bytes_per_s: float | None) -> None:
+    gather_s : once something has come, wait so long for more. A controller's replies come one by one, and handling
+               several in one round halves the processor time; `wake` ends this wait, too
+    """
+
+    def __init__(self, url: str, line: Any, wire_bytes_per_s: float | None, *, gather_s: float = 0.0) -> None:
         self.url = url
         self.wire_bytes_per_s = wire_bytes_per_s
         self._line = line
-        self._wakes = callable(getattr(line, "cancel_read", None))
-        self._woken = threading.Event()
-        self._lost = False
+        self._gather_s = gather_s
+        self._woken = threading.Event()  # where the line is no file that can be selected
+        self._file = _descriptor(line)
+        self._bell, self._cord = os.pipe() if self._file is not None else (-1, -1)
+        self._ringing = threading.Lock()  # nobody rings a descriptor that is closed and perhaps another file's by now
+        if self._file is not None:
+            os.set_blocking(self._cord, False)
 
     def clock(self) -> float:
         return time.monotonic()
@@ -159,29 +179,31 @@ class SerialPort:
     def read(self, timeout_s: float) -> bytes:
         """Whatever has come; waits at most `timeout_s` for the first byte."""
         try:
-            return self._wait(timeout_s)
+            return self._selected(timeout_s) if self._file is not None else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             # pyserial raises TypeError from a port that was closed under it
             raise self._gone(error) from error
 
-    def _wait(self, timeout_s: float) -> bytes:
-        line = self._line
-        waiting = line.in_waiting
-        if waiting:
-            return bytes(line.read(min(waiting, READ_BYTES)))
+    def _selected(self, timeout_s: float) -> bytes:
+        ready: list[int | None]
+        ready, _, _ = select.select([self._file, self._bell], [], [], max(timeout_s, 0.0))
+        if self._bell in ready:
+            os.read(self._bell, 64)
+        if self._file not in ready:
+            return b""
+        if self._gather_s and len(ready) == 1:
+            select.select([self._bell], [], [], self._gather_s)
+        return bytes(self._line.read(READ_BYTES))
+
+    def _in_slices(self, timeout_s: float) -> bytes:
         end_s = time.monotonic() + timeout_s
-        while not self._woken.is_set():
+        while not (waiting := self._line.in_waiting) and not self._woken.is_set():
             left_s = end_s - time.monotonic()
-            # The first byte is waited for alone: asking for more would wait for more.
-            line.timeout = max(0.0, left_s if self._wakes else min(left_s, _SLICE_S))
-            first = bytes(line.read(1))
-            if first:
-                more = line.in_waiting
-                return first + bytes(line.read(min(more, READ_BYTES))) if more else first
             if left_s <= 0.0:
                 break
+            self._woken.wait(min(left_s, _SLICE_S))
         self._woken.clear()
-        return b""
+        return bytes(self._line.read(min(waiting, READ_BYTES))) if waiting else b""
 
     def write(self, data: bytes) -> None:
         try:
@@ -192,13 +214,26 @@ class SerialPort:
     def wake(self) -> None:
         """End a read that waits, or the next one."""
         self._woken.set()
-        if self._wakes:
-            with contextlib.suppress(Exception):
-                self._line.cancel_read()
+        with self._ringing:
+            if self._cord >= 0:
+                with contextlib.suppress(BlockingIOError):  # full: it rings already
+                    os.write(self._cord, b"!")
+
+    def unsent_bytes(self) -> int:
+        """Bytes that wait in the operating system; 0 where it does not tell."""
+        try:
+            return int(getattr(self._line, "out_waiting", 0))
+        except (serial.SerialException, OSError, TypeError) as error:
+            raise self._gone(error) from error
 
     def close(self) -> None:
         with contextlib.suppress(serial.SerialException, OSError):
             self._line.close()
+        with self._ringing:
+            if self._cord >= 0:
+                os.close(self._bell)
+                os.close(self._cord)
+                self._bell = self._cord = -1
 
     def _gone(self, error: Exception) -> PortLostError:
         self.close()

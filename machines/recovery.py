@@ -134,8 +134,8 @@ def plan_recovery(
     except MachineError as error:
         refusals.append(str(error))
     if facts.dialect not in GRBL_DIALECTS:
-        refusals.append(f"dialect {facts.dialect}: such a controller does not tell what it has executed; recover by hand, from "
-                        "a sequence number or a program of the rest")  # fmt: skip
+        refusals.append(f"dialect {facts.dialect}: such a control does not tell what it has executed; recover by hand, "
+                        "from a sequence number or with a program of the rest")  # fmt: skip
     differences, zero_needs = _offsets(record, present, entry)
     needs = (*_needs(record, present), *zero_needs)
     blocks: tuple[str, ...] = ()
@@ -174,13 +174,13 @@ def _needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
             "stand still", f"the mill is {status.state.value}: wait until it has carried out what it holds, or hold it"
         )
     elif status.state is not MillState.IDLE:
-        yield Need("stand still", f"the mill is {status.state.value} and may hold unfinished blocks: reset it, which clears "
-                                  "them and, from standstill, keeps the position")  # fmt: skip
+        yield Need("stand still", f"the mill is {status.state.value} and may hold unfinished blocks: reset it, "
+                                  "which clears them and, from standstill, keeps the position")  # fmt: skip
     elif status.work_mm is None:
         yield Need("connect", "the mill has not reported its position yet: wait a second")
     if (words := position_doubt(record, present)) != "":
-        yield Need("position", f"{words}: home the mill, or touch off and set the work zero of X, Y and Z anew, or, if you "
-                               "know that it is right, say so (trust position)")  # fmt: skip
+        yield Need("position", f"{words}: home the mill, or touch off and set the work zero of X, Y, Z anew, or, if "
+                               "you know that it is right, say so (trust position)")  # fmt: skip
 
 
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
@@ -233,8 +233,8 @@ def _offsets(
             moving.append(name)
     if not moving:
         return tuple(words), ()
-    need = Need("zero", f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, G43.1), or set "
-                        "the work zero anew")  # fmt: skip
+    need = Need("zero", f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
+                        "G43.1), or set the work zero anew")  # fmt: skip
     return tuple(words), (need,)
 
 
@@ -300,7 +300,7 @@ def _with_words(
             words.append("nothing was cut that has to be joined: the program starts from its top")
         else:
             words.append(
-                f"the tool is put down at {_triple(entry.position_mm)} (work) and line {plan.overlap_line} is cut again "
+                f"the tool is put down at {_triple(entry.position_mm)} (work), line {plan.overlap_line} is cut again "
                 f"as overlap ({plan.recut_lines} line(s) are sent a second time)"
             )
         if entry.why:

@@ -71,7 +71,7 @@ def _last_move(
                 f"line {line.number} cannot be entered: the program does not tell where the tool is before it"
             )
         if (step.withholds_ok or b"T" in line.text) and begun and not after:
-            best, stop = None, line.number
+            stop = line.number
     if stop:
         raise NoEntryError(f"nothing is left to cut after line {stop}, which was executed: the program is done")
     return best

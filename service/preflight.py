@@ -14,12 +14,13 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache as once
 from pathlib import Path
 from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
-from machines.gcode.limits import MillLimits, limits_of
+from machines.gcode.limits import MillLimits, limits_of, placement_problems
 from machines.gcode.preflight import Preflight
 from machines.grbl.settings import ControllerSettings
 from machines.profiles import MachineProfile
@@ -49,7 +50,8 @@ def preflight(
 ) -> Preflight:
     """What is known of the program at `path` before it may run on this mill.
 
-    settings : the controller's own figures take the place of the profile's
+    settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
+               what the program would leave of the travel at the present work zero (never kept: a zero moves)
     ProgramRefusedError names line, text and way out; PreflightError where the file cannot be read at all.
     """
     folder = cache or default_cache()
@@ -69,9 +71,10 @@ def preflight(
             found = _computed(path, limits, folder, held_against, on_progress)
             _forget_oldest(folder)
         _note(quick, f"{found.bytes}-{found.sha256}")
-        return found
     except OSError as error:
         raise PreflightError(sentence_of_os_error(error, doing="pre-flight")) from None
+    problems = placement_problems(found, settings) if settings else ()
+    return replace(found, warnings=(*found.warnings, *(f"at the present work zero {words}" for words in problems)))
 
 
 def _computed(

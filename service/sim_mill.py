@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import IO
 
 from machines.simulated import (
+    KINDS,
     PRESETS,
     CutSegment,
     Fault,
@@ -36,7 +37,7 @@ def run_sim_mill(
     """Serve until Ctrl-C (or `stop`). Bad values raise ValueError with one line for the user.
 
     listen : "pty" (default) or "tcp:HOST:PORT"; record: a CSV of the path cut, a line per executed block
-    faults : "kind@line=N[:seconds]", "kind@byte=N", "kind@t=S", or "random:COUNT" (by seed)
+    faults : "kind@line=N[:seconds]", "kind@byte=N", "kind@t=S", "kind" alone (somewhere, by seed) or "random:COUNT"
     """
     if firmware not in PRESETS:
         raise ValueError(f"firmware = '{firmware}' is not known: {', '.join(PRESETS)}")
@@ -70,6 +71,8 @@ def _faults(texts: tuple[str, ...], seed: int) -> Faults:
             if not count.isdigit():
                 raise ValueError(f"fault '{text}' is not understood: write random:COUNT")
             plan += Faults.by_seed(seed, count=int(count)).plan
+        elif text in KINDS:
+            plan += Faults.by_seed(seed, kinds=(text,)).plan
         else:
             plan.append(parse_fault(text))
     return Faults(plan)

@@ -39,6 +39,7 @@ from service.stream_signals import watched_signals
 from service.stream_words import left_words, mill_lines, program_lines, recover_command
 
 _CONNECT_S = 15.0
+_POSITION_S = 2.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,6 +164,9 @@ def _connected(thread: MillThread, url: str) -> MillSnapshot:
         if time.monotonic() > give_up_s:
             raise NotAControllerError(url, "no controller answers; check power, cable and baud")
         snapshot = thread.wait_for_change(snapshot.version, 0.5)
+    give_up_s = time.monotonic() + _POSITION_S
+    while snapshot.status.work_mm is None and time.monotonic() < give_up_s:  # some links never tell
+        snapshot = thread.wait_for_change(snapshot.version, 0.2)
     return snapshot
 
 
@@ -198,6 +202,8 @@ def _run(thread: MillThread, order: StreamOrder, facts: Preflight, run_id: str, 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
     """The last words, and the exit code by way of an error."""
     status, again = outcome.snapshot.status, order.next_command
+    if outcome.words:
+        raise FailedError(outcome.words, left_words(status), f"to go on: {again}")
     match outcome.ended:
         case Ended.FINISHED:
             print(f"finished: {facts.lines:,} lines of {order.program.name}")

@@ -31,6 +31,7 @@ _LOOK_S = 0.25
 _ABORT_WAIT_S = 20.0
 _REST_S = 5.0
 _ASK_EVERY_S = 2.0
+_REPORTED_S = 5.0
 _STEP_PERCENT = 10
 
 
@@ -54,6 +55,7 @@ class Outcome:
     ended: Ended
     snapshot: MillSnapshot
     by_signal: bool
+    words: str = ""  # why this end was chosen here, where the mill does not say it
 
 
 class Follower:
@@ -72,6 +74,8 @@ class Follower:
         self._abort_by_s: float | None = None
         self._fault_s: float | None = None
         self._asked_s = time.monotonic()
+        self._words = ""
+        self._feed_asked = (float("-inf"), 100)
 
     def follow(self, signals: Signals) -> Outcome:
         while True:
@@ -79,7 +83,8 @@ class Follower:
             ended = self._ended(snapshot)
             self._screen.show(self._view(snapshot))
             if ended is not None:
-                return Outcome(ended, snapshot, self._by_signal)
+                return Outcome(ended, snapshot, self._by_signal, self._words)
+            self._end_if_nobody_can_resume(snapshot)
             sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
             ready, _, _ = select.select(sources, [], [], _LOOK_S)
             for number in signals.came() if signals.descriptor in ready else ():
@@ -100,6 +105,16 @@ class Follower:
             self._screen.say(str(error))
             return False
         return True
+
+    def _end_if_nobody_can_resume(self, snapshot: MillSnapshot) -> None:
+        """Held for want of a journal and without a person at the keys: abort from hold, and say why."""
+        run = snapshot.run
+        if self._keyboard is not None or self._abort_by_s is not None or run is None or run.state is not RunState.HELD:
+            return
+        failures = [entry.words for entry in snapshot.events if entry.kind == "journal"]
+        if failures:
+            self._words = failures[-1]
+            self._do(Wish.ABORT)
 
     def _ended(self, snapshot: MillSnapshot) -> Ended | None:
         run = snapshot.run
@@ -166,13 +181,18 @@ class Follower:
 
     def _leave(self) -> Ended | None:
         """Leave the mill held; while it still moves that is not on offer."""
-        if self._thread.snapshot.status.state in (MillState.RUN, MillState.HOLDING):
+        run = self._thread.snapshot.run
+        if run is None or run.state is not RunState.HELD:
             self._screen.say("the mill does not stand yet; press l again when it does")
             return None
         return Ended.LEFT
 
     def _override(self, change: int) -> None:
-        percent = min(200, max(10, self._thread.snapshot.status.overrides[0] + change))
+        """Keys may come faster than the mill reports what the last one did."""
+        now, asked = time.monotonic(), self._feed_asked
+        base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
+        percent = min(200, max(10, base + change))
+        self._feed_asked = (now, percent)
         self._tell(lambda mill: mill.command(Override("feed", percent)))
 
     def _tell(self, order: Callable[[Mill], object]) -> None:

@@ -155,14 +155,18 @@ def _straight(n, start, end, cut, feed, line, state, place, totals, events, boun
             if value == value and value != place[d]:
                 place[d] = value
                 jumps = True
-        elif value == value and value != start[d]:
-            moved = True
-            length2 += (value - start[d]) * (value - start[d])
+        else:
+            if start[d] != place[d]:  # the frame has moved
+                place[d] = start[d]
+                jumps = True
+            if value == value and value != start[d]:
+                moved = True
+                length2 += (value - start[d]) * (value - start[d])
         if value < row[d]:
             row[d] = value
         if value > row[3 + d]:
             row[3 + d] = value
-    if jumps:  # from a place nobody knows: takes no time here
+    if jumps:  # from a place nobody knows, or that has a new name: takes no time here
         n = _entry(n, place, False, 0.0, line, False, 0.0, totals[SENT_BYTES], moves)
     length = math.sqrt(length2)
     totals[PATH_MM] += length

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from machines.driver import Command, DriverFacts, Event, Faulted, FaultCause, MillStatus, ProgramLine, StreamProgress
+from machines.driver import Command, DriverFacts, Event, FaultCause, Faulted, MillStatus, ProgramLine, StreamProgress
 from machines.errors import MachineError, NotAControllerError, PortError
 from machines.grbl.session import GrblOptions, GrblSession
 from machines.grbl.settings import ControllerSettings

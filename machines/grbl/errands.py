@@ -23,8 +23,8 @@ PROBE_TAG, VERSION_TAG, PARSER_TAG, OFFSET_TAG = "PRB", "VER", "GC", "G54"
 class Ask:
     """Send this line and wait for its answer.
 
-    expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer: one
-             that comes earlier belongs to something sent before. "" takes any.
+    expect : tag of a push, or "$" for a setting, that must have come before an `ok` is taken for this line's answer:
+             one that comes earlier belongs to something sent before. "" takes any.
     """
 
     text: bytes
@@ -69,7 +69,7 @@ def identify(banner: str) -> Errand:
     heard: list[replies.Reply] = []
     version = Answer("not asked")
     for _ in range(3):
-        # A line half sent by someone before us is still in the controller's reader: '$' makes it an error, not a motion.
+        # A line half sent by someone before us may be in the controller's reader: '$' makes it an error, not a motion.
         version = yield Ask(b"$I", expect=VERSION_TAG)
         if not version.failure:
             break
@@ -121,7 +121,7 @@ def jog(command: Jog, settings: ControllerSettings) -> Errand:
 
 
 def probe(command: ProbeZ, settings: ControllerSettings) -> Errand:
-    """Down until contact; then the work zero is set so that the *contact point*, not the place after braking, has its Z."""
+    """Down until contact; then the zero is set so that the *contact point*, not the place after braking, has its Z."""
     modal = _asked((yield Ask(b"$G", expect=PARSER_TAG)))
     restore = _restoring(modal)
     seconds = 20.0 + 3.0 * command.depth_mm / command.feed_mm_per_min * 60.0

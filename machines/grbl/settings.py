@@ -175,7 +175,8 @@ def _offsets(pushes: Iterable[Push], unit_mm: float) -> dict[str, Triple]:
         except ValueError:
             continue
         if push.tag == "TLO":
-            offsets["TLO"] = (0.0, 0.0, numbers[0]) if len(numbers) == 1 else (numbers + [0.0, 0.0])[:3]  # type: ignore[assignment]
+            x, y, z = (0.0, 0.0, numbers[0]) if len(numbers) == 1 else (*numbers, 0.0, 0.0)[:3]
+            offsets["TLO"] = (x, y, z)
         elif len(numbers) >= 3:
             offsets[push.tag] = (numbers[0], numbers[1], numbers[2])
     return offsets

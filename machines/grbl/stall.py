@@ -61,7 +61,7 @@ def longest_wait_s(
 
 
 def homing_time_s(settings: ControllerSettings) -> float:
-    """Longest time $H may take: each axis searches 1.5 times its travel at $25, then slowly at $24 over the pull-off $27.
+    """Longest time $H may take: each axis searches 1.5 times its travel at $25, then at $24 over the pull-off $27.
 
     Without these settings: five minutes.
     """

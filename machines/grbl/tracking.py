@@ -19,8 +19,8 @@ Triple = tuple[float, float, float]
 # Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
 # (reference/machines.md, 1).
 LONG_BLOCKS_BEYOND_PLANNER = 2
-# Every segment belongs to one block and lasts at most 10 ms: of short blocks all 6 segments and the one being stepped may
-# hold a block of their own. "Short" leaves room for a feed override of 200 %.
+# Every segment belongs to one block and lasts at most 10 ms: of short blocks all 6 segments and the one being stepped
+# may hold a block of their own. "Short" leaves room for a feed override of 200 %.
 SHORT_BLOCKS_BEYOND_PLANNER = 7
 SHORT_S = 0.12
 SHORT_RAPID_MM = 20.0  # SHORT_S at 10 m/min

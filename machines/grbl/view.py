@@ -1,4 +1,4 @@
-"""What is known of the machine from its reports: state, positions in mm, overrides, and whether positions can be trusted."""
+"""What is known of the machine from its reports: positions in mm, overrides, and whether they can be trusted."""
 
 from __future__ import annotations
 

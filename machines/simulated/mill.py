@@ -266,7 +266,18 @@ class SimulatedMill:
     def replug(self) -> None:
         self.connected = True
 
+    @property
+    def physical_mm(self) -> tuple[float, float, float]:
+        """Where the tool really is, in the coordinates of the recording."""
+        at, shift = self.firmware.stepper.where(self.now_s), self.firmware.shift
+        return (at[0] + shift[0], at[1] + shift[1], at[2] + shift[2])
+
     # -- faults of the plan ----------------------------------------------------------------------------------------
+    def arm(self, faults: Faults) -> None:
+        """A new plan in place of the old one; its bytes, lines and replies are counted from now."""
+        self.faults = faults
+        self._wire = FaultWire(faults, self)
+
     def carry_out(self, fault: Fault, byte: int) -> None:
         """A fault at the mill itself, now."""
         fw = self.firmware

@@ -34,7 +34,7 @@ class StatusReport:
         else:
             fields = [state, f"WPos:{xyz(p - o for p, o in zip(at, offset, strict=True))}"]
         if settings & 2:
-            free = fw.traits.planner_blocks - len(fw.stepper.planner.blocks)
+            free = max(0, fw.traits.planner_blocks - len(fw.stepper.planner.blocks))
             fields.append(f"Bf:{free},{fw.rx_free()}")
         if fw.traits.line_numbers and (block := fw.stepper.executing()) is not None:
             fields.append(f"Ln:{block.line}")

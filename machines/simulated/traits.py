@@ -34,7 +34,7 @@ class Traits:
     damaged_eeprom         : the first start answers error:7 before its banner and restores defaults
     eeprom_write_s         : how long a `$x=` shuts the receiver; work offsets take three times that
     resets_on_open         : DTR pulse at opening restarts it, as an Arduino does
-    rapid_reports          : `?` is answered in an alarm that waits for a reset (1.1: no)
+    reports_when_critical  : `?` is answered in an alarm that waits for a reset (1.1: no)
     idle_with_blocks_at    : after this many executed blocks the stepper runs dry once and it stands Idle with blocks
     percent_allowed        : a line "%" is taken (grblHAL, FluidNC)
     power_up_machine_mm    : where the tool stands at power-up, in coordinates a homing cycle would find
@@ -114,8 +114,8 @@ FLUIDNC = replace(
     planner_blocks=15,
 )
 PRESETS: Mapping[str, Traits] = {
-    "grbl": GRBL_11,
-    "grbl-echo": GRBL_11_ECHO,
+    "grbl11": GRBL_11,
+    "grbl11-echo": GRBL_11_ECHO,
     "grblhal": GRBLHAL,
     "fluidnc": FLUIDNC,
 }

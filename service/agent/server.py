@@ -22,6 +22,7 @@ from machines.errors import PortError
 from machines.mill import Mill
 from machines.mill_thread import MillThread
 from machines.profiles import MachineProfile
+from machines.runs import RunState
 from service.agent.access import MillAccess
 from service.agent.agent import Agent
 from service.agent.app import make_app
@@ -34,6 +35,7 @@ from service.mill_link import Connector
 
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _MOVING = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
+_GOING = (RunState.RUNNING, RunState.RECOVERING, RunState.HOLDING, RunState.STOPPING)
 _STANDSTILL_S = 10.0
 _DRAIN_S = 2
 
@@ -163,7 +165,9 @@ async def _stand_still(access: MillAccess, again: asyncio.Event) -> None:
 
 
 def _moves(access: MillAccess) -> bool:
-    return access.snapshot.status.state in _MOVING
+    """By the last report, or by a run that was started since."""
+    run, state = access.snapshot.run, access.snapshot.status.state
+    return state in _MOVING or (run is not None and run.state in _GOING)
 
 
 def _announce(settings: AgentSettings, listener: socket.socket) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pty
 import socket
@@ -29,10 +30,8 @@ def terminal() -> Iterator[tuple[int, str]]:
     name = os.ttyname(near)
     os.close(near)
     yield far, name
-    try:
+    with contextlib.suppress(OSError):
         os.close(far)
-    except OSError:
-        pass
 
 
 def test_bytes_go_both_ways(terminal: tuple[int, str]) -> None:
@@ -137,33 +136,35 @@ class LittleController(threading.Thread):
 
     def run(self) -> None:
         line = b""
-        answers = {b"$I": b"[VER:1.1h.2019:]\r\n[OPT:V,15,128]\r\n", b"$$": b"$13=0\r\n", b"$#": b"[G54:0.000,0.000,0.000]\r\n",
-                   b"$G": b"[GC:G0 G54 G17 G21 G90]\r\n"}  # fmt: skip
-        while True:
-            try:
-                data = os.read(self.far, 256)
-            except OSError:
-                return
-            for byte in data:
-                if byte == ord("?"):
-                    os.write(self.far, b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>\r\n")
-                elif byte == ord("\n"):
-                    self.lines.append(line)
-                    os.write(self.far, answers.get(line, b"") + b"ok\r\n")
-                    line = b""
-                else:
-                    line += bytes([byte])
+        answers = {
+            b"$I": b"[VER:1.1h.2019:]\r\n[OPT:V,15,128]\r\n",
+            b"$$": b"$13=0\r\n",
+            b"$#": b"[G54:0.000,0.000,0.000]\r\n",
+            b"$G": b"[GC:G0 G54 G17 G21 G90]\r\n",
+        }
+        with contextlib.suppress(OSError):  # the test is over
+            while True:
+                for byte in os.read(self.far, 256):
+                    if byte == ord("?"):
+                        os.write(self.far, b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>\r\n")
+                    elif byte == ord("\n"):
+                        self.lines.append(line)
+                        os.write(self.far, answers.get(line, b"") + b"ok\r\n")
+                        line = b""
+                    else:
+                        line += bytes([byte])
 
 
 def test_the_driver_runs_over_a_real_terminal(terminal: tuple[int, str]) -> None:
     far, name = terminal
+    driver = GrblDriver(open_port(name, LINK))  # first: a terminal that nobody has open reads as gone
     controller = LittleController(far)
     controller.start()
-    driver = GrblDriver(open_port(name, LINK))
     driver.connect()
     until = time.monotonic() + 30.0
     while driver.status.state is not MillState.IDLE and time.monotonic() < until:
         driver.poll(0.1)
+    assert driver.status.state is MillState.IDLE, (driver.failure, controller.lines)
     lines = [ProgramLine(k, k * 10, b"G4P0.%03d" % k) for k in range(1, 301)]
     driver.start(iter(lines))
     events = []

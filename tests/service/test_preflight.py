@@ -23,6 +23,7 @@ GRBL = load_profile("grbl", [])
 PROGRAM = (
     b"G21 G90 G94 G17 G54\nG0 Z5\nG0 X10 Y20\nM3 S10000\nG4 P2\nG1 Z-1 F300\nX110\nG2 X90 Y0 I-20 J0 F600\n"
     b"G0 Z5\nM5\nM2\n"
+)
 
 
 @pytest.fixture
@@ -156,6 +157,9 @@ def test_the_placement_at_the_present_offsets(program: Path, cache: Path) -> Non
     high = replace(right, offsets={"G54": (-290.0, -290.0, -4.0), "TLO": (0.0, 0.0, 0.0)})
     (problem,) = placement_problems(facts, high)
     assert problem.startswith("Z would go from -5.000 to 1.000 mm in machine coordinates (G54)")
+    (warning,) = preflight(program, GRBL, settings=high, cache=cache).warnings
+    assert warning == f"at the present work zero {problem}"
+    assert preflight(program, GRBL, settings=right, cache=cache).warnings == ()
     far = replace(right, offsets={"G54": (-305.0, -290.0, -44.0), "G92": (-10.0, 0.0, 0.0), "TLO": (0.0, 0.0, 2.0)})
     (problem,) = placement_problems(facts, far)
     assert problem.startswith("X would go from -305.000")

@@ -105,6 +105,9 @@ def test_the_end_of_a_program_resets_modes_but_not_units() -> None:
         ("G1 X1 (open", "closed"),
         ("$H", "commands"),
         ("G1 X1 F-1", "above 0"),
+        ("G0 X1 F0", "above 0"),
+        ("G0X1F0", "above 0"),
+        ("G0X100001", "100 000 mm away"),
         ("\u00ef\u00bb\u00bfG21", "letter"),
     ],
 )
@@ -113,6 +116,12 @@ def test_refusals_say_what_to_do(block: str, words: str) -> None:
         last(block)
     assert caught.value.line == 0
     assert "\n" not in str(caught.value)
+
+
+def test_feeds_and_centres_are_read_in_the_units_in_force() -> None:
+    assert last("G20 F10", "G21 G1 X1")[0].feed_mm_per_min == pytest.approx(254)
+    assert last("G20 G2 X2 I1 F1")[0].length_mm == pytest.approx(25.4 * math.pi)
+    assert last("G20 G2 X2 R1 F1")[0].length_mm == pytest.approx(25.4 * math.pi)
 
 
 def test_a_motion_has_to_be_said_once() -> None:
@@ -191,6 +200,28 @@ def test_a_full_circle_passes_both_its_sides() -> None:
     assert step.distance_mm((5.0, 0.0, 0.0)) == pytest.approx(5)
 
 
+def test_beyond_an_arcs_ends_the_nearer_end_counts() -> None:
+    step, _ = last("G3 X-5 Y5 I-5 F100")  # a quarter about (-5, 0), from angle 0
+    assert [step.fraction(point) for point in [(0.0, -0.1, 0.0), (-5.1, 5.0, 0.0)]] == [0.0, 1.0]
+    assert step.distance_mm((0.0, -3.0, 0.0)) == pytest.approx(3)
+
+
 def test_unknown_axes_do_not_count_in_a_distance() -> None:
     step = Interpreter().take(b"G0 X5")
     assert step.distance_mm((700.0, 1.0, 2.0)) == 0
+
+
+@given(x=st.floats(-9, 9), y=st.floats(-9, 9), radius=st.floats(6.5, 40), long=st.booleans(), left=st.booleans())
+def test_an_arc_by_radius_turns_the_way_it_says(x: float, y: float, radius: float, long: bool, left: bool) -> None:
+    """Centre at distance R from both ends; R > 0 turns less than half, R < 0 more; G3 counter-clockwise."""
+    if math.hypot(x, y) < 0.1:
+        return
+    step, _ = last(f"{'G3' if left else 'G2'} X{x:.6f} Y{y:.6f} R{-radius if long else radius:.6f}")
+    arc = step.arc
+    assert arc is not None
+    assert math.hypot(arc.centre_u_mm, arc.centre_v_mm) == pytest.approx(radius, rel=1e-5)
+    assert math.hypot(arc.centre_u_mm - x, arc.centre_v_mm - y) == pytest.approx(radius, rel=1e-5)
+    assert (abs(arc.sweep_rad) > math.pi) == long
+    assert (arc.sweep_rad > 0) == left
+    angle = arc.angle_rad + arc.sweep_rad
+    assert arc.centre_u_mm + radius * math.cos(angle) == pytest.approx(x, abs=1e-4)

@@ -6,7 +6,7 @@ import tracemalloc
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from machines.errors import ProgramChangedError, ProgramRefusedError
@@ -26,6 +26,7 @@ def indexed(program: bytes, every_lines: int = 5, dialect: str = "grbl") -> Prog
     return ProgramIndex.from_dict(scan.index.to_dict())
 
 
+@settings(max_examples=300)
 @given(program=programs(wrong=False), every=st.integers(1, 9), start=st.integers(1, 18))
 def test_every_block_once_in_order_with_its_line_and_offset(
     tmp_path_factory: pytest.TempPathFactory, program: bytes, every: int, start: int
@@ -62,6 +63,15 @@ def test_the_state_before_a_line_is_that_of_running_up_to_it(
     for text in program.split(b"\n")[: line - 1]:
         interpreter.take(text)
     assert ProgramReader(path, index).state_before(line) == interpreter.state
+
+
+def test_offsets_count_what_is_left_out(tmp_path: Path) -> None:
+    program = b"G21 G90 (modes)\r\n\n; nothing\ng0 x1 y2 z3\r\nX2\nM2"
+    path = tmp_path / "p.nc"
+    path.write_bytes(program)
+    lines = list(ProgramReader(path, indexed(program)).lines())
+    assert [(line.number, line.text) for line in lines] == [(1, b"G21G90"), (4, b"G0X1Y2Z3"), (5, b"X2"), (6, b"M2")]
+    assert [line.offset for line in lines] == [0, program.index(b"g0"), program.index(b"X2"), program.index(b"M2")]
 
 
 def long_program(lines: int) -> bytes:

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.errors import CamError
@@ -21,7 +21,7 @@ from machines.gcode.modal import ModalState
 from machines.gcode.program import piece_digest
 from machines.gcode.scan import ProgramScan, ScanBatch
 from machines.gcode.step import Step
-from tests.machines.gcode.conftest import programs
+from tests.machines.gcode.conftest import WRONG_LINES, programs
 
 RATES = (5000.0, 5000.0, 1500.0)
 HEAD = b"G21 G90\nG0 Z5\nG0 X0 Y0\nM3 S1000\n"
@@ -54,6 +54,7 @@ def interpreted(program: bytes, dialect: str = "grbl") -> tuple[list[ModalState]
     return states, steps, 0, ""
 
 
+@settings(max_examples=400)
 @given(program=programs())
 def test_scanner_and_interpreter_agree_on_every_line(program: bytes) -> None:
     """Modal state and position before every line, which line is refused, how long the path is."""
@@ -74,6 +75,19 @@ def test_scanner_and_interpreter_agree_on_every_line(program: bytes) -> None:
         assert scan.totals[tally.PATH_MM] >= straight * (1 - 1e-9)
 
 
+@settings(max_examples=300)
+@given(
+    program=st.one_of(st.binary(max_size=120), st.text("GGGXYZFMIJRNP0123459.-+() ;%\n\n", max_size=80).map(str.encode))
+)
+def test_no_text_whatever_tells_them_apart(program: bytes) -> None:
+    """Neither breaks on anything, and both refuse the same line."""
+    states, _, bad_line, _ = interpreted(program)
+    scan, _, scanned_bad, _ = scanned([program], every_lines=1)
+    assert scanned_bad == bad_line
+    if not bad_line:
+        assert scan.state == states[-1]
+
+
 @given(program=programs(), cuts=st.lists(st.integers(0, 600), max_size=5))
 def test_where_the_chunks_are_cut_does_not_matter(program: bytes, cuts: list[int]) -> None:
     edges = [0, *sorted(min(cut, len(program)) for cut in cuts), len(program)]
@@ -87,6 +101,7 @@ def test_where_the_chunks_are_cut_does_not_matter(program: bytes, cuts: list[int
         assert whole.bytes == len(program)
 
 
+@settings(max_examples=300)
 @given(program=programs(wrong=False))
 def test_batches_tell_each_move_of_the_interpreter(program: bytes) -> None:
     """Straight moves between known places: same ends, same feed, same order; arcs end where the interpreter says."""
@@ -102,6 +117,8 @@ def test_batches_tell_each_move_of_the_interpreter(program: bytes) -> None:
             assert batch.is_rapid[k] == (step.kind == "rapid")
             if not batch.is_rapid[k]:
                 assert batch.feed_mm_per_min[k] == pytest.approx(step.feed_mm_per_min)
+            if step.kind != "arc" and None not in step.start_mm:
+                assert math.dist(batch.start_mm[k], batch.end_mm[k]) == pytest.approx(step.length_mm)
             if last_of_line:
                 for axis, value in enumerate(step.end_mm):
                     if value is not None and step.start_mm[axis] is not None:
@@ -192,6 +209,21 @@ def test_the_index_covers_the_file_in_pieces_whose_digests_hold() -> None:
     assert scan.lines == len(program.split(b"\n"))
 
 
+@pytest.mark.parametrize("line", WRONG_LINES)
+def test_each_wrong_line_is_refused_by_both_for_the_same_reason(line: str) -> None:
+    program = HEAD + b"G1 X1 F100\n" + line.encode() + b"\n"
+    _, _, bad, why = scanned([program])
+    assert (bad, why) == interpreted(program)[2:]
+    assert bad == 6
+
+
+def test_words_beside_a_straight_move_count_in_both() -> None:
+    program = HEAD + b"G1X1F100\nX2S500\nN9X3T4\n"
+    scan, _, bad, _ = scanned([program])
+    assert not bad and scan.state == interpreted(program)[0][-1]
+    assert (scan.state.spindle_rpm, scan.state.tool) == (500, 4)
+
+
 def test_a_refusal_names_line_text_and_way_out() -> None:
     with pytest.raises(ProgramRefusedError) as caught:
         list(ProgramScan("grbl", RATES).batches([HEAD + b"X1\n T1M6 \n"]))
@@ -210,3 +242,14 @@ def test_events_name_their_first_line() -> None:
     assert first[tally.SETTINGS_WRITTEN] == 7
     assert first[tally.FRAME_MOVED] == 7
     assert first[tally.OVER_RATE] == 9
+
+
+@given(points=st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=30))
+def test_bounds_are_those_of_the_points_however_little_they_grow(points: list[tuple[float, float]]) -> None:
+    lines = [f"G1X{x / 9:.4f}Z{z / 9:.4f}F9" for x, z in points]
+    scan, _, bad, why = scanned([b"G21G90\nG0X0Y0Z0\n" + "\n".join(lines).encode()])
+    assert not bad, why
+    for axis, values in ((0, [x for x, _ in points]), (2, [z for _, z in points])):
+        rounded = [0.0, *(round(v / 9, 4) for v in values)]
+        assert scan.bounds[0, axis] == pytest.approx(min(rounded), abs=1e-4)
+        assert scan.bounds[0, 3 + axis] == pytest.approx(max(rounded), abs=1e-4)

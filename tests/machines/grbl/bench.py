@@ -25,10 +25,10 @@ def numbered(blocks: list[bytes]) -> list[ProgramLine]:
     return lines
 
 
-def spiral(moves: int) -> tuple[list[ProgramLine], list[Triple]]:
+def spiral(moves: int, turn_rad: float = 0.03) -> tuple[list[ProgramLine], list[Triple]]:
     """A program whose points are all different, and those points."""
     points = [
-        (round(20 * math.sin(0.03 * k), 3), round(20 - 20 * math.cos(0.03 * k), 3), round(-0.001 * k, 3))
+        (round(20 * math.sin(turn_rad * k), 3), round(20 - 20 * math.cos(turn_rad * k), 3), round(-0.001 * k, 3))
         for k in range(1, moves + 1)
     ]
     blocks = [b"G21G90G94", b"G54", b"M3S10000", b"G0X0Y0Z2", b"G1Z0F600", b"F1500"]
@@ -109,6 +109,6 @@ class Bench:
         for segment in self.mill.recording.cuts():
             if segment.end[2] >= 0.0 or not segment.whole:
                 continue
-            assert math.dist(segment.end, points[reached]) < 0.01, (segment, points[reached])
+            assert math.dist(segment.end, points[reached]) < 0.006, (segment, points[reached])
             reached += 1
         return reached

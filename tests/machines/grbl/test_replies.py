@@ -50,7 +50,9 @@ def test_what_controllers_say(line: bytes, reply: object) -> None:
 
 
 def test_a_status_report_in_full() -> None:
-    report = parse(b"<Hold:1|MPos:1.000,-2.500,3.000|Bf:14,120|Ln:7|FS:500,8000|Pn:XP|WCO:0.000,1.000,0.000|Ov:100,50,90|A:SF>")
+    report = parse(
+        b"<Hold:1|MPos:1.000,-2.500,3.000|Bf:14,120|Ln:7|FS:500,8000|Pn:XP|WCO:0.000,1.000,0.000|Ov:100,50,90|A:SF>"
+    )
     assert isinstance(report, Status)
     assert (report.state, report.sub, report.machine, report.work) == ("Hold", 1, (1.0, -2.5, 3.0), None)
     assert (report.buffer, report.line, report.feed, report.spindle) == ((14, 120), 7, 500.0, 8000.0)
@@ -61,9 +63,10 @@ def test_a_status_report_in_full() -> None:
 @pytest.mark.parametrize(
     "line",
     [
-        b"o*", b"okok", b"ok\rok", b"Ok", b"ok ", b"error:", b"error:x", b"errr:2", b"ALARM:2\xff", b"<Idle>", b"<Idel|MPos:0,0,0>",
-        b"<Idle|MPos:0.0,0.0>", b"<Idle|MPos:0.0,0.0,nan>", b"<Idle|MPos:1e5,0,0>", b"<Idle|MPos:0,0,0", b"<Idle|MPos:0,0,0|MPos:0,0,0>",
-        b"<Run|FS:0,0>", b"<Idle:|MPos:0,0,0>", b"[MSG:Pgm End", b"[msg:x]", b"Grbl 1.1h ['$' for hel", b"\x00\x00",
+        b"o*", b"okok", b"ok\rok", b"Ok", b"ok ", b"error:", b"error:x", b"errr:2", b"ALARM:2\xff", b"<Idle>",
+        b"<Idel|MPos:0,0,0>", b"<Idle|MPos:0.0,0.0>", b"<Idle|MPos:0.0,0.0,nan>", b"<Idle|MPos:1e5,0,0>",
+        b"<Idle|MPos:0,0,0", b"<Idle|MPos:0,0,0|MPos:0,0,0>", b"<Run|FS:0,0>", b"<Idle:|MPos:0,0,0>", b"[MSG:Pgm End",
+        b"[msg:x]", b"Grbl 1.1h ['$' for hel", b"\x00\x00",
     ],
 )  # fmt: skip
 def test_a_damaged_line_is_garbled(line: bytes) -> None:

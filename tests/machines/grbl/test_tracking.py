@@ -14,7 +14,10 @@ START = b"G21G90G94G17G1X0Y0Z0F600"
 
 def tracker_of(*blocks: bytes, answered: int | None = None) -> Tracker:
     """Line 1 is a move to the origin, then `blocks`."""
-    tracker, interpreter = Tracker(planner_blocks=15, tolerance_mm=0.02), Interpreter(ModalState(position_mm=(0.0, 0.0, 0.0)))
+    tracker, interpreter = (
+        Tracker(planner_blocks=15, tolerance_mm=0.02),
+        Interpreter(ModalState(position_mm=(0.0, 0.0, 0.0))),
+    )
     for number, block in enumerate((START, *blocks), 1):
         tracker.sent(number, interpreter.take(block))
     for _ in range(len(blocks) + 1 if answered is None else answered):
@@ -69,7 +72,10 @@ def test_an_answered_wait_for_standstill_proves_everything_before_it() -> None:
     assert tracker_of(b"X10", b"M3S1000").executed_line == 3
 
 
-@given(st.integers(1, 120), st.sampled_from([(b"X%d.01", SHORT_BLOCKS_BEYOND_PLANNER), (b"X%d", LONG_BLOCKS_BEYOND_PLANNER)]))
+@given(
+    st.integers(1, 120),
+    st.sampled_from([(b"X%d.01", SHORT_BLOCKS_BEYOND_PLANNER), (b"X%d", LONG_BLOCKS_BEYOND_PLANNER)]),
+)
 def test_what_the_buffers_cannot_hold_is_executed(count: int, kind: tuple[bytes, int]) -> None:
     """Planner (15) and segment buffer: 2 more blocks where they are long, 7 where they last less than 0.12 s."""
     pattern, beyond = kind

@@ -74,7 +74,7 @@ def test_the_command_prints_where_to_connect_and_records_the_cut(tmp_path, capsy
     thread = threading.Thread(target=client)
     thread.start()
     run_sim_mill(
-        listen="pty", firmware="grbl", time_factor=20.0, link=link, record=record, faults=(), seed=1, stop=stop
+        listen="pty", firmware="grbl11", time_factor=20.0, link=link, record=record, faults=(), seed=1, stop=stop
     )
     thread.join()
     assert str(link) in capsys.readouterr().out
@@ -91,7 +91,7 @@ def test_the_command_prints_where_to_connect_and_records_the_cut(tmp_path, capsy
 )  # fmt: skip
 def test_bad_options_are_one_clear_line(change, word):
     options = {
-        "listen": None, "firmware": "grbl", "time_factor": 1.0, "link": None, "record": None, "faults": (), "seed": 0,
+        "listen": None, "firmware": "grbl11", "time_factor": 1.0, "link": None, "record": None, "faults": (), "seed": 0,
     }  # fmt: skip
     with pytest.raises(ValueError, match=word):
         run_sim_mill(**{**options, **change})

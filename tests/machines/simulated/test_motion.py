@@ -120,12 +120,41 @@ def test_a_hold_stops_on_the_path_within_its_braking_distance_and_resumes_to_the
     assert all(a.end == b.start for a, b in pairwise(segments))
 
 
+def test_a_hold_brakes_behind_what_the_segment_buffer_holds():
+    """40 to 50 ms at full speed, then v^2 / 2a: the figures of GRBL's segment buffer, not an instant stop."""
+    mill = SimulatedMill(FAST)
+    port = MemoryPort(mill, None)
+    mill.advance(1.0)
+    port.write(b"G1X200F4800\n")
+    mill.advance(2.0)
+    start = mill.firmware.stepper.where(mill.now_s)[0]
+    mill.press("hold")
+    mill.advance(4.0)
+    way = mill.firmware.stepper.x - start - 80.0**2 / (2 * ACCEL)
+    assert 0.04 * 80 - 1e-9 <= way <= 0.05 * 80 + 1e-9
+
+
+@given(moves=moves)
+def test_no_segment_is_longer_than_its_slot(moves):
+    """The segment buffer bounds how long a hold waits: no piece of it lasts more than 10 ms."""
+    mill = SimulatedMill(replace(FAST, rx_bytes=10_000))
+    port = MemoryPort(mill, None)
+    mill.advance(1.0)
+    port.write(b"".join(b"%sX%.4fY%.4fZ%.4fF%d\n" % (g.encode(), x, y, z, f) for g, x, y, z, f in moves))
+    for _ in range(50):
+        mill.advance(mill.now_s + 0.05)
+        assert all(took <= 0.01 + 1e-9 for _, _, _, took, _ in mill.firmware.stepper._queue)
+        assert len(mill.firmware.stepper._queue) <= 5
+
+
 def test_an_arc_is_cut_within_its_tolerance():
     mill = run(["G2X10Y0I5J0F1000", "G3X0Y0R5", "G17G2X0Y0I3F500"])
     points = np.array([s.end for s in mill.recording.segments])
     first = points[: next(i for i, p in enumerate(points) if tuple(p) == (10.0, 0.0, 0.0))]
     radius = np.hypot(first[:, 0] - 5, first[:, 1])
     assert radius == pytest.approx(5.0, abs=1e-9)
+    assert first[:, 1].max() == pytest.approx(5.0, abs=0.01)  # G2 goes over the top, clockwise
+    assert points[len(first) + 1 :, 1].max() == pytest.approx(5.0, abs=0.01)  # and G3 R back the same way
     chord = np.linalg.norm(np.diff(first, axis=0), axis=1).max()
     assert 5 - math.sqrt(25 - chord**2 / 4) <= 0.002 * 1.3
     assert tuple(points[-1]) == (0.0, 0.0, 0.0)

@@ -115,6 +115,46 @@ def test_a_dropped_line_end_merges_two_lines():
     assert len(answers) == 99 and answers.count(b"error:25") == 1
 
 
+@pytest.mark.parametrize(
+    ("fault", "sent", "answers"),
+    [
+        (Fault(kind="duplicate", byte=4), b"G4P0\n", [b"ok", b"ok"]),
+        (Fault(kind="duplicate", byte=0), b"G4P0\n", [b"error:2"]),
+        (Fault(kind="flip", byte=1, mask=0x04), b"G4P0\n", [b"error:36"]),
+        (Fault(kind="drop", byte=3), b"G4P0\n", [b"error:2"]),
+        (Fault(kind="lose-reply", line=1), b"G4P0\n", []),
+        (Fault(kind="mangle-reply", line=1, mask=0x01), b"G4P0\n", [b"nk"]),
+        (Fault(kind="drop-reply-byte", line=1), b"G4P0\n", [b"k"]),
+    ],
+)
+def test_what_a_byte_fault_does(fault, sent, answers):
+    mill, port = started(replace(GRBL_11, lines_per_s=None), Faults([fault]))
+    port.write(sent)
+    mill.advance(mill.now_s + 1.0)
+    assert mill.output().split() == answers
+
+
+def test_a_delayed_byte_comes_later_and_so_does_all_behind_it():
+    mill, port = started(faults=Faults([Fault(kind="delay", byte=2, length_s=0.5)]))
+    port.write(b"G4P0\n")
+    before = mill.now_s
+    assert port.read(2.0) == b"ok\r\n"
+    assert 0.5 < mill.now_s - before < 0.51
+
+
+def test_the_main_loop_waits_while_the_transmit_buffer_is_full():
+    mill, port = started()
+    port.write(b"$#\nG4P0\n")
+    start, came = mill.now_s, b""
+    while b"ok" not in came:
+        came += port.read(1.0)
+    assert mill.firmware.received == 2  # when the first ok has come, the second line is already under way
+    mill, port = started(replace(GRBL_11, tx_bytes=0))
+    port.write(b"$#\nG4P0\n")
+    mill.advance(start + len(came) * 10 / 115200)
+    assert mill.firmware.received == 1
+
+
 def trace(seed):
     recording = Recording()
     mill, port = started(faults=Faults.by_seed(seed, count=3, lines=(5, 150)), seed=seed, recording=recording)

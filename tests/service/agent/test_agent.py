@@ -72,7 +72,8 @@ def test_hold_resume_and_abort(agent: AgentProcess, mill: Bench, tmp_path: Path)
 
 def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
     agent.post("/v1/control/jog", 202, by_mm=[5, 0, 0], feed_mm_per_min=1000)
-    agent.until(lambda status: status["status"]["work_mm"] == [5.0, 0.0, 0.0] and status["status"]["state"] == "idle")
+    status = agent.until(lambda status: "Jog: done" in [event["words"] for event in status["events"]])
+    assert status["status"]["work_mm"] == [5.0, 0.0, 0.0]
     agent.post("/v1/control/zero", 202, axes="X")
     agent.until(lambda status: status["status"]["work_mm"] == [0.0, 0.0, 0.0])
     agent.post("/v1/control/override", 202, what="feed", percent=120)
@@ -124,6 +125,21 @@ def test_a_bad_program_is_refused_with_its_line(agent: AgentProcess, tmp_path: P
     path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
     problem = agent.post("/v1/runs", 422, program=agent.upload(path), name="bad")
     assert (problem["field"], "line 3" in problem["detail"]) == ("program", True)
+
+
+def test_a_program_that_changed_on_disk_since_preflight_is_not_started(
+    agent: AgentProcess, mill: Bench, tmp_path: Path
+) -> None:
+    """Same size, other content: the digest of the first piece is checked before its first line is sent."""
+    sha256 = agent.upload(program(tmp_path / "p.nc", 50))
+    run = agent.post("/v1/runs", 201, program=sha256, name="p")["id"]
+    stored = agent.folder / "programs" / f"{sha256}.nc"
+    stored.write_bytes(stored.read_bytes().replace(b"X7.000", b"X8.000"))
+    answer = agent.http.post(f"/v1/runs/{run}:start", json={"operator": "Ada", "checks": CHECKS})
+    assert answer.status_code in (202, 409, 422)
+    state = agent.until(lambda status: status["run"]["state"] in ("parked", "interrupted"))
+    assert "chang" in (answer.text + state["run"]["words"])
+    assert mill.cut == []
 
 
 def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentProcess, tmp_path: Path) -> None:

@@ -1,0 +1,343 @@
+"""What a session makes of each reply: the handshake's, the stream's, a command's, and of status reports."""
+
+from __future__ import annotations
+
+from machines.driver import (
+    CommandDone,
+    FaultCause,
+    Faulted,
+    Notice,
+    ProgramDone,
+    Restarted,
+    Stopped,
+)
+from machines.grbl import echo, overrides, replies
+from machines.grbl.codes import CRITICAL_ALARMS, POSITION_LOST_ALARMS, alarm_words, error_words
+from machines.grbl.errands import identify
+from machines.grbl.hail import Hail
+from machines.grbl.runner import ErrandRunner
+from machines.grbl.settings import ControllerSettings
+from machines.grbl.states import Phase, stands
+from machines.grbl.stopping import HOLD_AGAIN_S, SessionStopping
+from machines.grbl.streaming import Stream
+from machines.grbl.tracking import Place
+
+IDLE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its start
+
+
+class SessionHearing(SessionStopping):
+    """One line from the controller after the other."""
+
+    def _line(self, line: bytes, now_s: float) -> None:
+        reply = replies.parse(line)
+        if isinstance(reply, replies.Banner):
+            self._restarted(reply.text, now_s)
+        elif self.phase is Phase.HAILING:
+            self._hailed(reply, line, now_s)
+        elif isinstance(reply, replies.Status):
+            self._reported(reply, now_s)
+        elif isinstance(reply, replies.Ok):
+            self._answered(0, now_s)
+        elif isinstance(reply, replies.ErrorReply):
+            self._answered(reply.number, now_s)
+        elif isinstance(reply, replies.AlarmReply):
+            self._alarmed(reply.number, now_s)
+        elif isinstance(reply, replies.Echo):
+            self._echoed(reply.text, now_s)
+        elif isinstance(reply, replies.Message):
+            self._events.append(Notice(f"controller: {reply.text}"))
+        elif isinstance(reply, replies.Push | replies.Setting):
+            if self._errand is not None:
+                self._errand.heard(reply)
+        elif isinstance(reply, replies.Garbled):
+            self._garbled(reply.raw, now_s)
+
+    def _hailed(self, reply: replies.Reply, line: bytes, now_s: float) -> None:
+        """Before the handshake only a status report, an alarm or a banner means anything."""
+        self._hail.heard(reply, line)
+        if isinstance(reply, replies.Message):
+            self._events.append(Notice(f"controller: {reply.text}"))
+        elif isinstance(reply, replies.AlarmReply):
+            self.view.alarmed(reply.number)
+            if reply.number in CRITICAL_ALARMS:
+                self._events.append(Notice(alarm_words(reply.number)))
+        elif isinstance(reply, replies.Status):
+            self.view.take(reply, now_s)
+            self._hail.recognised = True
+            if self._abort_wanted:
+                self.abort(now_s)
+            elif self._hold_wanted and not stands(reply):
+                self._urgent[:0] = b"!"  # asked for while the link was away
+            elif reply.state in ("Idle", "Alarm", "Check"):
+                self._move(Phase.IDENTIFYING, now_s)
+                self._errand = ErrandRunner(identify(self._banner), None, self._write, now_s)
+
+    def _write(self, text: bytes) -> None:
+        self._text += text
+
+    def _answered(self, error: int, now_s: float) -> None:
+        if self._errand is not None:
+            if self._errand.answered(error, now_s):
+                self._after_errand(now_s)
+            return
+        stream = self._stream
+        if stream is None or self.phase is not Phase.STREAMING:
+            return  # answers to lines of a stream that is dead already
+        self._answer_at_s = now_s
+        self._idle_reports = 0
+        words = error_words(error) if error else "ok"
+        if not stream.window.used:
+            self._fault(FaultCause.REPLY_COUNT, f"{words} came although every line was answered already", 0, now_s)
+        elif self._echoes and not stream.echoed:
+            line = stream.first_line
+            self._fault(FaultCause.ECHO, f"line {line} was answered ({words}) without its echo", line, now_s)
+        elif error:
+            assert stream.first is not None
+            block = stream.first[0]
+            self._fault(
+                FaultCause.ERROR_REPLY,
+                f"line {block.number} '{shown(block.text)}' was refused: {words}",
+                block.number,
+                now_s,
+            )
+        else:
+            stream.answered()
+
+    def _echoed(self, text: bytes, now_s: float) -> None:
+        stream = self._stream
+        if stream is None or self.phase is not Phase.STREAMING:
+            self._echoes = True
+            return
+        first = stream.first
+        if first is None:
+            self._fault(FaultCause.ECHO, f"the controller has read '{shown(text)}', which was not sent", 0, now_s)
+        elif stream.echoed or echo.differs(first[0].text, text):
+            number = first[0].number
+            self._fault(
+                FaultCause.ECHO,
+                f"line {number} was sent as '{shown(first[0].text)}', but read as '{shown(text)}'",
+                number,
+                now_s,
+            )
+        else:
+            self._echoes = stream.echoed = True
+
+    def _alarmed(self, number: int, now_s: float) -> None:
+        self.view.alarmed(number)
+        words = alarm_words(number)
+        if self._errand is not None:
+            self._end_errand(words)
+            if self.phase is Phase.ERRAND:
+                self._move(Phase.READY, now_s)
+        if self.phase is Phase.STREAMING:
+            self._fault(FaultCause.ALARM, words, self._stream.first_line if self._stream else 0, now_s)
+        else:
+            self._events.append(Notice(words))
+        if number in CRITICAL_ALARMS and self.phase is not Phase.CLEARING:
+            # Stands already and hears nothing but a reset; what it holds must not survive.
+            self._clear(now_s)
+
+    def _garbled(self, raw: bytes, now_s: float) -> None:
+        if self.phase is Phase.STREAMING:
+            line = self._stream.first_line if self._stream else 0
+            self._fault(
+                FaultCause.GARBLED_REPLY,
+                f"'{shown(raw)}' is nothing a controller says: damaged on the way",
+                line,
+                now_s,
+            )
+        elif self.phase is not Phase.CLEARING:
+            self._events.append(Notice(f"not understood: '{shown(raw)}'"))
+
+    def _restarted(self, banner: str, now_s: float) -> None:
+        """A banner: a new epoch. Everything the controller held is gone."""
+        ours = self.phase is Phase.CLEARING
+        checked_off = not ours and now_s < self._banner_due_s
+        kept = (ours and self.view.alarm not in POSITION_LOST_ALARMS) or checked_off
+        self._banner_due_s = 0.0
+        was_streaming, line = self.phase is Phase.STREAMING, self._stream.first_line if self._stream else 0
+        known = self.controller
+        self.epoch += 1
+        self._banner, self.controller = banner, _name(banner)
+        self._urgent.clear()
+        self._text.clear()
+        self._echoes = False
+        self._hold_wanted = self._paused = self._abort_wanted = False
+        self._steer = None
+        self.view.new_epoch(position_kept=kept)
+        stopping = self.phase is Phase.STOPPING
+        self._end_errand("" if checked_off else "the controller restarted")
+        self._end_stream()
+        self._hail = Hail(recognised=bool(known))
+        self._hail.banner = True
+        self._move(Phase.HAILING, now_s)
+        if was_streaming:
+            words = f"the controller restarted by itself ('{banner}'): reset button, power or a reset line"
+            self._events.append(Faulted(FaultCause.RESET, words, line, now_s))
+        self._events.append(Restarted(banner))
+        if ours or stopping:
+            self._events.append(Stopped(position_kept=kept))
+
+    def _reported(self, report: replies.Status, now_s: float) -> None:
+        view = self.view
+        view.take(report, now_s)
+        if self._errand is not None:
+            self._errand.reported(idle=report.state in ("Idle", "Check"), machine_mm=view.machine_mm, now_s=now_s)
+            self._after_errand(now_s)
+        if self._steer is not None:
+            self._steer_override(report, now_s)
+        if report.state in ("Hold", "Door", "Sleep", "Tool"):
+            self._paused = self._hold_seen = True
+            self._answer_at_s = now_s  # waiting for a person is not a stall
+        elif report.state == "Run" and self._hold_wanted and self.phase is Phase.STREAMING:
+            self._running_on(now_s)
+        elif report.state in ("Run", "Idle") and self._paused and not self._hold_wanted:
+            self._paused = False
+        if self.phase is Phase.STREAMING:
+            self._follow(report, now_s)
+        elif self.phase is Phase.STOPPING:
+            self._settle(report, now_s)
+
+    def _running_on(self, now_s: float) -> None:
+        """The mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
+        if self._hold_seen:
+            self._hold_wanted = self._paused = False
+        elif now_s > self._hold_at_s + HOLD_AGAIN_S:
+            self._hold_again(now_s)
+
+    def _follow(self, report: replies.Status, now_s: float) -> None:
+        """Compare a report with the program under way."""
+        stream = self._stream
+        assert stream is not None
+        if report.state in ("Alarm", "Sleep") and not self.view.alarm:
+            words = f"the controller reports '{report.state}' in the middle of a program"
+            self._fault(FaultCause.ALARM, words, stream.first_line, now_s)
+            return
+        if report.state in ("Run", "Hold", "Idle"):
+            self._look(stream, now_s)
+            if self.phase is not Phase.STREAMING:
+                return
+        if report.state in ("Idle", "Check") and not stream.window.used:
+            self._idle_reports += 1
+            if self._idle_reports >= IDLE_REPORTS:
+                stream.tracker.all_executed()
+                if stream.drained:
+                    self._finish(stream, report, now_s)
+        else:
+            self._idle_reports = 0
+
+    def _look(self, stream: Stream, now_s: float) -> None:
+        position = self.view.work_mm
+        if position is None:
+            return
+        sight = stream.tracker.reported(position)
+        if sight.place is Place.ON_PATH:
+            self._corridor = True
+        elif sight.place is Place.OFF_PATH:
+            at = " ".join(f"{axis}{value:.3f}" for axis, value in zip("XYZ", position, strict=True))
+            self._fault(
+                FaultCause.OFF_PATH,
+                f"the mill reports {at}, {sight.distance_mm:.3f} mm from the nearest line that can be under way "
+                f"(line {sight.line}; allowed {self._tolerance_mm:.3f} mm): a byte was damaged or a step lost",
+                sight.line,
+                now_s,
+            )
+        elif sight.place is Place.UNANSWERED:
+            self._fault(
+                FaultCause.REPLY_COUNT,
+                f"the mill is on line {sight.line}, but line {stream.first_line} was never answered: a reply was lost",
+                stream.first_line,
+                now_s,
+            )
+
+    def _finish(self, stream: Stream, report: replies.Status, now_s: float) -> None:
+        """Everything is sent, answered and executed: where does the mill stand?"""
+        last, position = stream.tracker.last_move, self.view.work_mm
+        if (
+            report.state == "Idle"
+            and last is not None
+            and position is not None
+            and isinstance(self._end_of(last), tuple)
+        ):
+            end = self._end_of(last)
+            away = max((abs(p - e) for p, e in zip(position, end, strict=True) if e is not None), default=0.0)
+            if away > self._tolerance_mm:
+                self._fault(
+                    FaultCause.OFF_PATH,
+                    f"the program is done, but the mill stands {away:.3f} mm from its end",
+                    stream.answered_line,
+                    now_s,
+                )
+                return
+        self._end_stream()
+        self._move(Phase.READY, now_s)
+        self._events.append(ProgramDone())
+
+    @staticmethod
+    def _end_of(step: object) -> tuple[float | None, float | None, float | None]:
+        end: tuple[float | None, float | None, float | None] = getattr(step, "end_mm", (None, None, None))
+        return (None, None, None) if getattr(step, "probes", False) else end
+
+    def _after_errand(self, now_s: float) -> None:
+        errand = self._errand
+        if errand is None or not errand.ended:
+            return
+        self._errand = None
+        outcome = errand.outcome
+        if outcome is not None:
+            if outcome.settings is not None:
+                self.view.settings = outcome.settings
+                self._modes = outcome.settings.parser_state or self._modes
+            self.view.vouch(outcome.vouched)
+        if self.phase is Phase.IDENTIFYING:
+            self._identified(errand, now_s)
+            return
+        if self.phase is Phase.ERRAND:
+            self._move(Phase.READY, now_s)
+        if errand.command is not None:
+            answer = outcome.answer if outcome is not None else {}
+            self._events.append(CommandDone(errand.command, errand.failure, answer))
+
+    def _identified(self, errand: ErrandRunner, now_s: float) -> None:
+        if errand.failure:
+            words = f"something answers, but it is not a GRBL controller: {errand.failure}"
+            self._close(words, now_s, Faulted(FaultCause.DEVICE, words, 0, now_s))
+            return
+        self.view.identified = True
+        self._hold_wanted = False
+        self.controller = self.controller or f"Grbl {self.settings.version.partition('.')[0]}"
+        if self.settings.version:
+            self.controller = _controller_words(self._banner, self.settings)
+        self._move(Phase.READY, now_s)
+
+    def _steer_override(self, report: replies.Status, now_s: float) -> None:
+        assert self._steer is not None
+        command, until_s = self._steer
+        self._steer_reports += 1
+        if report.overrides is None and self._steer_reports < overrides.PATIENCE_REPORTS:
+            return
+        shown = overrides.reported(command.what, self.view.overrides)
+        steps = overrides.next_bytes(command.what, shown, command.percent)
+        if not steps and (report.overrides is not None or self.view.override_reports):
+            self._steer = None
+            self._events.append(CommandDone(command))
+        elif now_s > until_s:
+            self._steer = None
+            self._events.append(CommandDone(command, f"{command.what} override stays at {shown} %"))
+        elif self._steer_reports >= 2:
+            self._urgent += steps
+            self._steer_reports = 0
+
+
+def shown(text: bytes) -> str:
+    words = text.decode("ascii", "backslashreplace")
+    return words if len(words) <= 80 else words[:77] + "..."
+
+
+def _name(banner: str) -> str:
+    return banner.partition("[")[0].strip()
+
+
+def _controller_words(banner: str, settings: ControllerSettings) -> str:
+    name = {"grbl": "Grbl", "grblhal": "grblHAL", "fluidnc": "FluidNC"}[settings.firmware]
+    return f"{name} {settings.version.partition(':')[0]}".strip() if settings.version else _name(banner)

@@ -1,0 +1,89 @@
+"""Where a line sends the tool: offsets, units, distance modes, stored points; physical = machine until it is lost."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from machines.simulated import GRBL_11, MemoryPort, SimulatedMill
+
+
+def end_of(*lines: str, traits=GRBL_11) -> tuple[SimulatedMill, list[str]]:
+    """Machine after these lines, each waited for, and all answers."""
+    mill = SimulatedMill(replace(traits, eeprom_write_s=0.001))
+    port = MemoryPort(mill, None)
+    mill.advance(1.0)
+    mill.output()
+    words = b""
+    for line in lines:
+        port.write(line.encode() + b"\n")
+        mill.advance(mill.now_s + 200.0)
+        words += mill.output()
+    return mill, words.decode().split("\r\n")
+
+
+@pytest.mark.parametrize(
+    ("lines", "machine"),
+    [
+        (["G0X1Y2Z3"], (1, 2, 3)),
+        (["G0X1", "G91X2", "X3Y1"], (6, 1, 0)),
+        (["G20G0X1", "G21X1Y1"], (1, 1, 0)),
+        (["G10L2P1X10Y5", "G0X1Y1"], (11, 6, 0)),
+        (["G10L2P2X10", "G0X1", "G55X1"], (11, 0, 0)),
+        (["G0X4Z1", "G10L20P1X1Z0", "G0X0Z2"], (3, 0, 3)),
+        (["G0X4", "G92X1", "G0X0"], (3, 0, 0)),
+        (["G0X4", "G92X1", "G92.1", "G0X0"], (0, 0, 0)),
+        (["G43.1Z2", "G0Z1"], (0, 0, 3)),
+        (["G43.1Z2", "G49", "G0Z1"], (0, 0, 1)),
+        (["G10L2P1X10", "G53G0X1"], (1, 0, 0)),
+        (["G0X5Y6Z7", "G28.1", "G0X0Y0Z0", "G28"], (5, 6, 7)),
+        (["G0X5Y6Z7", "G28.1", "G0X0Y0Z0", "G91G28Z1"], (0, 0, 7)),
+        (["G93G1X10F6"], (10, 0, 0)),
+        (["N10 g1 x1.5 f100 (turn) y2"], (1.5, 2, 0)),
+        (["G2X0Y10I0J5F1000", "G18G3X0Z4R2"], (0, 10, 4)),
+        (["G38.3Z-9F200"], (0, 0, -5)),
+        (["$J=X4F1000", "$J=G91X-1F1000"], (3, 0, 0)),
+    ],
+)
+def test_target(lines, machine):
+    mill, words = end_of(*lines)
+    assert not any(w.startswith(("error", "ALARM")) for w in words), words
+    assert mill.firmware.stepper.where(mill.now_s) == pytest.approx(machine, abs=1e-9)
+
+
+def test_inverse_time_feed_takes_its_time():
+    mill, _ = end_of("G93G1X10F6")
+    assert mill.recording.segments[0].at_s - 1.0 == pytest.approx(10.0, rel=0.01)
+
+
+def test_a_jog_outside_the_travel_is_refused_and_nothing_moves():
+    _, words = end_of("$H", "$J=X5F1000", traits=replace(GRBL_11, homing=True).with_settings({20: 1}))
+    assert "error:15" in words
+
+
+def test_work_position_is_machine_position_less_the_offset():
+    mill, _ = end_of("$10=0", "G0X4", "G10L20P1X1", "G0Y2")
+    mill.receive(b"?")
+    mill.advance(mill.now_s + 1.0)
+    assert mill.output().startswith(b"<Idle|WPos:1.000,2.000,0.000|")
+    assert mill.firmware.interpreter.offset == (3.0, 0.0, 0.0)
+
+
+def test_program_end_resets_the_modes_that_it_resets():
+    _, words = end_of("G18G91G55M3S100", "M30", "$G")
+    assert "[MSG:Pgm End]" in words
+    assert "[GC:G1 G54 G17 G21 G90 G94 M5 M9 T0 F0 S100]" in words
+
+
+def test_reset_while_held_keeps_the_position():
+    mill, _ = end_of("G1X1F1000")
+    mill.receive(b"G1X50F1000\n")
+    mill.advance(mill.now_s + 1.0)
+    mill.press("hold")
+    mill.advance(mill.now_s + 1.0)
+    at = mill.firmware.physical()
+    mill.press("reset")
+    mill.advance(mill.now_s + 1.0)
+    assert mill.firmware.state == "Idle" and not mill.firmware.position_lost
+    assert mill.firmware.physical() == at and mill.recording.segments[-1].end == at

@@ -1,0 +1,58 @@
+"""Laws of the life of a run."""
+
+from __future__ import annotations
+
+import pytest
+
+from machines.errors import NotAllowedError
+from machines.runs import LIVE, RECOVER_CHECKS, START_CHECKS, TRANSITIONS, Confirmation, RunState, RunView, moved
+
+
+def test_every_state_is_in_the_table_and_reachable_from_parked() -> None:
+    assert set(TRANSITIONS) == set(RunState)
+    seen = {RunState.PARKED}
+    while more := {after for state in seen for after in TRANSITIONS[state]} - seen:
+        seen |= more
+    assert seen == set(RunState)
+
+
+def test_only_a_person_brings_a_run_to_life() -> None:
+    """The ways into a live state from outside are start (from parked) and recover (from interrupted, aborted)."""
+    ways = {(before, after) for before in RunState if before not in LIVE for after in TRANSITIONS[before] & LIVE}
+    assert ways == {
+        (RunState.PARKED, RunState.RUNNING),
+        (RunState.INTERRUPTED, RunState.RECOVERING),
+        (RunState.ABORTED, RunState.RECOVERING),
+    }
+
+
+def test_every_live_state_can_be_interrupted() -> None:
+    assert all(RunState.INTERRUPTED in TRANSITIONS[state] for state in LIVE)
+
+
+@pytest.mark.parametrize("before", RunState)
+@pytest.mark.parametrize("after", RunState)
+def test_moves_follow_the_table(before: RunState, after: RunState) -> None:
+    if after in TRANSITIONS[before]:
+        assert moved(before, after) is after
+    else:
+        with pytest.raises(NotAllowedError, match=f"{before.value}.*{after.value}"):
+            moved(before, after)
+
+
+@pytest.mark.parametrize("missing", sorted(RECOVER_CHECKS))
+def test_a_missing_check_is_named(missing: str) -> None:
+    with pytest.raises(NotAllowedError, match=f"confirmation of: {missing}$"):
+        Confirmation("ann", RECOVER_CHECKS - {missing}).demand(RECOVER_CHECKS, "recover")
+    Confirmation("ann", START_CHECKS).demand(START_CHECKS, "start")
+
+
+def test_nobody_confirms_nothing() -> None:
+    with pytest.raises(NotAllowedError, match="name"):
+        Confirmation("  ", START_CHECKS).demand(START_CHECKS, "start")
+
+
+def test_share_is_by_lines_and_one_at_the_end() -> None:
+    view = RunView(id="a", name="n", program="p", path="/p", state=RunState.RUNNING, lines=200, executed_line=50)
+    assert view.share == 0.25
+    assert view.as_dict()["state"] == "running"

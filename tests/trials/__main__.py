@@ -1,0 +1,30 @@
+"""`make soak`: the long trials of the streamer. Figures go to out/soak.md and out/soak.json; a broken law ends in exit 1.
+
+    python -m tests.trials [clean faults echo kills wire big latency estimate]
+
+Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable
+
+from tests.benchmarks.reporting import run_sections
+from tests.benchmarks.timing import Figure
+from tests.trials import sections
+
+SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
+    "clean": sections.clean,
+    "faults": sections.faults,
+    "echo": sections.echo,
+    "kills": sections.kills,
+    "wire": sections.wire,
+    "big": sections.big,
+    "latency": sections.latency,
+    "estimate": sections.estimate,
+}
+
+if __name__ == "__main__":
+    broken = [figure for figure in run_sections("soak", SECTIONS, sys.argv[1:]) if figure.note.startswith("BROKEN")]
+    sys.exit(1 if broken else 0)
