@@ -4,8 +4,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
+MILL := out/demo-mill
 
-.PHONY: demo test lint bench format lock clean
+.PHONY: demo test lint bench soak format lock clean
 
 # The locked environment, made anew whenever a lock or the project file changes.
 $(READY): requirements-dev.lock pyproject.toml
@@ -15,8 +16,14 @@ $(READY): requirements-dev.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
+# One picture through everything, and the first program streamed to a simulated mill that runs $(SPEEDUP) times as fast as a real one.
+SPEEDUP ?= 2000
 demo: $(READY)
 	$(BIN)/causticmill make $(PICTURE) --output out/demo --force
+	@$(BIN)/causticmill sim-mill --pty --link $(MILL) --time-factor $(SPEEDUP) & \
+	mill=$$!; trap 'kill $$mill' EXIT; \
+	until [ -e $(MILL) ]; do kill -0 $$mill || exit 1; sleep 0.1; done; \
+	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $(MILL) --yes
 
 test: $(READY)
 	$(BIN)/python -m pytest
@@ -38,6 +45,10 @@ bench: $(READY)
 lock:
 	uv pip compile pyproject.toml --generate-hashes --no-header --universal --python-version 3.11 -o requirements.lock
 	uv pip compile pyproject.toml --extra dev --generate-hashes --no-header --universal --python-version 3.11 -o requirements-dev.lock
+
+# Long trials of the streamer against the simulated mill (an hour and more): out/soak.json and out/soak.md.
+soak: $(READY)
+	$(BIN)/python -m tests.trials
 
 clean:
 	rm -rf $(VENV) out build *.egg-info

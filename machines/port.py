@@ -25,7 +25,7 @@ from machines.profiles import LinkSettings
 BY_ID = Path("/dev/serial/by-id")
 READ_BYTES = 4096
 _SLICE_S = 0.02  # how often a line that cannot be selected is looked at
-_GATHER_S = 0.003  # of the 11 ms of wire that a full receive buffer covers
+_GATHER_S = 0.005  # of the 11 ms of wire that a full receive buffer covers
 
 
 class Port(Protocol):
@@ -90,14 +90,14 @@ def open_port(url: str, link: LinkSettings) -> Port:
     return SerialPort(name, line, wire, gather_s=_GATHER_S if link.driver == "grbl" else 0.0)
 
 
-def _descriptor(line: Any) -> int | None:
-    """The file behind a line, to wait on; None where there is none (loop://, rfc2217://, Windows)."""
+def _descriptor(line: Any) -> int:
+    """The file behind a line, to wait on; -1 where there is none (loop://, rfc2217://, Windows)."""
     if os.name != "posix":
-        return None
+        return -1
     try:
         return int(line.fileno())
     except (AttributeError, OSError, ValueError, serial.SerialException):
-        return None
+        return -1
 
 
 def _steady(line: Any) -> None:
@@ -168,9 +168,9 @@ class SerialPort:
         self._gather_s = gather_s
         self._woken = threading.Event()  # where the line is no file that can be selected
         self._file = _descriptor(line)
-        self._bell, self._cord = os.pipe() if self._file is not None else (-1, -1)
+        self._bell, self._cord = os.pipe() if self._file >= 0 else (-1, -1)
         self._ringing = threading.Lock()  # nobody rings a descriptor that is closed and perhaps another file's by now
-        if self._file is not None:
+        if self._file >= 0:
             os.set_blocking(self._cord, False)
 
     def clock(self) -> float:
@@ -179,13 +179,12 @@ class SerialPort:
     def read(self, timeout_s: float) -> bytes:
         """Whatever has come; waits at most `timeout_s` for the first byte."""
         try:
-            return self._selected(timeout_s) if self._file is not None else self._in_slices(timeout_s)
+            return self._selected(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             # pyserial raises TypeError from a port that was closed under it
             raise self._gone(error) from error
 
     def _selected(self, timeout_s: float) -> bytes:
-        ready: list[int | None]
         ready, _, _ = select.select([self._file, self._bell], [], [], max(timeout_s, 0.0))
         if self._bell in ready:
             os.read(self._bell, 64)

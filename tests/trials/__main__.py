@@ -1,4 +1,4 @@
-"""`make soak`: the long trials of the streamer. Figures go to out/soak.md and out/soak.json; a broken law ends in exit 1.
+"""`make soak`: the long trials of the streamer, as figures in out/soak.md and out/soak.json; a broken law is exit 1.
 
     python -m tests.trials [clean faults echo kills wire big latency estimate]
 

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import tempfile
-from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
-from machines.driver import Home, Jog, MillState, SetZero, Unlock
+from machines.driver import Home, Jog, MillState, SetZero
 from machines.errors import MachineError, NotAllowedError
 from machines.gcode.preflight import Preflight
 from machines.grbl.driver import GrblDriver
@@ -18,8 +16,7 @@ from machines.journal import Journal
 from machines.mill import Mill
 from machines.profiles import load_profile
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
-from machines.simulated import GRBL_11, GRBL_11_ECHO, Fault, Faults, MemoryPort, SimulatedMill, Traits
-from machines.simulated.faults import KINDS
+from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits
 from service.preflight import preflight
 from tests.trials.judge import Verdict, judge
 

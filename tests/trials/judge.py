@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
@@ -54,7 +55,7 @@ def judge(path: Sequence[Triple], cuts: Iterable[CutSegment], *, back: int = 60)
             covered[number] = max(covered[number], end)
         verdict.longest_recut = max(verdict.longest_recut, reached - number)
         at, reached = number, max(reached, number)
-    lengths = [math.dist(a, b) for a, b in zip(path, path[1:], strict=False)]
+    lengths = [math.dist(a, b) for a, b in itertools.pairwise(path)]
     verdict.skipped = [k for k, share in enumerate(covered) if (1 - share) * lengths[k] > TOLERANCE_MM]
     verdict.recut = sum(1 for k, share in enumerate(times) if (share - 1) * lengths[k] > TOLERANCE_MM)
     return verdict

@@ -48,7 +48,12 @@ def write_program(path: Path, cuts: int, *, line_bytes: int = 20) -> Path:
 
 
 def watch_stream(
-    program: Path, state: Path, *, seconds: float, every_s: float = 1.0, enough: Callable[[list[Sample]], bool] | None = None
+    program: Path,
+    state: Path,
+    *,
+    seconds: float,
+    every_s: float = 1.0,
+    enough: Callable[[list[Sample]], bool] | None = None,
 ) -> tuple[list[Sample], float]:
     """Run `causticmill stream` for so long; samples, and seconds from its start to the first motion."""
     mill = SimulatedMill(FAST)

@@ -12,7 +12,7 @@ _STEP_UM = 50
 
 
 def point_um(k: int) -> tuple[int, int, int]:
-    """End of the k-th cut (from 0) in micrometres: a raster over shallow waves of z, never twice at one place in a row."""
+    """End of the k-th cut (from 0) in micrometres: a raster over shallow waves of z."""
     row, column = divmod(k, _ROW)
     x = (column if row % 2 == 0 else _ROW - 1 - column) * _STEP_UM
     z = -1000 - (k * 7919 % 41)

@@ -42,12 +42,19 @@ def clean() -> Iterator[Figure]:
         wrong |= {key: result[key] for key in ("ended", "worst_in_flight_bytes")}
     yield Figure("clean soak: lines cut", result["cut"], "lines", _law(wrong, "0 lost, 0 doubled, 0 foreign"))
     yield Figure("clean soak: most bytes in flight", result["worst_in_flight_bytes"], "bytes", "of 128")
-    yield Figure("clean soak: share of the 115200 wire", 100 * result["wire_share"], "%", f"{result['simulated_s']} simulated s")
-    yield Figure("clean soak: CPU per line, streamer and mill", result["cpu_us_per_line_both_sides"], "us", f"{result['wall_s']} s wall")
+    yield Figure(
+        "clean soak: share of the 115200 wire", 100 * result["wire_share"], "%", f"{result['simulated_s']} simulated s"
+    )
+    yield Figure(
+        "clean soak: CPU per line, streamer and mill",
+        result["cpu_us_per_line_both_sides"],
+        "us",
+        f"{result['wall_s']} s wall",
+    )
 
 
 def faults() -> Iterator[Figure]:
-    """Every visible kind at a hundred places; then single damaged bytes without echo, as far as the protocol shows them."""
+    """Every visible kind at a hundred places; then single damaged bytes, as far as a plain protocol shows them."""
     for kind in VISIBLE:
         yield from _kind(kind, silent_allowed=False)
     for kind in fault_matrix.SILENT_KINDS:
@@ -76,7 +83,9 @@ def _kind(
     words = f"0 skipped, 0 foreign; seen as: {dict(causes) or 'nothing, and nothing was wrong'}"
     if silent_allowed:
         words = f"{len(silent)} silent, as the protocol cannot show them; seen as: {dict(causes)}"
-    yield Figure(f"{label}: most segments cut twice", max(t.verdict.recut for t in trials), "of 17", _law(broken, words))
+    yield Figure(
+        f"{label}: most segments cut twice", max(t.verdict.recut for t in trials), "of 17", _law(broken, words)
+    )
 
 
 def kills() -> Iterator[Figure]:
@@ -90,15 +99,24 @@ def kills() -> Iterator[Figure]:
 
 
 def wire() -> Iterator[Figure]:
-    """Lines of 20 bytes at 115200: simulated time, then real time over a pty with the processor time of the streamer."""
-    yield Figure("share of the wire, simulated time", 100 * soak(200_000, line_bytes=20)["wire_share"], "%", "20-byte lines")
+    """Lines of 20 bytes at 115200: in simulated time, then in real time over a pty with the streamer's processor time."""
+    yield Figure(
+        "share of the wire, simulated time", 100 * soak(200_000, line_bytes=20)["wire_share"], "%", "20-byte lines"
+    )
     with tempfile.TemporaryDirectory() as folder:
         program = live.write_program(Path(folder) / "wire.nc", 60_000)
         samples, _ = live.watch_stream(program, Path(folder), seconds=90.0, enough=lambda s: s[-1].lines > 30_000)
     begin = next(sample for sample in samples if sample.lines > 1000)
     took_s, lines = samples[-1].at_s - begin.at_s, samples[-1].lines - begin.lines
-    yield Figure("share of the wire, real time over a pty", 100 * lines * 20 / took_s / WIRE_BYTES_PER_S, "%", f"{lines / took_s:.0f} lines/s")
-    yield Figure("processor share of the streaming process", 100 * (samples[-1].cpu_s - begin.cpu_s) / took_s, "% of a core")
+    yield Figure(
+        "share of the wire, real time over a pty",
+        100 * lines * 20 / took_s / WIRE_BYTES_PER_S,
+        "%",
+        f"{lines / took_s:.0f} lines/s",
+    )
+    yield Figure(
+        "processor share of the streaming process", 100 * (samples[-1].cpu_s - begin.cpu_s) / took_s, "% of a core"
+    )
 
 
 def big() -> Iterator[Figure]:
@@ -134,4 +152,9 @@ def estimate() -> Iterator[Figure]:
     """Pre-flight's time against the simulated mill's."""
     for name, estimated_s, took_s in estimates.compared(10.0):
         error = 100 * (estimated_s / took_s - 1)
-        yield Figure(f"estimate of {name}", error, "%", _law(abs(error) > 3 and f"{error:.1f} %", f"{estimated_s:.1f} s for {took_s:.1f} s"))
+        yield Figure(
+            f"estimate of {name}",
+            error,
+            "%",
+            _law(abs(error) > 3 and f"{error:.1f} %", f"{estimated_s:.1f} s for {took_s:.1f} s"),
+        )

@@ -12,7 +12,9 @@ from machines.simulated import GRBL_11, CutSegment, MemoryPort, Recording, Simul
 from tests.trials import programs
 
 # Fast enough that the wire, not the motion, sets the pace.
-_FAST = replace(GRBL_11.with_settings({110: 30000, 111: 30000, 112: 30000, 120: 20000, 121: 20000, 122: 20000}), lines_per_s=4000.0)
+_FAST = replace(
+    GRBL_11.with_settings({110: 30000, 111: 30000, 112: 30000, 120: 20000, 121: 20000, 122: 20000}), lines_per_s=4000.0
+)
 
 
 class CutCounter:
@@ -25,7 +27,7 @@ class CutCounter:
         self.foreign = 0
 
     def __call__(self, cut: CutSegment) -> None:
-        if cut.rapid or cut.kind != "program" or self._at(cut, (0, 0, -1500)) and self.next == 0:
+        if cut.rapid or cut.kind != "program" or (self._at(cut, (0, 0, -1500)) and self.next == 0):
             return
         if self._at(cut, programs.point_um(self.next)):
             self.next += 1
@@ -45,7 +47,9 @@ class CutCounter:
         return all(abs(cut.end[d] * 1000 - point[d]) < 0.6 for d in range(3))
 
 
-def soak(count: int, *, line_bytes: int | None = None, report_every: int = 500_000, budget_s: float = 3600.0) -> dict[str, Any]:
+def soak(
+    count: int, *, line_bytes: int | None = None, report_every: int = 500_000, budget_s: float = 3600.0
+) -> dict[str, Any]:
     """Stream `count` cuts in simulated time; the figures as a dict. Ends early, saying so, when `budget_s` is over."""
     counter = CutCounter()
     mill = SimulatedMill(_FAST, recording=Recording(counter, keep=False))
@@ -77,7 +81,10 @@ def soak(count: int, *, line_bytes: int | None = None, report_every: int = 500_0
         worst_in_flight = max(worst_in_flight, driver.progress.bytes_in_flight)
         if counter.next - shown >= report_every:
             shown = counter.next
-            print(f"  {shown} lines, {time.monotonic() - began_s:.0f} s, lost {counter.lost}, doubled {counter.doubled}", flush=True)
+            print(
+                f"  {shown} lines, {time.monotonic() - began_s:.0f} s, lost {counter.lost}, doubled {counter.doubled}",
+                flush=True,
+            )
     wall_s, cpu_s, simulated_s = time.monotonic() - began_s, time.process_time() - began_cpu_s, mill.now_s - start_s
     return {
         "ended": state,
