@@ -64,11 +64,10 @@ def _roland_serial(profile: MachineProfile, url: str) -> Driver:
             f"machine '{profile.name}': link.flow = '{profile.link.flow}': allowed with the Roland serial driver: "
             "'rtscts' (the mill stops the sender by its handshake line)"
         )
-    port = open_port(url, profile.link)
-    if not callable(getattr(port, "unsent_bytes", None)):
-        port.close()
+    if "://" in url and not url.startswith("loop://"):
         raise NotAllowedError(
-            f"port {url} cannot tell what it still holds: a busy mill would look like a lost one; "
-            "allowed: a serial port of this computer"
+            f"port {url} cannot tell what it still holds: a busy mill would look like a lost one and a hold would come "
+            "late; allowed: a serial port of this computer"
         )
+    port = open_port(url, profile.link)
     return RolandSerialDriver(port, profile.link, dialect=profile.dialect, planner_blocks=profile.planner_blocks)

@@ -23,6 +23,8 @@ _AGAIN_S = 1.0
 def main() -> None:
     """What the installed command calls."""
     code = run(sys.argv[1:])
+    for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
+        signal.signal(kind, signal.SIG_DFL)
     if code == EXIT_INTERRUPTED:  # all is cleaned up, and the interpreter would wait for threads still computing
         sys.stdout.flush()
         os._exit(code)
@@ -31,16 +33,21 @@ def main() -> None:
 
 def run(arguments: Sequence[str]) -> int:
     """Run a command line and return its exit code; every error becomes one line on stderr."""
-    with _interrupts() as came:
+    with _interrupts() as signals:
+        code, error, interrupted = EXIT_FAILURE, None, False
         try:
-            code = _command(arguments)
-        except (Exception, KeyboardInterrupt) as error:
-            if not came and not isinstance(error, KeyboardInterrupt):
-                return _told(error)
-            code = EXIT_INTERRUPTED  # whatever an import or a library made of it
-        if code == EXIT_INTERRUPTED:  # typer catches Ctrl-C itself, too, and says nothing
-            return _fail("interrupted; nothing half-written is left", code)
-    return code
+            try:
+                code = _command(arguments)
+            except Exception as raised:
+                error = raised
+            signals.over = True
+        except KeyboardInterrupt:
+            interrupted = True
+        signals.over = True  # from here on nothing is raised: the last words are not cut short
+        if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.came):
+            # whatever an import or a library made of it; typer catches Ctrl-C itself, too, and says nothing
+            return _fail("interrupted; nothing half-written is left", EXIT_INTERRUPTED)
+        return code if error is None else _told(error)
 
 
 def _command(arguments: Sequence[str]) -> int:
@@ -74,31 +81,42 @@ def _fail(text: str, code: int) -> int:
     return code
 
 
-@contextlib.contextmanager
-def _interrupts() -> Iterator[list[int]]:
-    """SIGTERM ends a command as Ctrl-C does. Yields the list of what came.
+class _Signals:
+    """`came`: the numbers so far; `over`: the command has ended, and a signal changes nothing any more."""
 
-    More of either changes nothing, so that the cleaning is not cut short. An import or a callback may swallow the
+    def __init__(self) -> None:
+        self.came: list[int] = []
+        self.over = False
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[_Signals]:
+    """SIGTERM and a lost terminal end a command as Ctrl-C does. A signal that is ignored (nohup) stays so.
+
+    More of them change nothing, so that the cleaning is not cut short. An import or a callback may swallow the
     interrupt, so an alarm raises it again until the command has ended.
     """
-    came: list[int] = []
+    signals = _Signals()
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
-        came.append(number)
-        if len(came) == 1:
+        if signals.over:
+            return
+        signals.came.append(number)
+        if len(signals.came) == 1:
             sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would tell of it
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
-        if len(came) == 1 or number == signal.SIGALRM:
+        if len(signals.came) == 1 or number == signal.SIGALRM:
             raise KeyboardInterrupt
 
     told = sys.unraisablehook
+    kinds = [kind for kind in (*STOPPING_SIGNALS, signal.SIGHUP) if signal.getsignal(kind) is not signal.SIG_IGN]
     try:
-        before = {kind: signal.signal(kind, interrupt) for kind in STOPPING_SIGNALS}
+        before = {kind: signal.signal(kind, interrupt) for kind in kinds}
     except ValueError:  # not in the main thread
-        yield came
+        yield signals
         return
     try:
-        yield came
+        yield signals
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         sys.unraisablehook = told

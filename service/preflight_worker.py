@@ -132,7 +132,7 @@ def _read_rml(path: Path, limits: MillLimits) -> Preflight:
     return Preflight(
         sha256=digest.hexdigest(),
         bytes=facts.bytes,
-        lines=facts.lines,
+        lines=index.index.lines,
         blocks=index.blocks,
         dialect=limits.dialect,
         profile=limits.profile,

@@ -36,7 +36,7 @@ from service.stream_keys import single_keys
 from service.stream_recover import interrupted_run, ready_plan
 from service.stream_screen import LiveScreen, PlainScreen, Screen
 from service.stream_signals import watched_signals
-from service.stream_words import left_words, mill_lines, program_lines, recover_command
+from service.stream_words import left_words, mill_lines, print_lines, program_lines, recover_command, took_words
 
 _CONNECT_S = 15.0
 _POSITION_S = 2.0
@@ -76,8 +76,8 @@ def stream_program(order: StreamOrder) -> None:
     with _mill(order, folder) as (thread, connector):
         snapshot = _connected(thread, order.port_url)
         facts = _preflight(order, connector.settings)
-        _print(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
-        _print(program_lines(order.program, facts))
+        print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
+        print_lines(program_lines(order.program, facts))
         if order.recover:
             run_id, confirmation = _recovery(thread, order, facts)
         else:
@@ -119,7 +119,7 @@ def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Prefl
 def _dry_run(order: StreamOrder) -> None:
     """Let the controller itself read the program."""
     facts = _preflight(order, None)
-    _print(program_lines(order.program, facts))
+    print_lines(program_lines(order.program, facts))
     stage = "dry run ($C)"
     with contextlib.closing(Connector(order.profile, order.port_url)()) as driver, _reporter() as reporter:
         begun = time.monotonic()
@@ -206,7 +206,12 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
         raise FailedError(outcome.words, left_words(status), f"to go on: {again}")
     match outcome.ended:
         case Ended.FINISHED:
-            print(f"finished: {facts.lines:,} lines of {order.program.name}")
+            print_lines(
+                [
+                    f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(outcome.snapshot.run)}; "
+                    f"{left_words(status)}"
+                ]
+            )
             return
         case Ended.ABORTED:
             raise StoppedError(f"aborted; {left_words(status)}", f"to go on: {again}")
@@ -224,9 +229,3 @@ def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
         left_words(status),
         f"to go on: {again}",
     )
-
-
-def _print(lines: Iterator[str] | tuple[str, ...]) -> None:
-    for line in lines:
-        print(line)
-    sys.stdout.flush()

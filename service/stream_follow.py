@@ -75,6 +75,7 @@ class Follower:
         self._fault_s: float | None = None
         self._asked_s = time.monotonic()
         self._words = ""
+        self._protected: tuple[str, ...] = ()
         self._feed_asked = (float("-inf"), 100)
 
     def follow(self, signals: Signals) -> Outcome:
@@ -201,9 +202,15 @@ class Follower:
         except MachineError as error:
             self._screen.say(f"not done: {error}")
 
+    def _protections(self, snapshot: MillSnapshot) -> tuple[str, ...]:
+        """Those of this run; a link that is away for the moment tells none."""
+        self._protected = snapshot.protections or self._protected
+        return self._protected
+
     def _view(self, snapshot: MillSnapshot) -> StreamView:
         status, progress, run = snapshot.status, snapshot.progress, snapshot.run
         capacity = "?" if status.buffer_bytes is None else str(status.buffer_bytes)
+        over = run is not None and run.state in _FINAL
         spindle = "" if status.spindle_rpm is None else f"{status.spindle_rpm:.0f} rpm"
         return StreamView(
             state=status.state.value,
@@ -218,8 +225,8 @@ class Follower:
             feed_mm_per_min=status.feed_mm_per_min,
             spindle=spindle,
             overrides=status.overrides,
-            protections=snapshot.protections,
-            question=self._keys.question.value if self._keyboard is not None else "",
+            protections=self._protections(snapshot),
+            question=self._keys.question.value if self._keyboard is not None and not over else "",
         )
 
 

@@ -28,12 +28,12 @@ class Wish(Enum):
 
 
 class Question(Enum):
-    """What the keys answer at the moment; the text is what the screen shows."""
+    """What the keys answer at the moment; the text is what the screen shows, one row of 76 characters at most."""
 
-    NONE = "h hold   r resume   a abort   + - feed   q stop and ask   Ctrl-C hold, then ask"
-    STOP = "Held. r resume   a abort   l leave it held and quit   (Ctrl-C again: abort)"
+    NONE = "h hold   r resume   a abort   + - feed   q or Ctrl-C: hold, then ask"
+    STOP = "Hold: r resume   a abort   l leave it held and quit   Ctrl-C again: abort"
     ABORT = "Abort the run? It can be recovered later.  y yes   n no"
-    ABORTING = "Aborting: hold first, then reset from hold. Waiting for the mill to stand still."
+    ABORTING = "Aborting: hold, then reset once it stands. Ctrl-C: quit without waiting"
 
 
 class Keys:

@@ -17,6 +17,7 @@ from machines.mill_thread import MillThread
 from machines.recovery import Need, RecoveryPlan
 from machines.runs import RECOVERABLE, RunView
 from service.errors import FailedError, InputError
+from service.stream_words import print_lines
 
 _SOON_S = 10.0
 _HOMING_S = 300.0
@@ -47,11 +48,9 @@ def ready_plan(thread: MillThread, run: RunView, *, person: bool, vouched: bool)
         if need.code in done:
             raise FailedError(f"first: {need.words}")
         done.add(need.code)
-        print(f"first:      {need.words}", flush=True)
+        print_lines([f"first:      {need.words}"])
         plan = _met(thread, run, need, person=person, vouched=vouched)
-    for line in plan_lines(plan, run):
-        print(line)
-    sys.stdout.flush()
+    print_lines(plan_lines(plan, run))
     return plan
 
 

@@ -19,12 +19,20 @@ from rich.text import Text
 from service.errors import printable
 
 _PLAIN_EVERY_S = 5.0
-_STATE_COLOURS = {"run": "green", "idle": "cyan", "alarm": "bold red", "disconnected": "bold red", "held": "yellow"}
+_STATE_COLOURS = {
+    "run": "green",
+    "idle": "cyan",
+    "holding": "yellow",
+    "held": "yellow",
+    "door": "yellow",
+    "alarm": "bold red",
+    "disconnected": "bold red",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StreamView:
-    """All that a screen shows of a run. Positions in mm in the work frame; None = not known."""
+    """All that a screen shows of a run. Positions in mm in the work frame; None = not known, or of no interest."""
 
     state: str
     detail: str = ""
@@ -40,6 +48,16 @@ class StreamView:
     overrides: tuple[int, int, int] = (100, 100, 100)
     protections: tuple[str, ...] = ()
     question: str = ""
+
+    @property
+    def over(self) -> bool:
+        """Nothing more is to come of this run."""
+        return self.run_state in ("finished", "aborted", "interrupted")
+
+    @property
+    def shown_state(self) -> str:
+        """The mill's state; in a run, the moments in which its buffer is empty (a dwell, a short of lines) are run."""
+        return "run" if self.state == "idle" and self.run_state in ("running", "recovering") else self.state
 
     @property
     def share(self) -> float:
@@ -73,7 +91,7 @@ class PlainScreen:
     ) -> None: ...
 
     def show(self, view: StreamView) -> None:
-        now, state = self._clock(), (view.state, view.run_state)
+        now, state = self._clock(), (view.shown_state, view.run_state)
         if state == self._shown and now - self._shown_s < _PLAIN_EVERY_S:
             return
         self._shown, self._shown_s = state, now
@@ -106,37 +124,38 @@ class LiveScreen:
 
 
 def panel(program: str, view: StreamView) -> Panel:
-    """The whole display as one renderable."""
+    """The whole display as one renderable: always the same number of rows, so that nothing jumps."""
     table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim")
-    table.add_column()
-    state = Text(view.state.upper(), style=_STATE_COLOURS.get(view.state, "bold"))
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(no_wrap=True, overflow="ellipsis")
+    state = Text(view.shown_state.upper(), style=_STATE_COLOURS.get(view.shown_state, "bold"))
     table.add_row("mill", state.append(f"  {printable(view.detail)}" if view.detail else "", style="default"))
-    table.add_row("line", f"{view.line:,} of {view.total_lines:,}   cut for certain: {view.executed_line:,}")
-    table.add_row("time left", duration_words(view.time_left_s))
+    table.add_row("line", f"{view.line:,} of {view.total_lines:,} sent, {view.executed_line:,} cut for certain")
+    table.add_row("time left", "" if view.over else duration_words(view.time_left_s))
     table.add_row("position", position_words(view.position_mm))
     feed = "unknown" if view.feed_mm_per_min is None else f"{view.feed_mm_per_min:.0f} mm/min"
-    table.add_row("feed", f"{feed}   spindle {view.spindle or 'unknown'}   overrides {override_words(view.overrides)}")
+    table.add_row("feed", f"{feed}, spindle {view.spindle or 'unknown'}")
+    table.add_row("overrides", override_words(view.overrides))
     table.add_row("buffer", view.buffer or "unknown")
-    for number, words in enumerate(view.protections or ("none",)):
-        table.add_row("" if number else "protection", Text(printable(words)))
+    table.add_row("protection", Text(printable("; ".join(view.protections) or "none")))
     bar = Table.grid(expand=True)
     bar.add_column(ratio=1)
     bar.add_column(width=8, justify="right")
     bar.add_row(ProgressBar(total=1.0, completed=view.share), f"{100 * view.share:.1f} %")
-    body = Group(table, bar, Text(view.question, style="bold yellow"))
-    return Panel(body, title=printable(program), title_align="left")
+    keys = Text(view.question, style="bold yellow", no_wrap=True, overflow="ellipsis")
+    return Panel(Group(table, bar, keys), title=Text(printable(program)), title_align="left")
 
 
 def one_line(view: StreamView) -> str:
     """The same as one line of a log."""
     parts = [
-        f"{view.state}{f' ({view.detail})' if view.detail else ''}",
-        f"line {view.line}/{view.total_lines}",
+        f"{view.shown_state}{f' ({view.detail})' if view.detail else ''}",
+        f"line {view.line:,} of {view.total_lines:,}",
         f"cut {100 * view.share:.1f} %",
-        f"left {duration_words(view.time_left_s)}",
         position_words(view.position_mm),
     ]
+    if not view.over:
+        parts.insert(3, f"time left {duration_words(view.time_left_s)}")
     if view.feed_mm_per_min is not None:
         parts.append(f"F{view.feed_mm_per_min:.0f}")
     if view.buffer:

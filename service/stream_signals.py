@@ -33,7 +33,11 @@ class Signals:
 
 @contextlib.contextmanager
 def watched_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
-    """Take the signals over; the handlers from before are put back at the end. Main thread only."""
+    """Take the signals over; the handlers from before are put back at the end. Main thread only.
+
+    One that is ignored stays so: a run under `nohup` outlives its terminal.
+    """
+    kinds = [kind for kind in WATCHED if signal.getsignal(kind) is not signal.SIG_IGN]
     raw_in, raw_out = os.pipe()
     main_in, main_out = os.pipe()
     for descriptor in (raw_out, main_in, main_out):
@@ -47,7 +51,7 @@ def watched_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
 
     watcher = threading.Thread(target=watch, name="signals", daemon=True)
     watcher.start()
-    before = {kind: signal.signal(kind, lambda *_: None) for kind in WATCHED}
+    before = {kind: signal.signal(kind, lambda *_: None) for kind in kinds}
     wakeup = signal.set_wakeup_fd(raw_out, warn_on_full_buffer=False)
     try:
         yield Signals(main_in)

@@ -3,15 +3,43 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from machines.driver import DriverFacts, MillStatus
 from machines.gcode.preflight import Preflight
+from machines.runs import RunView
+from service.errors import printable
 from service.stream_screen import duration_words, position_words
 
 DEFAULT_MACHINE = "grbl"
 _AXES = "XYZ"
+_INDENT = 12
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print `name:   words`; on a terminal no word is cut at its edge."""
+    columns = shutil.get_terminal_size().columns if sys.stdout.isatty() else 0
+    for line in lines:
+        text = printable(line)
+        wrapped = (
+            textwrap.wrap(
+                text,
+                columns,
+                subsequent_indent=" " * _INDENT,
+                break_long_words=False,
+                break_on_hyphens=False,
+                drop_whitespace=True,
+                replace_whitespace=False,
+            )
+            if columns > 2 * _INDENT
+            else [text]
+        )
+        print("\n".join(wrapped or [""]))
+    sys.stdout.flush()
 
 
 def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts: DriverFacts | None) -> Iterator[str]:
@@ -62,3 +90,10 @@ def left_words(status: MillStatus) -> str:
     spindle = {True: "spindle ON", False: "spindle off", None: "spindle state unknown"}[status.spindle_on]
     where = position_words(status.work_mm)
     return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"
+
+
+def took_words(run: RunView | None) -> str:
+    """How long the run has taken by the clock on the wall, with all its holds."""
+    if run is None or run.started_s is None or run.ended_s is None:
+        return ""
+    return f" in {duration_words(run.ended_s - run.started_s)}"

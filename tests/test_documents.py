@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shlex
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from machines.profiles import load_profile
 from service.spec_files import resolve_spec
 
 TOP = Path(__file__).parents[1]
@@ -29,29 +31,50 @@ def tour() -> list[list[str]]:
 
 
 def test_the_tour_runs(tmp_path: Path) -> None:
-    """In order, in an empty folder, at a small size; everything else as printed."""
-    assert len(tour()) >= 4
+    """In order, in an empty folder, at a small size; a command that ends in & goes on beside the next ones."""
+    assert len(tour()) >= 6
     (tmp_path / "examples").symlink_to(TOP / "examples")
-    for words in tour():
-        sizes = [part for value in SMALL for part in ("--set", value)] if words[0] in ("make", "design") else []
-        found = [name for word in words for name in (matching(tmp_path, word) if "*" in word else [word])]
-        done = subprocess.run(
-            [sys.executable, "-c", "from service.cli import main; main()", *found, *sizes],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert done.returncode == 0, f"{' '.join(words)}\n{done.stdout}\n{done.stderr}"
+    beside: list[subprocess.Popen[str]] = []
+    try:
+        for words in tour():
+            words = [word.replace("/tmp/", f"{tmp_path}/") for word in words]
+            if words[-1] == "&":
+                beside.append(begun(words[:-1], tmp_path))
+                continue
+            sizes = [part for value in SMALL for part in ("--set", value)] if words[0] in ("make", "design") else []
+            found = [name for word in words for name in (matching(tmp_path, word) if "*" in word else [word])]
+            process = begun([*found, *sizes], tmp_path)
+            output, errors = process.communicate()
+            assert process.returncode == 0, f"{' '.join(words)}\n{output}\n{errors}"
+    finally:
+        for process in beside:
+            process.terminate()
+            process.communicate()
 
 
-def test_the_spec_in_the_readme_is_accepted(tmp_path: Path) -> None:
-    (toml,) = re.findall(r"^```toml\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
-    file = tmp_path / "job.toml"
-    file.write_text(toml)
-    spec = resolve_spec(file=file)
+def begun(words: list[str], folder: Path) -> subprocess.Popen[str]:
+    """A command of the tour, started; what it keeps goes into `folder`."""
+    return subprocess.Popen(
+        [sys.executable, "-c", "from service.cli import main; main()", *words],
+        cwd=folder,
+        env={**os.environ, "XDG_STATE_HOME": str(folder / "state")},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_the_toml_in_the_readme_is_accepted(tmp_path: Path) -> None:
+    """The first is a job's spec, the second a machine of one's own."""
+    job, machine = re.findall(r"^```toml\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "job.toml").write_text(job)
+    spec = resolve_spec(file=tmp_path / "job.toml")
     assert spec.optics.throw_mm == 200
     assert [row.name for row in spec.passes] == ["rough", "finish"]
+    (tmp_path / "router.toml").write_text(machine)
+    profile = load_profile("router", [tmp_path])
+    assert profile.travel_mm == (400, 400, 90)
+    assert profile.dialect == "grbl"
 
 
 @pytest.mark.parametrize("text", [README, ARCHITECTURE], ids=["README", "ARCHITECTURE"])

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 
-from machines.errors import ProgramRefusedError
+from machines.errors import MachineError, ProgramRefusedError
 from machines.gcode import language, refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.modal import ModalState, Position
@@ -41,6 +41,8 @@ class Interpreter:
     _position: Position
 
     def __init__(self, state: ModalState | None = None, *, dialect: str = "grbl") -> None:
+        if dialect not in DIALECTS:
+            raise MachineError(f"dialect {dialect}: not G-code, so nothing modal can be rebuilt from its lines")
         self._dialect = DIALECTS[dialect]
         self._letters = self._dialect.letter_bits
         self._vector = vector_of(state or ModalState())

@@ -20,7 +20,7 @@ from machines.errors import ProgramChangedError
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.gcode.words import strip_block
+from machines.gcode.words import strip_block, strip_ends
 
 DIGEST_BYTES = 16
 
@@ -133,7 +133,7 @@ def _blocks(data: bytes, line: int, offset: int, dialect: str) -> Iterator[Progr
     strip: Callable[[bytes], bytes] = strip_block
     plain, keeps_percent = False, True
     if dialect == "rml-1":  # its own language: as it stands, and ; ends a command
-        strip = _outer_blanks_off
+        strip = strip_ends
     else:
         keeps_percent = not DIALECTS[dialect].is_grbl
         plain = data.translate(None, b"ABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789.-+\n") == b""
@@ -143,7 +143,3 @@ def _blocks(data: bytes, line: int, offset: int, dialect: str) -> Iterator[Progr
             yield ProgramLine(line, offset, block)
         line += 1
         offset += len(text) + 1
-
-
-def _outer_blanks_off(text: bytes) -> bytes:
-    return text.strip()

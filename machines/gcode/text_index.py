@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator
 
 from machines.errors import ProgramRefusedError
 from machines.gcode.modal import ModalState
-from machines.gcode.program import DIGEST_BYTES, IndexEntry, ProgramIndex
-from machines.gcode.words import shown
+from machines.gcode.program import IndexEntry, ProgramIndex, piece_digest
+from machines.gcode.words import shown, strip_ends
 
-EVERY_LINES = 20_000
+EVERY_LINES = 20_000  # about: pieces end by their bytes
 PIECE_BYTES = 1 << 18
-LONGEST_LINE = 1 << 16
+LONGEST_LINE = 500  # a line is the unit of feeding, of progress and of what is cut again; USB takes 512 bytes at once
 
 
 class TextIndex:
     """Fed by `passing`, which hands the chunks on; complete when they have ended."""
 
-    def __init__(self, dialect: str) -> None:
+    def __init__(self, dialect: str, *, piece_bytes: int = PIECE_BYTES) -> None:
         self.blocks = 0
+        self._piece_bytes = piece_bytes
         self._dialect = dialect
         self._entries: list[IndexEntry] = []
         self._lines = 0
@@ -36,7 +36,7 @@ class TextIndex:
         )
 
     def passing(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
-        """The chunks as they are; on the way they are cut into pieces. ProgramRefusedError at an endless line."""
+        """The chunks as they are; on the way they are cut into pieces. ProgramRefusedError at a line too long."""
         rest = b""
         for chunk in chunks:
             yield chunk
@@ -47,20 +47,25 @@ class TextIndex:
     def _take(self, data: bytes) -> bytes:
         """Close all whole pieces of the data; what is left of it."""
         at = 0
-        while len(data) - at >= PIECE_BYTES:
-            end = data.rfind(b"\n", at, at + PIECE_BYTES) + 1
+        while len(data) - at >= self._piece_bytes:
+            end = data.rfind(b"\n", at, at + self._piece_bytes) + 1
             if end <= at:
-                text = shown(data[at : at + 60])
-                reason = f"a line of more than {LONGEST_LINE} bytes; put a line end after every few commands"
-                raise ProgramRefusedError(self._lines + 1, text, reason)
+                self._refuse_long(self._lines + 1, data[at:])
             self._close(data[at:end])
             at = end
         return data[at:]
 
     def _close(self, piece: bytes) -> None:
-        digest = hashlib.blake2b(piece, digest_size=DIGEST_BYTES).hexdigest()
-        self._entries.append(IndexEntry(self._lines + 1, self._bytes, digest, ModalState()))
+        self._entries.append(IndexEntry(self._lines + 1, self._bytes, piece_digest(piece), ModalState()))
         lines = piece.removesuffix(b"\n").split(b"\n") if piece else []
-        self.blocks += sum(1 for line in lines if line.strip())
+        for number, line in enumerate(lines, self._lines + 1):
+            block = strip_ends(line)
+            self.blocks += bool(block)
+            if len(block) > LONGEST_LINE:
+                self._refuse_long(number, block)
         self._lines += len(lines)
         self._bytes += len(piece)
+
+    def _refuse_long(self, number: int, text: bytes) -> None:
+        reason = f"a line of more than {LONGEST_LINE} bytes; put a line end behind each command (sed 's/;/;\\n/g')"
+        raise ProgramRefusedError(number, shown(text[:60]), reason)

@@ -66,7 +66,12 @@ _AT_START = {
 }
 
 
+def strip_ends(text: bytes) -> bytes:
+    """A line of another language than G-code: as it stands, without the blanks and the tape's end marks around it."""
+    return text.strip(b" \t\r\n\x0b\x0c\x1a\x00")
+
+
 def shown(text: bytes) -> str:
-    """A line as a message shows it: plain characters, at most 100 of them."""
-    plain = text.strip().decode("ascii", "backslashreplace")
+    """A line as a message shows it: printable characters on one line, at most 100 of them."""
+    plain = "".join(chr(c) if 32 <= c < 127 else f"\\x{c:02x}" for c in text.strip()[:100].replace(b"\t", b" "))
     return plain if len(plain) <= 100 else plain[:97] + "..."

@@ -83,8 +83,8 @@ class SessionHearing(SessionStopping):
         stream = self._stream
         if stream is None or self.phase is not Phase.STREAMING:
             return  # answers to lines of a stream that is dead already
-        self._answer_at_s = now_s
-        self._idle_reports = 0
+        self._sign_at_s = now_s
+        self._idle_reports = self._standing_reports = 0
         words = error_words(error) if error else "ok"
         if not stream.window.used:
             self._fault(FaultCause.REPLY_COUNT, f"{words} came although every line was answered already", 0, now_s)
@@ -180,7 +180,14 @@ class SessionHearing(SessionStopping):
 
     def _reported(self, report: replies.Status, now_s: float) -> None:
         view = self.view
-        view.take(report, now_s)
+        if view.take(report, now_s):
+            self._sign_at_s = now_s
+        if report.state not in ("Idle", "Check"):
+            self._standing_reports = 0
+        else:
+            self._standing_reports += 1
+            if self._standing_reports == 1:
+                self._standing_at_s = now_s
         if self._errand is not None:
             self._errand.reported(idle=report.state in ("Idle", "Check"), machine_mm=view.machine_mm, now_s=now_s)
             self._after_errand(now_s)
@@ -188,7 +195,7 @@ class SessionHearing(SessionStopping):
             self._steer_override(report, now_s)
         if report.state in ("Hold", "Door", "Sleep", "Tool"):
             self._paused = self._hold_seen = True
-            self._answer_at_s = now_s  # waiting for a person is not a stall
+            self._sign_at_s = now_s  # waiting for a person is not a stall
         elif report.state == "Run" and self._hold_wanted and self.phase is Phase.STREAMING:
             self._running_on(now_s)
         elif report.state in ("Run", "Idle") and self._paused and not self._hold_wanted:

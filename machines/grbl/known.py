@@ -74,8 +74,11 @@ class SessionKnown:
         self._banner_due_s = 0.0  # until then a banner is the answer to $C
         self._steer: tuple[Override, float] | None = None
         self._steer_reports = 0
-        self._answer_at_s = self._phase_at_s = self._hold_at_s = self._poll_at_s = self._watch_at_s = 0.0
+        # _sign_at_s: the last answer, new position, proven step or hold: something goes on
+        self._sign_at_s = self._phase_at_s = self._hold_at_s = self._poll_at_s = self._watch_at_s = 0.0
         self._idle_reports = 0
+        self._standing_reports = 0  # Idle in a row, with no answer between
+        self._standing_at_s = 0.0  # when the first of them came
         self._stop_reports = 0
 
     # ------------------------------------------------------------------ what is known

@@ -41,7 +41,7 @@ from machines.grbl.permits import check_command
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.states import Phase, detail_words
 from machines.grbl.stopping import BUSY_S
-from machines.grbl.streaming import Stream
+from machines.grbl.streaming import Flight, Stream
 from machines.grbl.tracking import Tracker
 
 HAIL_S, WATCH_S = 0.25, 0.05
@@ -94,8 +94,8 @@ class GrblSession(SessionHearing):
                 and not self._echoes
             ):
                 stream.answered()
-                self._answer_at_s = now_s
-                self._idle_reports = 0
+                self._sign_at_s = now_s
+                self._idle_reports = self._standing_reports = 0
             else:
                 self._line(line, now_s)
                 stream = self._stream
@@ -148,7 +148,7 @@ class GrblSession(SessionHearing):
             self._fault(FaultCause.PROGRAM_CHANGED, str(error), 0, now_s)
             return b""
         if idle and data:
-            self._answer_at_s = now_s  # the wait for an answer begins
+            self._sign_at_s = now_s  # the wait for an answer begins
         return data
 
     @property
@@ -223,20 +223,28 @@ class GrblSession(SessionHearing):
         if silent_s > stall.REPORT_SILENCE_S and not (first is not None and first[1].writes_settings):
             self._fault(FaultCause.STALL, f"no answer to '?' for {silent_s:.1f} s", stream.first_line, now_s)
             return
-        waited_s = now_s - self._answer_at_s
-        if first is None or self._paused or waited_s < stall.MARGIN_S:
+        waited_s = now_s - self._sign_at_s
+        if self._paused or waited_s < stall.MARGIN_S or not (stream.window.used or stream.drained):
             return
-        line, step = first
-        allowed_s = stall.longest_wait_s(step, stream.tracker.unproven_answered, self.settings, self.view.overrides)
+        standing = self._standing_reports >= stall.IDLE_REPORTS and now_s > self._standing_at_s + stall.IDLE_S
+        allowed_s = stall.longest_wait_s(
+            first[1] if first is not None else None,
+            stream.tracker.unproven_answered,
+            self.settings,
+            self.view.overrides,
+            standing=standing,
+        )
         if allowed_s is not None and waited_s > allowed_s:
-            idle = self.view.report is not None and self.view.report.state == "Idle"
-            words = (
-                f"line {line.number} '{shown(line.text)}' got no answer for {waited_s:.1f} s "
-                f"(at most {allowed_s:.1f} s are explained by the motion before it)"
-            )
-            if idle:
-                words += "; the mill reports Idle: a line or a reply was lost"
-            self._fault(FaultCause.STALL, words, line.number, now_s)
+            self._fault(FaultCause.STALL, self._stall_words(first, waited_s, allowed_s, standing), stream.first_line, now_s)
+
+    @staticmethod
+    def _stall_words(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> str:
+        if first is None:
+            return f"every line is answered, but the mill neither moves nor comes to rest, for {waited_s:.1f} s now"
+        words = f"line {first[0].number} '{shown(first[0].text)}' got no answer and nothing moved for {waited_s:.1f} s"
+        if standing:
+            return f"{words}; the mill reports Idle: a line or a reply was lost"
+        return f"{words} (at most {allowed_s:.1f} s are explained by what is under way)"
 
     def start(self, lines: Iterator[ProgramLine], now_s: float) -> None:
         state = self.state
@@ -262,7 +270,7 @@ class GrblSession(SessionHearing):
         tracker = Tracker(planner_blocks=self.planner_blocks, tolerance_mm=self._tolerance_mm)
         self._stream = Stream(lines, capacity=self.window_bytes, interpret=self._interpreter.take, tracker=tracker)
         self._corridor = False
-        self._answer_at_s = now_s
+        self._sign_at_s = now_s
         self._paused = self._hold_wanted = False
         self._move(Phase.STREAMING, now_s)
 
@@ -275,7 +283,7 @@ class GrblSession(SessionHearing):
         if report.state == "Door" and report.sub:
             raise NotAllowedError(f"resume: {detail_words(report)}")
         self._hold_wanted = self._abort_wanted = False
-        self._answer_at_s = now_s
+        self._sign_at_s = now_s
         if report.state == "Check":
             self._paused = False
             return

@@ -1,19 +1,34 @@
-"""How long silence is legal: from the line that waits for its answer and the motion that is before it."""
+"""How long a healthy mill may be silent. Law: on a healthy link no program is ever stopped by these rules.
+
+Three signs, from quick to slow, each enough by itself:
+- no answer to '?' for REPORT_SILENCE_S: the controller or the link is dead, whatever it was doing;
+- Idle with lines unanswered for IDLE_S: nothing moves, so nothing is left that an answer could wait for but a dwell or
+  a spindle: a line or a reply was lost, or the stepper ran dry;
+- no answer, no new position and no step proven for longer than everything still under way can take at worst.
+
+The clock of the last two starts anew with every answer, every change of a reported position and every hold, so that
+the worst case need not be close: it is there for motion that looks like standing (a circle in one poll).
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import sqrt
 from typing import Protocol
 
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.tracking import Move
 
-MARGIN_S = 2.0  # scheduling, USB adapters, spindle spin-up waits of grblHAL ($394) are seconds at most
-SLACK = 1.5  # acceleration and corners make motion slower than its feed
+MARGIN_S = 2.0  # scheduling, USB adapters, networks
+SLACK = 1.5  # jerk-limited motion (grblHAL) takes up to half as long again; ceramic resonators are 0.5 % off
 REPORT_SILENCE_S = 2.0  # ten polls without a report while reports are due
+IDLE_S, IDLE_REPORTS = 2.0, 5  # Idle is believed so long and so often in a row
 BANNER_S = 5.0  # reset to banner: 0.1 s on an Uno, 2 s on an ESP32 that brings up its network
 HOLD_S = 8.0  # hold to standstill: rate / acceleration, 5000 mm/min at 20 mm/s2 is 4 s
-SPIN_UP_S = 6.0
+SPINDLE_S = 30.0  # grblHAL ($394, $395) and FluidNC wait for the spindle; a frequency converter takes its time
+DWELL_SLACK = 1.1  # the dwell loop of 1.1 is stretched by its interrupts
+UNKNOWN_MM = 2000.0  # a move from or to a place the program does not tell, where the travel is not known either
+SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 
 
 class Waiting(Move, Protocol):
@@ -21,43 +36,83 @@ class Waiting(Move, Protocol):
 
     pause_s: float
     withholds_ok: bool
+    ends_program: bool
 
 
 def motion_time_s(step: Move, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:
-    """Time for one move at its feed, with overrides, and one full start and stop; 0 for what does not move."""
+    """Longest time for one move: every block of it from rest to rest, at the rate and acceleration of the weakest axis.
+
+    L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for what does not move.
+    """
     if not step.moves:
         return 0.0
     rates = settings.max_rate_mm_per_min
     slowest = min(rates) if rates and min(rates) > 0.0 else 500.0
     if step.kind == "rapid" or not step.feed_mm_per_min:
-        feed = slowest * overrides[1] / 100.0
+        rate = slowest * overrides[1] / 100.0
     else:
-        feed = min(step.feed_mm_per_min * overrides[0] / 100.0, slowest)
+        rate = min(step.feed_mm_per_min * overrides[0] / 100.0, slowest)
     accelerations = settings.acceleration_mm_per_s2
-    slow = min(accelerations) if accelerations and min(accelerations) > 0.0 else 10.0
-    speed = max(feed, 1.0) / 60.0
-    # A short move never reaches its feed: from rest to rest takes 2 sqrt(length / a).
-    ramp_s = min(speed / slow, 2.0 * (step.length_mm / slow) ** 0.5)
-    return step.length_mm / speed + ramp_s
+    acceleration = min(accelerations) if accelerations and min(accelerations) > 0.0 else 10.0
+    speed = max(rate, SLOWEST_MM_PER_MIN) / 60.0
+    length_mm = _length_mm(step, settings)
+    blocks = _chords(step, length_mm, settings.arc_tolerance_mm)
+    each_mm = length_mm / blocks
+    if each_mm >= speed * speed / acceleration:
+        return blocks * (each_mm / speed + speed / acceleration)
+    return blocks * 2.0 * sqrt(each_mm / acceleration)
+
+
+def _length_mm(step: Move, settings: ControllerSettings) -> float:
+    if None not in step.start_mm and None not in step.end_mm:
+        return step.length_mm
+    travel = settings.travel_mm
+    return step.length_mm + (sum(travel) if travel else UNKNOWN_MM)
+
+
+def _chords(step: Move, length_mm: float, tolerance_mm: float | None) -> int:
+    """How many blocks the firmware makes of a move ($12): one, or the chords of an arc.
+
+    A chord with the sagitta e on the radius r is 2 sqrt(e (2 r - e)) long, at least 2 e: with r unknown, the shortest.
+    """
+    if step.kind != "arc":
+        return 1
+    error_mm = max(tolerance_mm or 0.002, 0.0005)
+    radius_mm = step.arc.radius_mm if step.arc is not None else error_mm
+    inner = error_mm * (2.0 * radius_mm - error_mm)
+    return 1 + int(length_mm / (2.0 * sqrt(inner))) if inner > 0.0 else 1
 
 
 def longest_wait_s(
-    first: Waiting,
+    first: Waiting | None,
     queued: Iterable[Move],
     settings: ControllerSettings,
     overrides: tuple[int, int, int],
+    *,
+    standing: bool = False,
 ) -> float | None:
-    """Longest time after the last answer in which the answer to `first` is due; None if it waits for a person.
+    """Longest time without any sign until the answer to `first` is due; None if it waits for a person.
 
-    queued : moves that were answered and may not be executed yet
+    first    : the oldest unanswered line; None: all are answered, and the mill has still to come to rest
+    queued   : moves that were answered and may not be executed yet
+    standing : the mill has reported Idle for IDLE_S: no motion is left
     """
-    if first.withholds_ok:
+    if first is not None and first.withholds_ok:
         return None
-    times = [motion_time_s(step, settings, overrides) for step in queued]
-    own_s = motion_time_s(first, settings, overrides)
-    wait_s = sum(times) if first.waits_for_empty_buffer else max(times, default=0.0)
-    spin_s = SPIN_UP_S if first.waits_for_empty_buffer else 0.0
-    return MARGIN_S + SLACK * (wait_s + own_s) + first.pause_s + spin_s
+    motion_s = 0.0
+    if not standing:
+        motion_s = sum(motion_time_s(step, settings, overrides) for step in queued)
+        motion_s += motion_time_s(first, settings, overrides) if first is not None else 0.0
+    return MARGIN_S + SLACK * motion_s + (_pause_s(first, settings) if first is not None else 0.0)
+
+
+def _pause_s(step: Waiting, settings: ControllerSettings) -> float:
+    """Standing still on purpose: a dwell, or a spindle that speeds up or runs down."""
+    if step.pause_s:
+        return DWELL_SLACK * step.pause_s
+    if not step.waits_for_empty_buffer or step.ends_program:
+        return 0.0
+    return max(SPINDLE_S, 2.0 * (settings.number(394) or 0.0), 2.0 * (settings.number(395) or 0.0))
 
 
 def homing_time_s(settings: ControllerSettings) -> float:

@@ -14,6 +14,9 @@ from enum import Enum
 from itertools import islice
 from typing import Protocol
 
+from machines.gcode.modal import Position
+from machines.gcode.step import Arc
+
 Triple = tuple[float, float, float]
 
 # Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
@@ -34,6 +37,9 @@ class Move(Protocol):
     feed_mm_per_min: float | None
     length_mm: float
     waits_for_empty_buffer: bool
+    start_mm: Position
+    end_mm: Position
+    arc: Arc | None
 
     @property
     def moves(self) -> bool: ...

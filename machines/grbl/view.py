@@ -50,7 +50,10 @@ class MachineView:
         if number in POSITION_LOST_ALARMS:
             self.position_lost()
 
-    def take(self, report: Status, now_s: float) -> None:
+    def take(self, report: Status, now_s: float) -> bool:
+        """A report has come; says whether it shows another place than the one before."""
+        before = self.report
+        moved = before is None or (before.machine, before.work) != (report.machine, report.work)
         self.report, self.report_at_s = report, now_s
         self.reports += 1
         if report.state != "Alarm":
@@ -63,6 +66,7 @@ class MachineView:
             self.override_reports += 1
         if report.accessories is not None:
             self.spindle_on = "S" in report.accessories or "C" in report.accessories
+        return moved
 
     def _unit_mm(self) -> float | None:
         return self.settings.unit_mm if self.identified else None

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from math import dist, hypot, inf
 
 from machines.errors import ProgramRefusedError
+from machines.gcode.words import shown, strip_ends
 from machines.profiles import MachineProfile
 from machines.roland.rml_commands import MOST_COMMAND_BYTES, UNIT_MM, Command, RmlFault, parse, spindle_rpm
 
@@ -21,7 +22,6 @@ Place = tuple[float | None, float | None, float | None]
 
 _ABSOLUTE_XY = {"D": True, "M": False, "PD": True, "PU": False}  # name -> does it cut (tool at Z1) or pass over (Z2)
 _RELATIVE_XY = {"I": True, "R": False}
-_MARKS_AT_END = b"\r\n\t \x1a\x00"
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,13 +166,13 @@ def check_rml(chunks: Iterable[bytes], profile: MachineProfile) -> RmlFacts:
     mill, tally, line, size = RmlInterpreter(), _Tally(), 1, 0
     for line, text, size in _commands(chunks):  # noqa: B007 (the last ones are the size of the file)
         try:
+            tally.commands += bool(text.strip())
             command = parse(text)
             if command is not None:
-                tally.commands += 1
                 _count_command(command, mill, tally, profile)
         except RmlFault as fault:
-            shown = text.strip()[:60].decode("latin-1")
-            raise ProgramRefusedError(line, shown, f"{fault} (command {tally.commands} of the program)") from None
+            where = f"{fault} (command {tally.commands} of the program)"
+            raise ProgramRefusedError(line, shown(text.lstrip().split(b"\n")[0][:60]), where) from None
     if not tally.commands:
         raise ProgramRefusedError(0, "", "the file holds no RML-1 command")
     moved = all(value < inf for value in tally.low)
@@ -241,8 +241,10 @@ def _commands(chunks: Iterable[bytes]) -> Iterator[tuple[int, bytes, int]]:
             line += text.count(b"\n")
         if len(rest.strip()) > MOST_COMMAND_BYTES:
             yield line, rest, size  # refused by its length: no need to read on
-    end = rest.strip(_MARKS_AT_END)
+    end = strip_ends(rest)
     if end:
-        line += rest[: len(rest) - len(rest.lstrip())].count(b"\n")
-        raise ProgramRefusedError(line, end[:60].decode("latin-1"), "the last command has no ';': is the file cut off?")
+        line += rest[: rest.find(end)].count(b"\n")
+        raise ProgramRefusedError(
+            line, shown(end.split(b"\n")[0][:60]), "the last command has no ';': is the file cut off, or not RML-1?"
+        )
     yield line + max(rest.count(b"\n") - 1, 0), b"", size

@@ -20,6 +20,7 @@ SPEED_CODES = 15  # !RC 0..15: evenly from the slowest to the fastest spindle sp
 
 _NAME = re.compile(rb"\^?(DF|IN|PA|PD|PR|PU|VS|![A-Z]{2}|[DFHIMRVWZ@])")
 _NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)\Z")
+_LOOKS_LIKE_NC = re.compile(rb"[%(]|[GMNOST][0-9]")
 _ORIGIN_WORDS = re.compile(rb"([XYZA][+-]?\d+)+\Z")
 
 
@@ -73,7 +74,10 @@ def parse(text: bytes) -> Command | None:
         raise RmlFault(f"{len(body)} bytes without ';' are not an RML-1 command (at most {MOST_COMMAND_BYTES})")
     found = _NAME.match(body)
     if not found:
-        raise RmlFault("is not an RML-1 command")
+        nc = '; NC code needs a machine with dialect = "roland-nc"' if _LOOKS_LIKE_NC.match(body) else ""
+        raise RmlFault(f"is not an RML-1 command{nc}")
+    if b"\n" in body:  # a line is what the mill is fed with and what recovery counts by
+        raise RmlFault("goes on in the next line; end each command with ';' on its own line")
     name = found[1].decode("ascii")
     rest = body[found.end() :].strip()
     if name in REFUSED:

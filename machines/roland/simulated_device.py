@@ -66,6 +66,7 @@ class SimulatedMdx40a:
 
     _input: bytearray = field(default_factory=bytearray)
     _held: deque[bytes] = field(default_factory=deque)
+    _parts: deque[tuple[bytes, bytes]] = field(default_factory=deque)  # RML-1 commands of the line that is begun
     _move: Cut | None = None
     _move_began_s: float = 0.0
     _move_ends_s: float = inf
@@ -85,6 +86,11 @@ class SimulatedMdx40a:
 
     def wait(self, timeout_s: float) -> None:
         self._advance(self.now_s + timeout_s)
+
+    @property
+    def idle(self) -> bool:
+        """Nothing moves and nothing is left to do."""
+        return self._move is None and not self._held and not self._parts
 
     def press_view(self) -> None:
         """Pause; pressed for 3 s when paused: go on."""
@@ -110,7 +116,7 @@ class SimulatedMdx40a:
         """All buffers gone; it homes by itself."""
         self.error, self._hung, self._flattened, self.paused = 0, False, False, False
         self._input.clear()
-        self._held.clear()
+        self._drop()
         self._move, self._move_ends_s = None, inf
         self.counter, self.bracket, self._language, self.spindle_on = 0, False, "", False
         self._modal.clear()
@@ -125,7 +131,7 @@ class SimulatedMdx40a:
             self.bracket = data == b"\x00"
             self._language = "" if self.bracket else self._language
         elif wValue == 0x03F3:
-            self._held.clear()
+            self._drop()
             self._input.clear()
             self.machine_mm = self._place()
             self._move, self._move_ends_s = None, inf
@@ -207,6 +213,9 @@ class SimulatedMdx40a:
     def _work(self) -> None:
         """Take lines from the input while the block buffer has room; begin what is next."""
         while not self.error and not self.paused:
+            if self._move is None and self._parts and self.now_s >= self._ready_s:
+                self._execute_rml()
+                continue
             if self._move is None and self._held and self.now_s >= self._ready_s:
                 self._execute(self._held.popleft())
                 continue
@@ -261,7 +270,8 @@ class SimulatedMdx40a:
     def _execute(self, text: bytes) -> None:
         self.begun.append(text)
         if self._language == "rml":
-            self._execute_rml(text)
+            self._parts.extend((text, part.strip().lstrip(b"^")) for part in text.split(b";"))
+            self._execute_rml()
             return
         words = {letter.decode(): float(value) for letter, value in _WORD.findall(text)}
         for letter, value in _WORD.findall(text):
@@ -276,16 +286,20 @@ class SimulatedMdx40a:
         feed = RAPID_MM_PER_MIN if self._motion == 0 else self._modal.get("F", 60.0)
         self._go(text, (end[0], end[1], end[2]), feed, self._motion == 0)
 
-    def _execute_rml(self, text: bytes) -> None:
-        for part in text.split(b";"):
-            part = part.strip().lstrip(b"^")
+    def _execute_rml(self) -> None:
+        """Commands of the line up to and including the next that moves. A lift beyond the top ends at the top."""
+        while self._parts and self._move is None:
+            text, part = self._parts.popleft()
             if part.startswith(b"!MC"):
                 self.spindle_on = part != b"!MC0"
             elif part.startswith(b"V"):
                 self._modal["F"] = 60 * float(part[1:])
+            elif part in (b"PR", b"PA", b"DF", b"IN"):
+                self._absolute = part != b"PR"
             elif part.startswith(b"Z"):
-                x, y, z = (float(v) / 100 + o for v, o in zip(part[1:].split(b","), self.origins_mm[1], strict=True))
-                self._go(text, (x, y, z), self._modal.get("F", 600.0), False)
+                base = self.origins_mm[1] if self._absolute else self.machine_mm
+                x, y, z = (float(v) / 100 + o for v, o in zip(part[1:].split(b","), base, strict=True))
+                self._go(text, (x, y, min(z, 0.0)), self._modal.get("F", 600.0), False)
 
     def _go(self, text: bytes, end_mm: tuple[float, float, float], feed_mm_per_min: float, rapid: bool) -> None:
         if end_mm[2] > 1e-9:
@@ -321,14 +335,18 @@ class SimulatedMdx40a:
 
     def _begins_s(self) -> float:
         """When it takes up the next line it holds."""
-        waits = self._move is None and bool(self._held) and not self.error and not self.paused
+        waits = self._move is None and bool(self._held or self._parts) and not self.error and not self.paused
         return self._ready_s if waits else inf
 
     def _emergency(self, error: int) -> None:
         self.machine_mm = self._place()
         self._move, self._move_ends_s = None, inf
-        self._held.clear()
+        self._drop()
         self.spindle_on, self.error = False, error
+
+    def _drop(self) -> None:
+        self._held.clear()
+        self._parts.clear()
 
 
 @dataclass(slots=True)

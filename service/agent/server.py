@@ -136,8 +136,9 @@ class _Server(uvicorn.Server):
 def _told_to_stop() -> Iterator[asyncio.Event]:
     """An event that is set by each signal that stops the agent; the handlers from before come back at the end."""
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
-    before = {kind: signal.getsignal(kind) for kind in _STOPPING}
-    for kind in _STOPPING:
+    found = {kind: signal.getsignal(kind) for kind in _STOPPING}
+    before = {kind: handler for kind, handler in found.items() if handler is not signal.SIG_IGN}  # nohup means it
+    for kind in before:
         loop.add_signal_handler(kind, stop.set)
     try:
         yield stop

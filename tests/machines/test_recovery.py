@@ -89,7 +89,7 @@ def test_overlap_is_one_move(raster: Shop, executed: int) -> None:
 def test_up_before_across_before_down_and_the_spindle_first(executed: int, z: float, x: float, kill_trial: Any) -> None:
     with TemporaryDirectory() as folder:
         shop = Shop(Path(folder), HEAD + RASTER + TAIL, kill_trial)
-        status = dataclasses.replace(IDLE, work_mm=(x, 4.0, z))
+        status = dataclasses.replace(IDLE, work_mm=(x, 4.0, z), machine_mm=(x, 4.0, z))
         plan = shop.plan(executed, dataclasses.replace(NOW, status=status))
     interpreter = Interpreter(ModalState(position_mm=(x, 4.0, z)))
     least_z, spinning = z, False
@@ -122,7 +122,7 @@ def test_travel_is_as_high_as_the_program_itself_goes(tmp_path: Path, kill_trial
 
 
 def test_a_tool_that_is_higher_stays_high_until_it_is_across(raster: Shop) -> None:
-    status = dataclasses.replace(IDLE, work_mm=(0.0, 0.0, 40.0))
+    status = dataclasses.replace(IDLE, work_mm=(0.0, 0.0, 40.0), machine_mm=(0.0, 0.0, 40.0))
     blocks = raster.plan(10, dataclasses.replace(NOW, status=status)).blocks
     across = next(i for i, block in enumerate(blocks) if block.startswith("G0 X"))
     assert blocks[across + 1] == "G0 Z5" and not any(block.startswith("G0 Z") for block in blocks[:across])

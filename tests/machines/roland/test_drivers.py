@@ -11,6 +11,7 @@ from machines.driver import Driver
 from machines.drivers import open_driver
 from machines.errors import MachineError, NotAllowedError, PortError
 from machines.profiles import LinkSettings, MachineProfile, load_profile
+from machines.roland.serial_driver import RolandSerialDriver
 
 GRBL = load_profile("grbl", ())
 
@@ -51,10 +52,13 @@ def test_the_okuma_profile_gets_a_drip_feed_on_a_port_without_handshake_of_its_o
     driver.close()
 
 
-def test_a_roland_on_a_port_that_hides_its_queue_is_refused() -> None:
-    class Hiding:
-        def close(self) -> None: ...
+@pytest.mark.parametrize("url", ["socket://127.0.0.1:1", "rfc2217://127.0.0.1:1"])
+def test_a_roland_on_a_port_that_hides_its_queue_is_refused_before_it_is_opened(url: str) -> None:
+    with pytest.raises(NotAllowedError, match="cannot tell what it still holds"):
+        open_driver(linked(driver="roland-serial", flow="rtscts"), url)
 
-    with pytest.MonkeyPatch.context() as patch, pytest.raises(NotAllowedError, match="cannot tell what it still holds"):
-        patch.setattr("machines.port.open_port", lambda url, link: Hiding())
-        open_driver(linked(driver="roland-serial", flow="rtscts"), "socket://there:1")
+
+def test_a_roland_profile_of_ones_own_gets_the_serial_driver_with_its_dialect() -> None:
+    driver = open_driver(replace(linked(driver="roland-serial", flow="rtscts"), dialect="rml-1"), "loop://")
+    assert isinstance(driver, RolandSerialDriver)
+    driver.close()

@@ -1,0 +1,95 @@
+"""Whether a program, or the way back into it, stays within the machine where its work zero is now.
+
+A controller with soft limits would stop in the middle of the cut, one without would run into its end. Machine
+coordinates mean something where the machine was homed, or where the controller itself goes by them (soft limits);
+elsewhere what does not fit is said, and the operator decides.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from machines.driver import MillStatus
+from machines.errors import MachineError
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.limits import placement_problems
+from machines.gcode.modal import ModalState
+from machines.gcode.preflight import Bounds, Preflight
+from machines.gcode.program import ProgramReader
+from machines.grbl.settings import ControllerSettings
+
+LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """What does not fit, one sentence each. `certain`: machine coordinates are known to be right."""
+
+    problems: tuple[str, ...] = ()
+    certain: bool = False
+
+
+def program_placement(
+    facts: Preflight, reader: ProgramReader, settings: ControllerSettings | None, status: MillStatus
+) -> Placement:
+    """The whole program at the present offsets."""
+    if settings is None:
+        return Placement()
+    problems = placement_problems(facts, settings)
+    if not problems:
+        return Placement()
+    where = _first_outside(facts, reader, settings)
+    return Placement(tuple(f"{problem} ({where})" for problem in problems), _certain(settings, status))
+
+
+def way_in_placement(
+    blocks: Sequence[str], facts: Preflight, settings: ControllerSettings | None, status: MillStatus
+) -> Placement:
+    """The blocks of a recovery, from where the tool stands."""
+    if settings is None or status.work_mm is None:
+        return Placement()
+    interpreter = Interpreter(ModalState(position_mm=status.work_mm))
+    points = []
+    for block in blocks:
+        try:
+            step = interpreter.take(block.encode("ascii"))
+        except MachineError:
+            return Placement()  # refused elsewhere, with the block
+        if step.moves:
+            points.append(step.end_mm)
+    if not points:
+        return Placement()
+    box = _box(points)
+    problems = placement_problems(replace(facts, bounds_by_frame={interpreter.state.wcs: box}), settings)
+    return Placement(tuple(f"on the way back in {problem}" for problem in problems), _certain(settings, status))
+
+
+def _certain(settings: ControllerSettings, status: MillStatus) -> bool:
+    return bool(settings.soft_limits) or (bool(settings.homing) and status.position_trusted)
+
+
+def _box(points: Sequence[tuple[float | None, float | None, float | None]]) -> Bounds:
+    known = [[point[axis] for point in points if point[axis] is not None] for axis in range(3)]
+    least = [min(values, default=None) for values in known]  # type: ignore[type-var]
+    most = [max(values, default=None) for values in known]  # type: ignore[type-var]
+    return Bounds((least[0], least[1], least[2]), (most[0], most[1], most[2]))
+
+
+def _first_outside(facts: Preflight, reader: ProgramReader, settings: ControllerSettings) -> str:
+    """In words: the first line that leaves the travel."""
+    interpreter = Interpreter(ModalState(), dialect=reader.index.dialect)
+    last = 0
+    try:
+        for line in reader.lines(1):
+            step = interpreter.take(line.text)
+            last = line.number
+            if step.moves and not interpreter.state.shifted:
+                box = Bounds(step.end_mm, step.end_mm)
+                if placement_problems(replace(facts, bounds_by_frame={interpreter.state.wcs: box}), settings):
+                    return f"from line {last} of {facts.lines} on"
+            if last >= LINES_LOOKED_AT:
+                break
+    except MachineError:
+        pass
+    return f"after line {last} of {facts.lines}"

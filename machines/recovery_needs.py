@@ -1,0 +1,98 @@
+"""What must be done before a run can go on: a link, standstill, a position that can be trusted, the same work zero."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from machines.driver import MillState
+from machines.recovery_entry import EntryPoint
+from machines.recovery_plan import Need, Present
+
+OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
+
+
+def first_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
+    status = present.status
+    if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
+        yield Need("connect", f"the mill is {status.state.value}: connect it; it does not move by that")
+        return
+    if status.state is MillState.ALARM:
+        yield Need(
+            "unlock", f"the mill is locked ({status.detail or 'alarm'}): home it, or unlock it and set the zero anew"
+        )
+    elif status.state in (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING):
+        yield Need(
+            "stand still", f"the mill is {status.state.value}: wait until it has carried out what it holds, or hold it"
+        )
+    elif status.state is not MillState.IDLE:
+        yield Need("stand still", f"the mill is {status.state.value} and may hold unfinished blocks: reset it, "
+                                  "which clears them and, from standstill, keeps the position")  # fmt: skip
+    elif status.work_mm is None:
+        yield Need("connect", "the mill has not reported its position yet: wait a second")
+    if (words := position_doubt(record, present)) != "":
+        yield Need("position", f"{words}: home the mill, or touch off and set the work zero of X, Y, Z anew, or, if "
+                               "you know that it is right, say so (trust position)")  # fmt: skip
+
+
+def position_doubt(record: Mapping[str, Any], present: Present) -> str:
+    """Why machine coordinates may not mean what they meant when the run was cut, in words; "" if they do."""
+    if present.status.position_trusted:
+        return ""
+    if present.restarted:
+        return "the controller has restarted since the run stopped, its position is lost"
+    if not record.get("position_trusted"):
+        return "the position was not vouched for when the run stopped"
+    if not never_restarted(present.parser_state, record.get("parser_state")):
+        return "nothing shows that the controller went on without a restart while it was out of sight"
+    return ""
+
+
+def never_restarted(parser_state: str | None, at_start: str | None = None) -> bool:
+    """A restart sets feed, speed and spindle to nothing ($G: M5 F0 S0). What the program has set was never reset.
+
+    at_start : $G before the program. What stood there already proves nothing: start-up blocks ($N0) may have set it.
+    """
+    before = (at_start or "").split()
+    words = [word for word in (parser_state or "").split() if word not in before]
+    return any(word in ("M3", "M4") or (word[0] == "F" and _number(word[1:]) > 0.0) for word in words)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return 0.0
+
+
+def offsets_compared(
+    record: Mapping[str, Any], present: Present, entry: EntryPoint | None
+) -> tuple[tuple[str, ...], tuple[Need, ...]]:
+    """Offsets then and now: each difference in words, and whether one of them moves this program."""
+    then: Mapping[str, Sequence[float]] = record.get("offsets") or {}
+    if not then or present.offsets is None:
+        return (), ()
+    used = {entry.state.wcs if entry else "G54", "G92", "TLO"}
+    words, moving = [], []
+    for name in sorted(then):
+        was, now = then[name], present.offsets.get(name)
+        if now is None:
+            words.append(f"{name} was {axes_words(was)}, the controller does not name it now")
+            axes = "XYZ"
+        else:
+            pairs = zip("XYZ", was, now, strict=False)
+            axes = "".join(axis for axis, a, b in pairs if abs(a - b) > OFFSET_TOLERANCE_MM)
+            if not axes:
+                continue
+            words.append(f"{name} was {axes_words(was)}, is {axes_words(now)}")
+        if name in used and set(axes) - set(present.vouched_axes):
+            moving.append(name)
+    if not moving:
+        return tuple(words), ()
+    need = Need("zero", f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
+                        "G43.1), or set the work zero anew")  # fmt: skip
+    return tuple(words), (need,)
+
+
+def axes_words(values: Sequence[float]) -> str:
+    return " ".join(f"{axis}{value:.3f}" for axis, value in zip("XYZ", values, strict=False))

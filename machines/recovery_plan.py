@@ -1,0 +1,105 @@
+"""What a recovery is made of: how the tool comes back, what is known of the mill, and the plan a person checks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from machines.driver import MillStatus, ProgramLine, Triple
+from machines.gcode.program import ProgramReader
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Reentry:
+    """How the tool is brought back.
+
+    safe_z_mm : work Z at which it travels; the highest Z of the program itself if that is higher
+    plunge_mm_per_min : fastest plunge; the slowest feed of the program if that is lower
+    spin_up_s : dwell after the spindle is switched on
+    """
+
+    safe_z_mm: float = 5.0
+    plunge_mm_per_min: float = 300.0
+    spin_up_s: float = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """What must be done first. `code`: "connect", "stand still", "unlock", "position" or "zero"."""
+
+    code: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Present:
+    """What is known of the mill now. `offsets` and `parser_state` are None where the link does not tell.
+
+    restarted : a restart of the controller was seen since the run stopped
+    vouched_axes : axes of which a person has set the work zero anew since the run stopped
+    """
+
+    status: MillStatus
+    offsets: Mapping[str, Sequence[float]] | None = None
+    parser_state: str | None = None
+    restarted: bool = False
+    vouched_axes: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecoveryPlan:
+    """The way on. It may be carried out when `refusals` and `needs` are both empty.
+
+    executed_line : certainly cut up to here     resume_line : the next one
+    overlap_line  : the line that is sent first  recut_lines : lines sent again
+    position_mm   : where the tool is put down (work frame); None: the program starts from its top
+    blocks        : sent before the program
+    """
+
+    run_id: str
+    executed_line: int
+    resume_line: int
+    overlap_line: int
+    position_mm: Triple | None
+    blocks: tuple[str, ...]
+    refusals: tuple[str, ...] = ()
+    needs: tuple[Need, ...] = ()
+    differences: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+    motion: str = ""  # motion word put before the first line, which relies on an earlier one
+
+    @property
+    def ready(self) -> bool:
+        return not self.refusals and not self.needs
+
+    @property
+    def recut_lines(self) -> int:
+        return max(0, self.resume_line - self.overlap_line)
+
+    def as_dict(self) -> dict[str, Any]:
+        return {
+            "run": self.run_id,
+            "executed_line": self.executed_line,
+            "resume_line": self.resume_line,
+            "overlap_line": self.overlap_line,
+            "recut_lines": self.recut_lines,
+            "position_mm": list(self.position_mm) if self.position_mm else None,
+            "blocks": list(self.blocks),
+            "ready": self.ready,
+            "refusals": list(self.refusals),
+            "needs": [{"code": need.code, "words": need.words} for need in self.needs],
+            "differences": list(self.differences),
+            "words": list(self.words),
+        }
+
+    def lines(self, reader: ProgramReader) -> Iterator[ProgramLine]:
+        """All that is sent: the way in (as lines 0), then the program from the overlap line on."""
+        for block in self.blocks:
+            yield ProgramLine(0, 0, block.encode("ascii"))
+        program = reader.lines(self.overlap_line)
+        if self.motion:
+            first = next(program, None)
+            if first is not None:
+                yield ProgramLine(first.number, first.offset, self.motion.encode("ascii") + first.text)
+        yield from program

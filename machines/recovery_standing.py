@@ -1,0 +1,89 @@
+"""What the place where a mill stands proves, after it went on alone with the lines it held.
+
+A controller that lost its link carries out what it holds and stands at the end of a line that was sent. The first line
+of the program, from the last one known to be executed on, that the mill can stand on is believed: whatever really was
+the last, the mill has passed every earlier one. A mill that stands at the end of that line has cut it; one that stands
+within it has cut the line before. So more is sent again than need be where a path comes back to a place, never less.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from machines.driver import Triple
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.modal import ModalState, Position
+from machines.gcode.program import ProgramReader
+from machines.grbl.settings import MM_PER_INCH, ControllerSettings
+
+LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
+_AGREE_MM = 0.0015  # offsets are reported with three decimals
+_STEP_MM = 0.01  # where the controller does not tell
+
+
+def standing_tolerance_mm(settings: ControllerSettings) -> float:
+    """How far a mill that stands at the end of a line may be reported from it, per axis.
+
+    Half a step of the axis, and half the last digit of the position and of each of G54, G92 and tool length. Larger is
+    safer: a line believed too early is cut again.
+    """
+    digit_mm = 0.0001 * MM_PER_INCH if settings.reports_in_inch else 0.001
+    step_mm = max(settings.step_mm or (_STEP_MM,))
+    return 0.5 * step_mm + 4 * 0.5 * digit_mm
+
+
+def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
+    """Work zero of a run in machine coordinates, from its journal; None where that is not certain."""
+    offsets = record.get("offsets") or {}
+    if wcs not in offsets:
+        return None
+    parts = [offsets[name] for name in (wcs, "G92", "TLO") if name in offsets]
+    x, y, z = (sum(float(part[axis]) for part in parts) for axis in range(3))
+    told = record.get("work_offset_mm")
+    if told is None or any(abs(a - b) > _AGREE_MM for a, b in zip(told, (x, y, z), strict=True)):
+        return None
+    return x, y, z
+
+
+def executed_by_standing(
+    reader: ProgramReader, record: Mapping[str, Any], machine_mm: Triple, *, last_line: int, tolerance_mm: float
+) -> int:
+    """The last line that was executed for certain, not below the journal's and not above `last_line`.
+
+    record : a run's journal. The mill must stand idle where its own blocks have left it: no restart, nothing sent.
+    """
+    executed = int(record.get("executed_line", 0))
+    if int(record.get("answered_line") or 0) <= 0:
+        return executed  # it may stand on the way in, of which the program tells nothing
+    state = reader.state_before(executed + 1)
+    offset_mm = frame_offset_mm(record, state.wcs)
+    if offset_mm is None or state.shifted or None in state.position_mm:
+        return executed
+    x, y, z = (m - o for m, o in zip(machine_mm, offset_mm, strict=True))
+    return _first_place(reader, state, (x, y, z), executed, last_line, tolerance_mm)
+
+
+def _first_place(
+    reader: ProgramReader, state: ModalState, place_mm: Triple, executed: int, last_line: int, tolerance_mm: float
+) -> int:
+    if _at(state.position_mm, place_mm, tolerance_mm):
+        return executed
+    wcs, before = state.wcs, executed
+    interpreter = Interpreter(state, dialect=reader.index.dialect)
+    for line in reader.lines(executed + 1):
+        if line.number > last_line:
+            break
+        step = interpreter.take(line.text)
+        now = interpreter.state
+        told = not (step.moves and (step.probes or None in step.end_mm))
+        if not told or now.shifted or now.wcs != wcs or step.withholds_ok:
+            break  # from here on the program does not tell where the mill stands, or a person has come between
+        if step.moves and step.distance_mm(place_mm) <= 3**0.5 * tolerance_mm:
+            return line.number if _at(step.end_mm, place_mm, tolerance_mm) else before
+        before = line.number
+    return executed
+
+
+def _at(end_mm: Position, place_mm: Triple, tolerance_mm: float) -> bool:
+    return all(e is not None and abs(e - p) <= tolerance_mm for e, p in zip(end_mm, place_mm, strict=True))

@@ -1,0 +1,63 @@
+"""The blocks that bring the tool from where it stands to where the program is entered: up, across, down."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from machines.errors import MachineError
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.modal import ModalState
+from machines.gcode.preflight import Preflight
+from machines.recovery_entry import EntryPoint
+from machines.recovery_plan import Present, Reentry
+
+
+def height_mm(present: Present, wcs: str) -> float | None:
+    """Z of the tool in the frame the program is entered in, which need not be the one the controller is in now."""
+    status, offsets = present.status, present.offsets
+    if status.machine_mm is None or offsets is None or wcs not in offsets:
+        return status.work_mm[2] if status.work_mm is not None else None
+    return status.machine_mm[2] - sum(offsets[name][2] for name in (wcs, "G92", "TLO") if name in offsets)
+
+
+def way_in(entry: EntryPoint, tool_z_mm: float, facts: Preflight, reentry: Reentry) -> tuple[str, ...]:
+    """From where the tool stands to the entry point. Always up before across, always across before down."""
+    state = entry.state
+    highest = facts.bounds_mm.most_mm[2] if facts.bounds_mm is not None else None
+    safe_mm = max(reentry.safe_z_mm, highest if highest is not None else reentry.safe_z_mm)
+    blocks = [f"G21 G90 G94 G17 {state.wcs}"]
+    turns = state.spindle != "M5" and entry.position_mm is not None
+    if turns:
+        blocks += [f"{state.spindle} S{state.spindle_rpm:g}", f"G4 P{reentry.spin_up_s:g}"]
+    if tool_z_mm < safe_mm:
+        blocks.append(f"G0 Z{_mm(safe_mm)}")
+    if entry.position_mm is None:
+        return (*blocks, "M5")
+    x, y, z = entry.position_mm
+    blocks.append(f"G0 X{_mm(x)} Y{_mm(y)}")
+    if tool_z_mm > safe_mm:
+        blocks.append(f"G0 Z{_mm(safe_mm)}")
+    blocks += [word for word in state.coolant.split() if word != "M9"]
+    slowest = facts.feeds_mm_per_min[0] if facts.feeds_mm_per_min else reentry.plunge_mm_per_min
+    blocks.append(f"G1 Z{_mm(z)} F{min(slowest, reentry.plunge_mm_per_min):g}")
+    if state.feed_mm_per_min is not None and state.feed_mode == "G94":
+        blocks.append(f"F{state.feed_mm_per_min:g}")
+    restored = [
+        word for word, now in ((state.units, "G21"), (state.plane, "G17"), (state.feed_mode, "G94")) if word != now
+    ]
+    return (*blocks, " ".join(restored)) if restored else tuple(blocks)
+
+
+def _mm(value: float) -> str:
+    return f"{value:.5f}".rstrip("0").rstrip(".") if abs(value) >= 5e-6 else "0"
+
+
+def unreadable(blocks: Sequence[str]) -> Iterator[str]:
+    """Our own blocks go through the same reader as a program: what it refuses is never sent."""
+    interpreter = Interpreter(ModalState())
+    for block in blocks:
+        try:
+            interpreter.take(block.encode("ascii"))
+        except MachineError as error:
+            yield f"re-entry block '{block}': {error}"
+            return
