@@ -7,6 +7,7 @@ runs/<id>/journal-*.log    what happened to the run
 
 from __future__ import annotations
 
+import calendar
 import fcntl
 import os
 import re
@@ -22,6 +23,8 @@ from machines.journal_disk import os_words
 from machines.runs import LIVE, RunState, RunView
 
 _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z-]{0,79}")
+_TIME = "%Y%m%d-%H%M%S"
+_MADE = re.compile(r"20[0-9]{2}(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01])-([01][0-9]|2[0-3])[0-5][0-9][0-5][0-9]-.*")
 
 
 class FolderLock:
@@ -64,13 +67,25 @@ class RunFolders:
         return self.folder / run_id
 
     def new_id(self, wall_s: float, sha256: str) -> str:
-        """Sorts by time; unique in this folder."""
-        stem = time.strftime("%Y%m%d-%H%M%S", time.gmtime(wall_s)) + f"-{sha256[:6]}"
-        run_id, number = stem, 1
-        while (self.folder / run_id).exists():
-            number += 1
-            run_id = f"{stem}-{number}"
-        return run_id
+        """Unique in this folder, and sorts behind all that are there, even after the wall clock was set back."""
+        newest_s = max((calendar.timegm(time.strptime(name[:15], _TIME)) for name in self._names()), default=0)
+        return time.strftime(_TIME, time.gmtime(max(wall_s, newest_s + 1))) + f"-{sha256[:6]}"
+
+    def _names(self) -> list[str]:
+        if not self.folder.is_dir():
+            return []
+        return [path.name for path in self.folder.iterdir() if _MADE.fullmatch(path.name)]
+
+    def remove(self, run_id: str) -> bool:
+        """A run leaves the disk, its journal first; False where something of it stays."""
+        folder = self.path(run_id)
+        try:
+            for path in (*sorted(folder.glob("journal-*.log")), *sorted(folder.glob("preflight.*"))):
+                path.unlink()
+            folder.rmdir()
+        except OSError:
+            return False
+        return True
 
     def save_facts(self, run_id: str, facts: Preflight) -> None:
         """preflight.json, whole or not at all."""
@@ -116,8 +131,8 @@ def view_of(record: Mapping[str, Any], *, time_left_s: float | None = None) -> R
         operator=str(record.get("operator", "")),
         lines=int(record.get("lines", 0)),
         bytes=int(record.get("bytes", 0)),
-        sent_line=int(record.get("sent_line", 0)),
-        executed_line=int(record.get("executed_line", 0)),
+        sent_line=int(record.get("sent_line") or 0),
+        executed_line=int(record.get("executed_line") or 0),
         time_s=float(record.get("time_s", 0.0)),
         time_left_s=time_left_s,
         created_s=float(record.get("created_s", 0.0)),

@@ -80,18 +80,18 @@ class MillLink:
     def order(self, what: str) -> None:
         """Hold or abort now; where the link is away, or refuses, as the first thing when it is back."""
         driver = self.driver
-        words = ""
         if driver is not None:
             try:
                 if what == "abort":
                     driver.abort()
                 else:
                     driver.hold()
-            except MachineError as error:
-                words = f" ({error})"
-        if self.away or words:
+            except MachineError:
+                if not self.away:
+                    raise
+        if self.away:
             if not self.latched:
-                self._say("command", f"{what}: waits for the link{words}")
+                self._say("command", f"{what}: waits for the link")
             self.latched = "abort" if "abort" in (what, self.latched) else what
 
     def seen(self) -> None:

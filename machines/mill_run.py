@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from machines.driver import MillStatus, StreamProgress
@@ -37,6 +38,11 @@ class Run:
     @property
     def id(self) -> str:
         return str(self.record["id"])
+
+    @property
+    def path(self) -> Path:
+        """The program."""
+        return Path(str(self.record["path"]))
 
     @property
     def state(self) -> RunState:
@@ -119,9 +125,12 @@ class Run:
         self.write("mark", **fields, wall_s=round(wall_s, 3))
 
     def last_mark(self, progress: StreamProgress) -> dict[str, Any]:
-        """What a state change takes with it, so that the end of a run is exact."""
+        """What a state change takes with it, so that the end of a run is exact.
+
+        A fault can take back what positions had seemed to prove, though not beyond where this stream began.
+        """
         return {
-            "executed_line": max(self.executed_line, progress.executed_line),
+            "executed_line": max(self._base_line, progress.executed_line),
             "sent_line": progress.sent_line,
             "answered_line": progress.answered_line,
         }

@@ -21,15 +21,25 @@ _CALL_S = 60.0
 
 
 class _Call(Generic[T]):
-    """One call on its way to the owner thread, and its answer on the way back."""
+    """One call on its way to the owner thread, and its answer on the way back.
+
+    Whoever waited in vain was told that nothing came of it, so a call that has not begun by then never begins: a start
+    must not come true a minute later, when nobody stands at the mill.
+    """
 
     def __init__(self, function: Callable[[Mill], T]) -> None:
         self._function = function
         self._done = threading.Event()
+        self._lock = threading.Lock()
+        self._begun = self._given_up = False
         self._value: T | None = None
         self._error: BaseException | None = None
 
     def carry_out(self, mill: Mill) -> None:
+        with self._lock:
+            if self._given_up:
+                return
+            self._begun = True
         try:
             self._value = self._function(mill)
         except BaseException as error:
@@ -42,8 +52,11 @@ class _Call(Generic[T]):
 
     def answer(self, timeout_s: float) -> T:
         if not self._done.wait(timeout_s):
+            with self._lock:
+                self._given_up = not self._begun
+            fate = "it was taken back" if self._given_up else "it is under way and may still be carried out"
             raise MachineError(
-                f"the mill's thread gave no answer within {timeout_s:g} s; use the mill's own stop button"
+                f"the mill's thread gave no answer within {timeout_s:g} s, {fate}; use the mill's own stop button"
             )
         if self._error is not None:
             raise self._error

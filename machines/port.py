@@ -10,11 +10,13 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 import select
 import threading
 import time
 from pathlib import Path
 from typing import Any, Protocol
+from urllib.parse import urlsplit
 
 import serial
 from serial.tools import list_ports
@@ -60,6 +62,8 @@ def port_names() -> tuple[str, ...]:
 def open_port(url: str, link: LinkSettings) -> Port:
     """Open a link exclusively. PortError says what is wrong and what to do."""
     name = url if "://" in url else stable_name(url)
+    if name.startswith(("socket://", "rfc2217://")):
+        _require_address(name)
     try:
         line = serial.serial_for_url(
             name,
@@ -87,7 +91,17 @@ def open_port(url: str, link: LinkSettings) -> Port:
     with contextlib.suppress(Exception):
         line.set_low_latency_mode(True)  # FTDI: 1 ms instead of 16; not offered by every driver
     wire = None if "://" in name else link.wire_bytes_per_s
-    return SerialPort(name, line, wire, gather_s=_GATHER_S if link.driver == "grbl" else 0.0)
+    return SerialPort(name, line, wire, gather_s=_GATHER_S if wire and link.driver == "grbl" else 0.0)
+
+
+def _require_address(url: str) -> None:
+    try:
+        parts = urlsplit(url)
+        good = bool(parts.hostname and parts.port)
+    except ValueError:
+        good = False
+    if not good:
+        raise PortError(url, f"names no host and port; allowed: {url.partition('://')[0]}://HOST:PORT")
 
 
 def _descriptor(line: Any) -> int:
@@ -123,14 +137,20 @@ def _refused(name: str, error: Exception) -> PortError:
         return PortError(
             name, "permission denied: add your user to the group that owns it (mostly 'dialout'), log in anew"
         )
+    if "://" in name:
+        return PortError(name, f"cannot be reached: {_reason(text)}")
     if number in (errno.ENOENT, errno.ENODEV, errno.ENXIO) or ("could not open port" in text and number is None):
-        if "://" in name:
-            return PortError(name, f"cannot be reached: {text}")
         there = ", ".join(port_names()) or "none"
         return PortError(name, f"does not exist; ports here: {there}")
-    if "://" in name:
-        return PortError(name, f"cannot be reached: {text}")
-    return PortError(name, f"cannot be opened: {text}")
+    if number in (errno.EISDIR, errno.ENOTTY) or "not configure port" in text:
+        return PortError(name, f"is not a serial port; ports here: {', '.join(port_names()) or 'none'}")
+    return PortError(name, f"cannot be opened: {_reason(text)}")
+
+
+def _reason(text: str) -> str:
+    """What the system said, without what pyserial has wrapped around it."""
+    said = re.search(r"\[Errno -?\d+\] ([^:]+)", text)
+    return said.group(1).strip().lower() if said else text
 
 
 def _holder(name: str) -> str:
@@ -238,4 +258,5 @@ class SerialPort:
         self.close()
         if isinstance(error, serial.SerialTimeoutException):
             return PortLostError(self.url, "takes no bytes any more (2 s): unplugged, or switched off")
-        return PortLostError(self.url, f"lost: cable, power or the far end ({error})")
+        said = f" ({error})" if isinstance(error, OSError) and error.errno else ""  # pyserial's own words guess
+        return PortLostError(self.url, f"gone: cable out, power off or the far end closed{said}")

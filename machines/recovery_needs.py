@@ -43,7 +43,7 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
         return "the controller has restarted since the run stopped, its position is lost"
     if not record.get("position_trusted"):
         return "the position was not vouched for when the run stopped"
-    if not never_restarted(present.parser_state, record.get("parser_state")):
+    if not never_restarted(present.parser_state, record.get("state_before")):
         return "nothing shows that the controller went on without a restart while it was out of sight"
     return ""
 
@@ -51,7 +51,8 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
 def never_restarted(parser_state: str | None, at_start: str | None = None) -> bool:
     """A restart sets feed, speed and spindle to nothing ($G: M5 F0 S0). What the program has set was never reset.
 
-    at_start : $G before the program. What stood there already proves nothing: start-up blocks ($N0) may have set it.
+    at_start : $G before the program, when it was first started. What stood there already proves nothing: start-up
+               blocks ($N0) may have set it.
     """
     before = (at_start or "").split()
     words = [word for word in (parser_state or "").split() if word not in before]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from machines.driver import MillStatus, ProgramLine, Triple
@@ -92,6 +92,14 @@ class RecoveryPlan:
             "differences": list(self.differences),
             "words": list(self.words),
         }
+
+    def with_place(self, problems: tuple[str, ...], *, refused: bool) -> RecoveryPlan:
+        """With what leaves the travel: refused where machine coordinates are certain, else told."""
+        if not problems:
+            return self
+        words = tuple(f"{'REFUSED' if refused else 'not certain to fit'}: {problem}" for problem in problems)
+        refusals = (*self.refusals, *problems) if refused else self.refusals
+        return replace(self, refusals=refusals, words=(*self.words, *words))
 
     def lines(self, reader: ProgramReader) -> Iterator[ProgramLine]:
         """All that is sent: the way in (as lines 0), then the program from the overlap line on."""

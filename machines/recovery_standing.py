@@ -53,7 +53,7 @@ def executed_by_standing(
 
     record : a run's journal. The mill must stand idle where its own blocks have left it: no restart, nothing sent.
     """
-    executed = int(record.get("executed_line", 0))
+    executed = int(record.get("executed_line") or 0)
     if int(record.get("answered_line") or 0) <= 0:
         return executed  # it may stand on the way in, of which the program tells nothing
     state = reader.state_before(executed + 1)

@@ -24,7 +24,8 @@ def main() -> None:
     """What the installed command calls."""
     code = run(sys.argv[1:])
     for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
-        signal.signal(kind, signal.SIG_DFL)
+        if signal.getsignal(kind) is not signal.SIG_IGN:
+            signal.signal(kind, signal.SIG_DFL)
     if code == EXIT_INTERRUPTED:  # all is cleaned up, and the interpreter would wait for threads still computing
         sys.stdout.flush()
         os._exit(code)

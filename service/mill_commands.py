@@ -102,7 +102,12 @@ def sim_mill(
     link: Annotated[Path | None, typer.Option("--link", metavar="PATH", help="Link to the pseudo terminal.")] = None,
     record: Annotated[Path | None, typer.Option("--record", metavar="FILE", help="Write the path cut here.")] = None,
     fault: Annotated[
-        list[str] | None, typer.Option("--fault", metavar="KIND", help="Fault to inject. Repeatable.")
+        list[str] | None,
+        typer.Option(
+            "--fault",
+            metavar="KIND",
+            help="Fault to inject: drop@line=40, power-cycle@t=12, hold-button (somewhere), random:3. Repeatable.",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", help="Seed of the faults.")] = 0,
 ) -> None:

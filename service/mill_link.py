@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from machines.driver import Driver
 from machines.drivers import open_driver
+from machines.errors import ProgramRefusedError
+from machines.gcode.preflight import Preflight
 from machines.grbl.settings import ControllerSettings
 from machines.port import stable_name
 from machines.profiles import MachineProfile, load_profile
@@ -22,6 +24,12 @@ def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, st
             "socket://host:port, or port = ... under [link] in a profile of yours"
         )
     return profile, stable_name(url) if url else ""
+
+
+def demand_blocks(facts: Preflight, name: str) -> None:
+    """An empty file, or one of comments only, would be `finished` at once: never what was meant."""
+    if facts.blocks == 0:
+        raise ProgramRefusedError(0, "", f"{name}: {facts.lines} lines and not one block in them; allowed: a program")
 
 
 class Connector:

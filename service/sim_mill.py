@@ -41,6 +41,10 @@ def run_sim_mill(
     """
     if firmware not in PRESETS:
         raise ValueError(f"firmware = '{firmware}' is not known: {', '.join(PRESETS)}")
+    if link is not None and not link.parent.is_dir():
+        raise ValueError(f"--link {link}: there is no folder {link.parent}")
+    if link is not None and link.exists() and not link.is_symlink():
+        raise ValueError(f"--link {link} is a file that is no link; allowed: a new name, or a link to be replaced")
     traits = PRESETS[firmware]
     plan = _faults(faults, seed)
     with _Recorder(record) as recording:
@@ -84,8 +88,11 @@ def _endpoint(mill: SimulatedMill, listen: str, time_factor: float, link: Path |
     kind, _, address = listen.partition(":")
     host, _, port = address.rpartition(":")
     if kind != "tcp" or not port.isdigit():
-        raise ValueError(f"listen = '{listen}' is not understood: write pty or tcp:HOST:PORT")
-    return serve_tcp(mill, host or "127.0.0.1", int(port), time_factor)
+        raise ValueError(f"--tcp {address} is not understood; allowed: HOST:PORT")
+    try:
+        return serve_tcp(mill, host or "127.0.0.1", int(port), time_factor)
+    except (OSError, OverflowError) as error:
+        raise ValueError(f"--tcp {address}: {(getattr(error, 'strerror', None) or str(error)).lower()}") from None
 
 
 class _Recorder(Recording):

@@ -7,6 +7,7 @@ person should see; and nothing moves before that person, or the command itself w
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import sys
 import time
 from collections.abc import Iterator
@@ -23,10 +24,11 @@ from machines.mill import Mill
 from machines.mill_thread import MillThread
 from machines.mill_view import MillSnapshot
 from machines.profiles import MachineProfile
+from machines.recovery import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.agent.settings import mill_folder, usable_folder
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, JobError, sentence_of_os_error
-from service.mill_link import Connector
+from service.mill_link import Connector, demand_blocks
 from service.preflight import preflight
 from service.progress import PlainReporter, Reporter, TerminalReporter
 from service.stream_ask import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_person, operator_name
@@ -40,6 +42,7 @@ from service.stream_words import left_words, mill_lines, print_lines, program_li
 
 _CONNECT_S = 15.0
 _POSITION_S = 2.0
+_SPINDLE_S = 4.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,6 +86,7 @@ def stream_program(order: StreamOrder) -> None:
         else:
             run_id, confirmation = _new_run(thread, order, facts)
         outcome = _run(thread, order, facts, run_id, confirmation)
+        outcome = _with_spindle(thread, outcome)
     _conclude(outcome, order, facts)
 
 
@@ -97,6 +101,8 @@ def _require_answers(order: StreamOrder) -> None:
             "--recover needs a person: run it on a terminal, or vouch for the mill's position with --confirm-position"
         )
     try:
+        if order.program.exists() and not order.program.is_dir() and not order.program.is_file():
+            raise InputError(f"{order.program} is a pipe or a device; allowed: a file, which can be read again")
         with order.program.open("rb"):
             pass
     except OSError as error:
@@ -113,6 +119,7 @@ def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Prefl
             order.program, order.profile, settings=settings, on_progress=lambda share: reporter.reached(stage, share)
         )
         reporter.ended(stage, time.monotonic() - begun)
+    demand_blocks(facts, order.program.name)
     return facts
 
 
@@ -143,7 +150,8 @@ def _reporter() -> Iterator[Reporter]:
 def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connector]]:
     """The mill, with its thread running; let go of at the end."""
     connector = Connector(order.profile, order.port_url)
-    mill = Mill(name=order.profile.name, connect=connector, folder=folder)
+    reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
+    mill = Mill(name=order.profile.name, connect=connector, folder=folder, reentry=reentry)
     thread = MillThread(mill)
     try:
         connector.open_now()
@@ -197,6 +205,15 @@ def _run(thread: MillThread, order: StreamOrder, facts: Preflight, run_id: str, 
         else:
             thread.call(lambda mill: mill.start(run_id, confirmation))
         return Follower(thread, run_id, facts, screen, keyboard=keys).follow(signals)
+
+
+def _with_spindle(thread: MillThread, outcome: Outcome) -> Outcome:
+    """After the last line: GRBL tells only now and then that its spindle is off, and a false ON would alarm."""
+    give_up_s = time.monotonic() + _SPINDLE_S
+    snapshot = outcome.snapshot
+    while outcome.ended is Ended.FINISHED and snapshot.status.spindle_on and time.monotonic() < give_up_s:
+        snapshot = thread.wait_for_change(snapshot.version, 0.2)
+    return dataclasses.replace(outcome, snapshot=snapshot)
 
 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:

@@ -72,7 +72,7 @@ def _until(driver: Driver, url: str, wait_s: float, done: Callable[[tuple[Event,
         events = driver.poll(_POLL_S)
         for event in events:
             if isinstance(event, Faulted):
-                raise NotAControllerError(url, event.words)
+                raise NotAControllerError(url, event.words.removeprefix(f"port {url}: "))
         if done(events):
             return
         if time.monotonic() > give_up_s:

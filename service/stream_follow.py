@@ -33,6 +33,7 @@ _REST_S = 5.0
 _ASK_EVERY_S = 2.0
 _REPORTED_S = 5.0
 _STEP_PERCENT = 10
+_NEWS = ("notice", "journal")
 
 
 class Ended(Enum):
@@ -76,12 +77,14 @@ class Follower:
         self._asked_s = time.monotonic()
         self._words = ""
         self._protected: tuple[str, ...] = ()
+        self._told = thread.snapshot.events[-1].number if thread.snapshot.events else 0
         self._feed_asked = (float("-inf"), 100)
 
     def follow(self, signals: Signals) -> Outcome:
         while True:
             snapshot = self._thread.snapshot
             ended = self._ended(snapshot)
+            self._tell_news(snapshot)
             self._screen.show(self._view(snapshot))
             if ended is not None:
                 return Outcome(ended, snapshot, self._by_signal, self._words)
@@ -93,6 +96,13 @@ class Follower:
                     return Outcome(over, self._thread.snapshot, True)
             if self._keyboard is not None and self._keyboard in ready and (over := self._typed()) is not None:
                 return Outcome(over, self._thread.snapshot, self._by_signal)
+
+    def _tell_news(self, snapshot: MillSnapshot) -> None:
+        """What a person should read and would miss in the panel, each once, above it."""
+        for entry in snapshot.events:
+            if entry.number > self._told and entry.kind in _NEWS:
+                self._screen.say(f"{entry.kind}: {entry.words}")
+            self._told = max(self._told, entry.number)
 
     def _is_driven(self) -> bool:
         """The mill's thread still answers."""

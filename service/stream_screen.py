@@ -126,7 +126,7 @@ class LiveScreen:
 def panel(program: str, view: StreamView) -> Panel:
     """The whole display as one renderable: always the same number of rows, so that nothing jumps."""
     table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", no_wrap=True)
+    table.add_column(style="dim", no_wrap=True, min_width=len("protection"))
     table.add_column(no_wrap=True, overflow="ellipsis")
     state = Text(view.shown_state.upper(), style=_STATE_COLOURS.get(view.shown_state, "bold"))
     table.add_row("mill", state.append(f"  {printable(view.detail)}" if view.detail else "", style="default"))

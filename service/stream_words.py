@@ -9,7 +9,7 @@ import textwrap
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from machines.driver import DriverFacts, MillStatus
+from machines.driver import DriverFacts, MillState, MillStatus
 from machines.gcode.preflight import Preflight
 from machines.runs import RunView
 from service.errors import printable
@@ -87,6 +87,8 @@ def recover_command(program: Path, port: str | None, machine: str) -> str:
 
 def left_words(status: MillStatus) -> str:
     """In which state the mill is left."""
+    if status.state is MillState.DISCONNECTED:
+        return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"
     spindle = {True: "spindle ON", False: "spindle off", None: "spindle state unknown"}[status.spindle_on]
     where = position_words(status.work_mm)
     return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"

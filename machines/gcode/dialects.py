@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from machines.gcode import refusals
-from machines.gcode.language import ACCEPT, MOVES_FRAME
+from machines.gcode.language import ACCEPT, DWELL_BY_F, DWELL_MS, MOVES_FRAME
 
 SHARED_LETTERS = "DFHIJKLNPQRSTXYZ"  # D, H and Q belong to words GRBL has not: refused by those, in their name
 
@@ -37,7 +37,11 @@ class Dialect:
     letters            : letters it takes beside SHARED_LETTERS
     own                : its own words for language.block, and the refusals of words it has not
     two_digits         : G and M words have two digits
-    needs_point        : X Y Z F ... carry a decimal point
+    needs_point        : letters whose numbers carry a decimal point
+    bare_zero          : 0 needs none (it is 0 in any unit)
+    name_digits        : fewest and most digits of the O word; (0, 0) where the letter O is not taken
+    arcs_by_r          : arcs may be given by R, not only by I, J, K
+    named              : O is followed by a name of letters and digits, not by a number
     decimals           : most decimals
     spindle_first      : S and M03 must come before the first cutting move
     g53_absolute       : G53 only in G90
@@ -50,14 +54,41 @@ class Dialect:
     letters: str = ""
     own: Own = ()
     two_digits: bool = False
-    needs_point: bool = False
+    needs_point: str = ""
+    bare_zero: bool = True
+    name_digits: tuple[int, int] = (0, 0)
+    named: bool = False
+    arcs_by_r: bool = True
     decimals: int = 17
     spindle_first: bool = False
     g53_absolute: bool = False
 
     @property
     def letter_bits(self) -> int:
-        return _letters(SHARED_LETTERS + self.letters)
+        return _letters(SHARED_LETTERS + self.letters + "O" * self.tapes)
+
+    @property
+    def tapes(self) -> bool:
+        """Programs have a name, O ..., and % before and after."""
+        return self.named or self.name_digits[1] > 0
+
+    @property
+    def point_bits(self) -> int:
+        return _letters(self.needs_point)
+
+    @property
+    def name_rule(self) -> str:
+        least, most = self.name_digits
+        if self.named:
+            return "O and at most 16 letters and digits"
+        return f"O and {most} digits" if least == most else f"O and {least} to {most} digits"
+
+    @property
+    def dwell_rule(self) -> str:
+        actions = {action for code, action, _, _ in self.own if code == 40}
+        if DWELL_MS in actions:
+            return "P, its milliseconds, or X, its seconds"
+        return "F, its seconds" if DWELL_BY_F in actions else "P, its seconds"
 
     @property
     def is_grbl(self) -> bool:
@@ -81,10 +112,12 @@ _MORE_OFFSETS = _g(MOVES_FRAME, (59.1, 59.2, 59.3))
 _CNC_OWN = (
     *_NOT_HERE,
     *_g(ACCEPT, (64, 61.1, 97, 50, 69, 95.1), "PQ"),
-    *_g(MOVES_FRAME, (43, 44, 54.1), "HPZ"),
     *_m(MOVES_FRAME, (6,)),
     *_m(ACCEPT, (48, 49, 19, 60)),
 )
+_LENGTHS = _g(MOVES_FRAME, (43, 44), "HZ")
+# What GRBL and LinuxCNC share, and controls of other families do not have or mean otherwise.
+_NOT_ON_ISO = _g(-refusals.NOT_HERE, (28.1, 30.1, 38.2, 38.3, 38.4, 38.5, 43.1, 91.1, 92.1))
 
 DIALECTS: dict[str, Dialect] = {
     dialect.name: dialect
@@ -93,20 +126,25 @@ DIALECTS: dict[str, Dialect] = {
         Dialect(name="grblhal", line_limit=255, percent=True, own=(*_NOT_HERE, *_NO_CHANGER, *_MORE_OFFSETS)),
         Dialect(name="fluidnc", line_limit=254, percent=True, own=(*_NOT_HERE, *_NO_CHANGER, *_MORE_OFFSETS)),
         Dialect(
-            name="linuxcnc", line_limit=254, n_limit=99_999_999, percent=True, letters="O",
-            own=(*_CNC_OWN, *_MORE_OFFSETS),
+            name="linuxcnc", line_limit=254, n_limit=99_999_999, percent=True,
+            own=(*_CNC_OWN, *_LENGTHS, *_MORE_OFFSETS),
         ),
         Dialect(
-            name="fanuc", line_limit=128, n_limit=99_999_999, percent=True, letters="O", needs_point=True,
-            own=_CNC_OWN,
+            name="fanuc", line_limit=128, n_limit=99_999_999, percent=True, name_digits=(1, 4),
+            needs_point="XYZIJKR",  # F in mm/min is a whole number on these
+            own=(*_CNC_OWN, *_LENGTHS, *_NOT_ON_ISO, *_g(MOVES_FRAME, (54.1,), "P"), *_g(DWELL_MS, (4,), "PX"),
+                 *_g(ACCEPT, (30,), "P")),
         ),
         Dialect(
-            name="okuma", line_limit=157, n_limit=99_999_999, percent=True, letters="O", needs_point=True,
-            own=(*_CNC_OWN, *_g(MOVES_FRAME, (15, 16, 56), "H")),
+            name="okuma", line_limit=157, n_limit=99_999_999, percent=True, named=True, needs_point="XYZIJKRF",
+            own=(*_CNC_OWN, *_NOT_ON_ISO, *_g(MOVES_FRAME, (15, 16, 56), "H"), *_g(DWELL_BY_F, (4,), "F"),
+                 *_g(ACCEPT, (30,), "P"), *_g(-refusals.OSP_OFFSETS, (10, 43, 44, 49, 53, 54, 55, 57, 58, 59))),
         ),
         Dialect(
-            name="roland-nc", line_limit=254, n_limit=99_999_999, percent=True, letters="O", two_digits=True,
-            needs_point=True, decimals=3, spindle_first=True, g53_absolute=True, own=(*_NOT_HERE, *_NO_CHANGER),
+            name="roland-nc", line_limit=254, n_limit=99_999_999, percent=True, name_digits=(8, 8), two_digits=True,
+            needs_point="XYZIJKRF", bare_zero=False, arcs_by_r=False, decimals=3, spindle_first=True, g53_absolute=True,
+            own=(*_NOT_HERE, *_NO_CHANGER, *_NOT_ON_ISO, *_g(-refusals.NOT_HERE, (10, 30, 61, 93)),
+                 *_m(-refusals.NOT_HERE, (4, 7, 8, 9))),
         ),
     )
 }  # fmt: skip

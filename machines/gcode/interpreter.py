@@ -108,6 +108,8 @@ class Interpreter:
         block = strip_block(text)
         if block == b"%" and self._dialect.percent:
             return Step("none", self._position, self._position)
+        if block[:1] == b"O" and self._dialect.named:
+            return Step("none", self._position, self._position)
         values, seen, g, m = [0.0] * 26, 0, [], []
         try:
             for letter, number in split_words(block):

@@ -55,9 +55,11 @@ NONE, RAPID, CUT, ARC, DWELL, JUMP, MACHINE, PROBE = range(8)  # JUMP: G28, G30.
 WAITS, WITHHOLDS, ENDS, WRITES, STOPS_SPINDLE = 1, 2, 4, 8, 16
 STATED_UNITS, STATED_DISTANCE = 1, 2
 # What a dialect's own word may do.
-ACCEPT, MOVES_FRAME = 1, 2
+ACCEPT, MOVES_FRAME, DWELL_MS, DWELL_BY_F = 1, 2, 3, 4
+M2_READ, TAPE_ENDED = 1, 2  # bits of ENDED
 
 _F, _I, _J, _K, _L, _N, _O, _P, _R, _S, _T = (1 << (ord(letter) - 65) for letter in "FIJKLNOPRST")
+_X = 1 << 23
 _AXES = 7 << 23
 _FAR_MM = 100_000.0
 
@@ -68,7 +70,8 @@ def block(
     """Carry out one block on `state`, tell in `out` what it does. Returns 0, or the refusal's code.
 
     values (26,) : numbers by letter, where `seen` has the letter's bit; G and M words apart as 10 x their number
-    own (k, 4)   : words of the dialect: 10 x number (M: + 100 000), ACCEPT, MOVES_FRAME or -refusal, letters used, any
+    own (k, 4)   : words of the dialect: 10 x number (M: + 100 000), what it may do or -refusal, letters used, any;
+                   it may refuse or extend any word but G0 to G3
     Where a block is refused, state may be half changed: nothing after it is read.
     """
     nan = math.nan
@@ -92,9 +95,22 @@ def block(
     length_word = -1
     wcs = state[WCS]
     moves_frame = False
+    dwell = 0
     for k in range(n_g):
         code = g[k]
         bit = 0
+        action = 0
+        if code > 30:
+            for j in range(len(own)):
+                if own[j][0] == code:
+                    action = own[j][1]
+                    used |= own[j][2]
+            if action < 0:
+                return -action
+            if action == MOVES_FRAME:
+                moves_frame = True
+            elif action >= DWELL_MS:
+                dwell = action
         if code == 0 or code == 10 or code == 20 or code == 30 or 382 <= code <= 385 or code == 800:
             bit = 1
             motion = code
@@ -122,28 +138,16 @@ def block(
             length_word = code
         elif 540 <= code <= 590 and code % 10 == 0:
             bit = 128
-            wcs = code / 10.0
-            for j in range(len(own)):
-                if own[j][0] == code:  # G56 is a tool's length on an OSP control
-                    wcs = state[WCS]
-                    moves_frame = True
-                    used |= own[j][2]
+            if action == 0:  # G56 is a tool's length on an OSP control
+                wcs = code / 10.0
         elif code == 911:
             bit = 256
         elif code == 400:
             bit = 512
         elif code == 610:
             bit = 1024
-        else:
-            action = -WRONG_G
-            for j in range(len(own)):
-                if own[j][0] == code:
-                    action = own[j][1]
-                    used |= own[j][2]
-            if action < 0:
-                return -action
-            if action == MOVES_FRAME:
-                moves_frame = True
+        elif action == 0:
+            return WRONG_G
         if groups & bit:
             return GROUP_TWICE
         groups |= bit
@@ -152,6 +156,15 @@ def block(
     for k in range(n_m):
         code = m[k]
         bit = 0
+        action = 0
+        for j in range(len(own)):
+            if own[j][0] == code + 100000:
+                action = own[j][1]
+                used |= own[j][2]
+        if action < 0:
+            return -action
+        if action == MOVES_FRAME:
+            moves_frame = True
         if code == 0 or code == 10:
             bit = 4096
             flags |= WITHHOLDS | WAITS
@@ -166,19 +179,20 @@ def block(
             bit = 16384
             flags |= WAITS
             state[COOLANT] = 0.0 if code == 90 else float(int(state[COOLANT]) | (1 if code == 70 else 2))
-        else:
-            action = -WRONG_M
-            for j in range(len(own)):
-                if own[j][0] == code + 100000:
-                    action = own[j][1]
-                    used |= own[j][2]
-            if action < 0:
-                return -action
-            if action == MOVES_FRAME:
-                moves_frame = True
+        elif action == 0:
+            return WRONG_M
         if groups & bit:
             return GROUP_TWICE
         groups |= bit
+
+    # A dwell by another letter than P: X in seconds or P in milliseconds, or F in seconds.
+    pause = values[15] if seen & _P else -1.0
+    if single == 40 and dwell == DWELL_MS:
+        pause = values[15] / 1000.0 if seen & _P else values[23] if seen & _X else -1.0
+        seen &= ~_X
+    elif single == 40 and dwell == DWELL_BY_F:
+        pause = values[5] if seen & _F else -1.0
+        seen &= ~_F
 
     # Which command owns the coordinates.
     axes = (seen >> 23) & 7
@@ -228,12 +242,12 @@ def block(
             state[d] = nan
 
     if single == 40:
-        if not seen & _P or values[15] < 0.0:
+        if pause < 0.0:
             return BAD_DWELL
         used |= _P
         flags |= WAITS
         out[KIND] = float(DWELL)
-        out[PAUSE] = values[15]
+        out[PAUSE] = pause
 
     # Length offset and the frame.
     if length_word == 431:
@@ -414,7 +428,7 @@ def block(
         return UNUSED_WORD
     if flags & ENDS:
         state[MOTION], state[PLANE], state[ABSOLUTE], state[FEED_MODE] = 10.0, 17.0, 1.0, 94.0
-        state[SPINDLE], state[COOLANT], state[ENDED] = 5.0, 0.0, 1.0
+        state[SPINDLE], state[COOLANT], state[ENDED] = 5.0, 0.0, float(M2_READ)
         if state[WCS] != 54.0:
             state[WCS] = 54.0
             for d in range(3):

@@ -56,14 +56,18 @@ if TYPE_CHECKING:
     G53_RELATIVE,
     OUT_OF_RANGE,
     MISPLACED_PERCENT,
-) = range(1, 49)
+    BAD_NAME,
+    OSP_OFFSETS,
+    NOT_HERE,
+    ARC_BY_R,
+) = range(1, 53)
 
 REASONS = {
     NO_LETTER: "a word starts with a letter; only G-code words, comments in ( ) and after ; are understood",
     NO_NUMBER: "a letter is followed by a plain decimal number of at most 17 digits",
     OPEN_COMMENT: "a comment that is opened with ( is closed with ) on the same line",
     PERCENT: "no % marks in this dialect (GRBL answers error:1); delete the line",
-    DOLLAR: "settings ($...) do not belong in a program; send them as commands while the mill is idle",
+    DOLLAR: "no $ lines in a program: settings are commands to an idle mill, file names are set at the control",
     BLOCK_DELETE: "block delete (/) would be ignored and the line cut; delete the / or the line",
     LONG: "the controller holds at most {limit} characters of code in a line (comments and blanks aside); split it",
     WRONG_G: "a G word this dialect does not know; delete or translate it",
@@ -71,13 +75,13 @@ REASONS = {
     WRONG_LETTER: "a word whose letter this dialect does not know; delete or translate it",
     REPEATED: "the same word stands twice on the line",
     GROUP_TWICE: "two words of one modal group on the line (such as G0 and G1)",
-    AFTER_END: "nothing may follow M2 or M30",
+    AFTER_END: "nothing may follow M2, M30 or the closing %",
     BAD_FEED: "a feed must be above 0",
     NO_FEED: "a cutting move needs a feed: give F above 0 on this line or before (in G93: on this line)",
     BAD_SPEED: "a spindle speed must be 0 or more",
     BAD_TOOL: "a tool number is a whole number from 0 to 255",
     BAD_N: "a line number (N) is a whole number from 0 to {n_limit}",
-    BAD_DWELL: "G4 needs P, its seconds, 0 or more",
+    BAD_DWELL: "G4 needs {dwell_rule}, 0 or more",
     DWELL_MOVES: "G4 stands alone, without a motion",
     NO_MOTION: "coordinates need G0, G1, G2 or G3 on this line or before",
     TWO_AXIS_COMMANDS: "two commands on the line claim the coordinates (such as G0 and G92); split it",
@@ -106,12 +110,21 @@ REASONS = {
     SPINDLE_FIRST: "{dialect} needs S and M03 before the first cutting move, or it faults",
     G53_RELATIVE: "G53 works in G90 only here",
     OUT_OF_RANGE: "the numbers lead farther than 100 000 mm away",
-    MISPLACED_PERCENT: "% stands alone on its line, first and last",
+    MISPLACED_PERCENT: "% stands alone on its line, first and last: the control reads nothing behind the second one",
+    BAD_NAME: "a program's name is {name_rule} here, first on its line",
+    OSP_OFFSETS: "{dialect} sets the work offset with G15 H and the tool length with G56 H; delete or translate the word",
+    NOT_HERE: "{dialect} does not have this word, or means something else by it; delete or translate it",
+    ARC_BY_R: "{dialect} takes arcs by I and J only, not by R",
 }
 
 
 def reason_for(dialect: Dialect, code: int) -> str:
     """The sentence of a refusal by a control of this dialect."""
     return REASONS[code].format(
-        limit=dialect.line_limit, n_limit=dialect.n_limit, dialect=dialect.title, decimals=dialect.decimals
+        limit=dialect.line_limit,
+        n_limit=dialect.n_limit,
+        dialect=dialect.title,
+        decimals=dialect.decimals,
+        name_rule=dialect.name_rule,
+        dwell_rule=dialect.dwell_rule,
     )

@@ -87,6 +87,8 @@ def warnings(
         yield f"S goes up to {spindle[1]:g} rpm, the spindle of {limits.profile} to {high:g}: it will turn slower"
     if spindle is not None and 0 < spindle[0] < low:
         yield f"S goes down to {spindle[0]:g} rpm, the spindle of {limits.profile} to {low:g}: it will turn faster"
+    if dialect.tapes and dialect.name != "roland-nc" and not events[tally.NUMBERED][1]:
+        yield "the program has no sequence numbers (N): after an interruption it cannot be restarted in the middle"
     if not ends:
         yield "the program has no end (M2 or M30): the spindle stays as the last line leaves it"
 

@@ -44,19 +44,23 @@ from machines.gcode.language import (
     STATED_DISTANCE,
     STATED_UNITS,
     SWEEP,
+    TAPE_ENDED,
     WAITS,
     WCS,
     WITHHOLDS,
     WRITES,
 )
 from machines.gcode.refusals import (
+    ARC_BY_R,
     ARC_HUGE,
     BAD_FEED,
+    BAD_NAME,
     BLOCK_DELETE,
     DECIMALS,
     DOLLAR,
     G53_RELATIVE,
     LONG,
+    MISPLACED_PERCENT,
     NEEDS_POINT,
     NO_FEED,
     NO_LETTER,
@@ -86,15 +90,21 @@ from machines.gcode.tally import (
     MIST,
     MOST_FEED,
     MOST_RPM,
+    NUMBERED,
     OTHER_OFFSET,
     OVER_RATE,
     PATH_MM,
     PLACE_UNKNOWN,
+    RULE_BARE_ZERO,
     RULE_DECIMALS,
     RULE_G53,
     RULE_LENGTH,
     RULE_LETTERS,
     RULE_N,
+    RULE_NAME_LEAST,
+    RULE_NAME_MOST,
+    RULE_NAMED,
+    RULE_NO_R,
     RULE_PERCENT,
     RULE_POINT,
     RULE_SPINDLE,
@@ -112,7 +122,6 @@ MOST_CHORDS = 50_000
 MOST_CODE = 1024  # characters of code in a line, before any dialect's own limit
 ARC_TOLERANCE_MM = 0.002  # $12 as GRBL ships it
 
-_POINTED = sum(1 << (ord(letter) - 65) for letter in "XYZIJKRF")
 _STRAIGHT = sum(1 << (ord(letter) - 65) for letter in "XYZF")
 
 _block = njit(cache=True, nogil=True)(language.block)
@@ -257,6 +266,7 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
     end = np.empty(3)
     letters = rules[RULE_LETTERS]
     strict = rules[RULE_TWO_DIGITS] != 0 or rules[RULE_POINT] != 0 or rules[RULE_DECIMALS] < 17
+    tapes = rules[RULE_NAMED] + rules[RULE_NAME_MOST] > 0
     points = moves[0]
     for d in range(3):
         points[0, d] = place[d]
@@ -307,6 +317,11 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
         if size_of_code == 1 and code[0] == 37:
             if rules[RULE_PERCENT] == 0:
                 return begin, n, PERCENT, begin
+            if int(state[ENDED]) & TAPE_ENDED:
+                return begin, n, MISPLACED_PERCENT, begin
+            if totals[BLOCKS] > 0.0 and tapes:
+                state[ENDED] = float(int(state[ENDED]) | TAPE_ENDED)
+                plain = False
             totals[LINES] += 1.0
             totals[BLOCKS] += 1.0
             totals[SENT_BYTES] += 2.0
@@ -321,13 +336,28 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
             letter = int(c) - 65
             if letter < 0 or letter > 25:
                 if c == 37:
-                    return begin, n, PERCENT, begin
+                    return begin, n, MISPLACED_PERCENT if rules[RULE_PERCENT] else PERCENT, begin
                 if c == 36:
                     return begin, n, DOLLAR, begin
                 if c == 47:
                     return begin, n, BLOCK_DELETE, begin
                 return begin, n, NO_LETTER, begin
             q += 1
+            if letter == 14 and tapes:
+                if q > 1:
+                    return begin, n, BAD_NAME, begin
+                least = rules[RULE_NAME_LEAST]
+                most = rules[RULE_NAME_MOST]
+                if rules[RULE_NAMED] != 0:
+                    least = 1
+                    most = 16
+                if not least <= size_of_code - 1 <= most:
+                    return begin, n, BAD_NAME, begin
+                for k in range(1, size_of_code):
+                    if not (48 <= code[k] <= 57 or (rules[RULE_NAMED] != 0 and 65 <= code[k] <= 90)):
+                        return begin, n, BAD_NAME, begin
+                seen = 1 << 14
+                break
             negative = False
             if q < size_of_code and (code[q] == 45 or code[q] == 43):
                 negative = code[q] == 45
@@ -372,7 +402,7 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
             if (seen >> letter) & 1:
                 return begin, n, REPEATED, begin
             if strict:
-                if rules[RULE_POINT] != 0 and decimals < 0 and (_POINTED >> letter) & 1:
+                if decimals < 0 and (rules[RULE_POINT] >> letter) & 1 and (value != 0.0 or rules[RULE_BARE_ZERO] == 0):
                     return begin, n, NEEDS_POINT, begin
                 if decimals > rules[RULE_DECIMALS]:
                     return begin, n, DECIMALS, begin
@@ -419,7 +449,7 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
                         return begin, n, OUT_OF_RANGE, begin
                     state[d] = values[23 + d]
                 end[d] = state[d]
-            if cut and rules[RULE_SPINDLE] != 0 and state[SPINDLE] == 5.0:
+            if cut and rules[RULE_SPINDLE] != 0 and (state[SPINDLE] == 5.0 or state[SPEED] == 0.0):
                 return begin, n, SPINDLE_FIRST, begin
             feed = state[FEED] if cut else 0.0
             n = _straight(n, start, end, cut, feed, line, state, place, totals, events, bounds, rates, moves)
@@ -433,6 +463,8 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
         kind = int(out[KIND])
         if flags & WAITS or kind == DWELL:
             n = _entry(n, place, False, 0.0, line, state[SPINDLE] != 5.0, out[PAUSE], totals[SENT_BYTES], moves)
+        if seen & 1 << 13:
+            _event(events, NUMBERED, line)
         if flags & WITHHOLDS:
             _event(events, STOPS, line)
         if flags & WRITES:
@@ -449,7 +481,8 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
             totals[MOST_RPM] = max(totals[MOST_RPM], state[SPEED])
         if kind in (RAPID, CUT, PROBE, ARC):
             cut = kind != RAPID
-            if cut and rules[RULE_SPINDLE] != 0 and kind != PROBE and state[SPINDLE] == 5.0 and state[ENDED] == 0.0:
+            still = state[SPINDLE] == 5.0 or state[SPEED] == 0.0
+            if cut and rules[RULE_SPINDLE] != 0 and kind != PROBE and still and state[ENDED] == 0.0:
                 return begin, n, SPINDLE_FIRST, begin
             blind = False
             for d in range(3):
@@ -460,6 +493,8 @@ def scan(raw, most_lines, rules, own, rates, powers, state, place, totals, event
             if blind:
                 _event(events, BLIND_RELATIVE, line)
             if kind == ARC:
+                if seen & 1 << 17 and rules[RULE_NO_R] != 0:
+                    return begin, n, ARC_BY_R, begin
                 n = _arc(n, out, line, state, place, totals, events, bounds, rates, moves, end)
                 if n < 0:
                     return begin, 0, ARC_HUGE, begin

@@ -8,12 +8,13 @@ TOTALS = 9
 # Events: the first line of each, and how many.
 (
     UNITS_ASSUMED, DISTANCE_ASSUMED, SPINDLE_OFF, BLIND_CUT, BLIND_RELATIVE, FRAME_MOVED, SETTINGS_WRITTEN, STOPS,
-    OVER_RATE, PLACE_UNKNOWN, MACHINE_MOVES, MIST, OTHER_OFFSET,
-) = range(13)  # fmt: skip
-EVENTS = 13
+    OVER_RATE, PLACE_UNKNOWN, MACHINE_MOVES, MIST, OTHER_OFFSET, NUMBERED,
+) = range(14)  # fmt: skip
+EVENTS = 14
 # Rows of the bounds: G54 .. G59, then after the program moved its frame, then machine coordinates.
 SHIFTED_ROW, MACHINE_ROW, FRAMES = 6, 7, 8
 # Rules of the dialect, as numbers.
 (
     RULE_LENGTH, RULE_N, RULE_PERCENT, RULE_LETTERS, RULE_TWO_DIGITS, RULE_POINT, RULE_DECIMALS, RULE_SPINDLE, RULE_G53,
-) = range(9)  # fmt: skip
+    RULE_BARE_ZERO, RULE_NAME_LEAST, RULE_NAME_MOST, RULE_NAMED, RULE_NO_R,
+) = range(14)  # fmt: skip

@@ -53,7 +53,7 @@ def state_of(vector: Sequence[float]) -> ModalState:
         position_mm=_position(vector),
         shifted=bool(vector[at.SHIFTED]),
         stated=frozenset(name for name, bit in names if stated & bit),
-        ended=bool(vector[at.ENDED]),
+        ended=bool(int(vector[at.ENDED]) & at.M2_READ),
     )
 
 

@@ -22,7 +22,7 @@ from machines.grbl.runner import ErrandRunner
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase, detail_words, mill_state, stands
 from machines.grbl.streaming import Stream
-from machines.grbl.tracking import SHORT_BLOCKS_BEYOND_PLANNER
+from machines.grbl.tracking import SEGMENTS
 from machines.grbl.view import MachineView
 from machines.grbl.window import usable_bytes
 
@@ -31,11 +31,12 @@ DEFAULT_PLANNER_BLOCKS = 15
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GrblOptions:
-    """poll_s: time between status requests; rx_bytes: receive buffer, None = ask $I; corridor_mm: how far a reported
-    position may be off the programmed path, on top of rounding, steps and arc chords ($12); identify_s: patience with a
-    port on which nothing like a controller answers."""
+    """poll_s, run_poll_s: between status requests, and while a program runs; rx_bytes: receive buffer, None = ask $I;
+    corridor_mm: how far a reported position may be off the programmed path, on top of rounding, steps and arc chords
+    ($12); identify_s: patience with a port on which nothing like a controller answers."""
 
     poll_s: float = 0.2
+    run_poll_s: float = 0.1
     rx_bytes: int | None = None
     corridor_mm: float = 0.010
     identify_s: float = 6.0
@@ -77,6 +78,7 @@ class SessionKnown:
         # _sign_at_s: the last answer, new position, proven step or hold: something goes on
         self._sign_at_s = self._phase_at_s = self._hold_at_s = self._poll_at_s = self._watch_at_s = 0.0
         self._idle_reports = 0
+        self._count_at_s = 0.0  # when lines and answers are counted against each other next
         self._standing_reports = 0  # Idle in a row, with no answer between
         self._standing_at_s = 0.0  # when the first of them came
         self._stop_reports = 0
@@ -166,7 +168,8 @@ class SessionKnown:
 
     @property
     def facts(self) -> DriverFacts:
-        ahead = self.planner_blocks + SHORT_BLOCKS_BEYOND_PLANNER
+        segments = SEGMENTS[self.settings.firmware]
+        ahead = self.planner_blocks + segments + 1
         return DriverFacts(
             kind="GRBL 1.1, grblHAL or FluidNC over a byte stream",
             capacity=f"counted bytes, at most {self.window_bytes} under way "
@@ -175,9 +178,10 @@ class SessionKnown:
                 if self.settings.rx_bytes
                 else "(assumed: the controller does not tell)"
             ),
-            acknowledgement=f"ok = parsed and queued, up to {ahead} blocks before it is executed",
+            acknowledgement=f"ok = parsed and queued, counted as up to {ahead} blocks before it is executed "
+            f"({self.planner_blocks} in the planner, {segments} segments, 1 to spare)",
             stop="feed hold '!' at once, before everything else; reset only from standstill",
-            position=f"status report, {1.0 / self.options.poll_s:g} per second",
+            position=f"status report, {1.0 / self.options.run_poll_s:g} per second while a program runs",
             tried_on="the simulated mill of this project; modelled on measurements of GRBL 1.1h and a grblHAL",
         )
 
@@ -188,13 +192,34 @@ class SessionKnown:
             return ()
         if self._echoes:
             words.append("echo: every line the controller has read is compared with the line sent")
-        if self._corridor:  # of the program now, or the last one
-            words.append(
-                f"corridor: reported positions are compared with the path {1.0 / self.options.poll_s:g} times a "
-                f"second, tolerance {self._tolerance_mm:.3f} mm; a wrong move is noticed after it has begun"
-            )
+        if corridor := self._corridor_words():
+            words.append(corridor)
         if self.settings.soft_limits:
             words.append("soft limits of the controller ($20=1)")
         if self.settings.hard_limits:
             words.append("limit switches of the controller ($21=1)")
         return tuple(words)
+
+    def _corridor_words(self) -> str:
+        """What is done, or will be: nothing is said of positions that cannot be compared."""
+        if self.state is MillState.CHECK:
+            return ""
+        per_second, tolerance_mm = 1.0 / self.options.run_poll_s, self._corridor_mm()
+        what = (
+            f"reported positions are held against the path {per_second:g} times a second, "
+            f"corridor {tolerance_mm:.3f} mm; a wrong move is noticed after it has begun, "
+            "one that is over between two reports is not"
+        )
+        if self.phase is not Phase.STREAMING:
+            return f"while a program runs: {what}"
+        return what if self._corridor else ""
+
+    def _corridor_mm(self) -> float:
+        """How far a reported position may be off: the option, and what rounding, steps and chords add."""
+        steps = self.settings.step_mm or (0.01, 0.01, 0.01)
+        return (
+            self.options.corridor_mm
+            + 1.7321 * self.view.report_step_mm
+            + 0.5 * sum(step * step for step in steps) ** 0.5
+            + (self.settings.arc_tolerance_mm or 0.002)
+        )

@@ -17,6 +17,11 @@ class Pacer:
         self._rate = wire_bytes_per_s
         self._empty_at_s = -inf
 
+    @property
+    def paced(self) -> bool:
+        """The rate of the wire is known: a serial line, no network."""
+        return self._rate is not None
+
     def budget(self, now_s: float) -> int:
         """Bytes that may be written now."""
         if self._rate is None:

@@ -6,8 +6,9 @@ from collections.abc import Callable
 
 from machines.driver import Command, Triple
 from machines.grbl.codes import error_words
-from machines.grbl.errands import Answer, Ask, Errand, ErrandFailedError, Outcome, WaitStill
+from machines.grbl.errands import PARSER_TAG, Answer, Ask, Errand, ErrandFailedError, Outcome, WaitStill
 from machines.grbl.replies import Push, Reply, Setting
+from machines.grbl.settings import is_parser_state
 
 STILL_REPORTS = 2  # a report may have been made just before the motion of an answered line began
 
@@ -59,7 +60,11 @@ class ErrandRunner:
             self._advance(Answer(f"{ask.text.decode('ascii')}: {error_words(error)}", tuple(self._heard)), now_s)
             return True
         if ask.expect and not any(_is(reply, ask.expect) for reply in self._heard):
-            return False
+            if not any(isinstance(reply, Push) and reply.tag == ask.expect for reply in self._heard):
+                return False
+            text = ask.text.decode("ascii")
+            self._advance(Answer(f"{text}: its answer was damaged on the way", tuple(self._heard)), now_s)
+            return True
         self._advance(Answer("", tuple(self._heard)), now_s)
         return True
 
@@ -89,4 +94,4 @@ class ErrandRunner:
 def _is(reply: Reply, expect: str) -> bool:
     if expect == "$":
         return isinstance(reply, Setting)
-    return isinstance(reply, Push) and reply.tag == expect
+    return isinstance(reply, Push) and reply.tag == expect and (expect != PARSER_TAG or is_parser_state(reply.body))

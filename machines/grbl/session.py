@@ -12,6 +12,7 @@ Rules that hold at every moment:
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import inf
 
 from machines.driver import (
     CheckMode,
@@ -22,7 +23,6 @@ from machines.driver import (
     Faulted,
     JogCancel,
     MillState,
-    Notice,
     Override,
     ProgramLine,
     Reset,
@@ -35,20 +35,20 @@ from machines.gcode.modal import ModalState
 from machines.grbl import overrides, stall
 from machines.grbl.errands import errand_for
 from machines.grbl.hail import Hail
-from machines.grbl.hearing import SessionHearing, shown
 from machines.grbl.known import GrblOptions
 from machines.grbl.permits import check_command
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.states import Phase, detail_words
 from machines.grbl.stopping import BUSY_S
-from machines.grbl.streaming import Flight, Stream
-from machines.grbl.tracking import Tracker
+from machines.grbl.streaming import Stream
+from machines.grbl.tracking import SEGMENTS, Tracker
+from machines.grbl.watching import COUNT_EVERY_S, SessionWatching
 
 HAIL_S, WATCH_S = 0.25, 0.05
 TOOL_DONE = b"\xa3"
 
 
-class GrblSession(SessionHearing):
+class GrblSession(SessionWatching):
     """One link to one controller, over all its restarts."""
 
     def connect(self, now_s: float) -> None:
@@ -154,6 +154,8 @@ class GrblSession(SessionHearing):
     @property
     def next_deadline_s(self) -> float:
         """When `tick` and `output` want to be called at the latest."""
+        if self.phase is Phase.CLOSED:
+            return inf
         due_s = self._poll_at_s if self._poll_at_s < self._watch_at_s else self._watch_at_s
         stream = self._stream
         if stream is not None and stream.wants_wire and self.phase is Phase.STREAMING and not self._paused:
@@ -180,84 +182,14 @@ class GrblSession(SessionHearing):
         stream = self._stream
         if self._steer is not None or (stream is not None and stream.drained) or self.view.work_offset is None:
             return min(0.1, self.options.poll_s)
-        return self.options.poll_s
-
-    def _watch(self, now_s: float) -> None:
-        """What time alone shows."""
-        phase = self.phase
-        if phase is Phase.HAILING:
-            self._watch_hail(now_s)
-        elif self._errand is not None:
-            self._errand.watch(now_s)
-            self._after_errand(now_s)
-        elif phase is Phase.STREAMING:
-            self._watch_stream(now_s)
-        elif phase is Phase.STOPPING:
-            self._watch_stop(now_s)
-        elif phase is Phase.CLEARING:
-            if now_s > self._phase_at_s + stall.BANNER_S:
-                self._events.append(Notice("no banner after the reset: asking again whether the mill stands"))
-                self._urgent += b"!"
-                self._hold_at_s = now_s
-                self._move(Phase.STOPPING, now_s)
-        elif phase is Phase.READY:
-            silent_s = now_s - max(self.view.report_at_s, self._phase_at_s)
-            if silent_s > stall.REPORT_SILENCE_S + 1.0:
-                self._events.append(Notice(f"no answer to '?' for {silent_s:.0f} s"))
-                self.view.report = None
-                self._hail = Hail(recognised=True)
-                self._move(Phase.HAILING, now_s)
-
-    def _watch_hail(self, now_s: float) -> None:
-        if self._hail.recognised or now_s < self._phase_at_s + self.options.identify_s:
-            return
-        self._end_errand("not connected")
-        words = self._hail.verdict()
-        self._close(words, now_s, Faulted(FaultCause.DEVICE, words, 0, now_s))
-
-    def _watch_stream(self, now_s: float) -> None:
-        stream = self._stream
-        assert stream is not None
-        silent_s = now_s - max(self.view.report_at_s, self._phase_at_s)
-        first = stream.first
-        if silent_s > stall.REPORT_SILENCE_S and not (first is not None and first[1].writes_settings):
-            self._fault(FaultCause.STALL, f"no answer to '?' for {silent_s:.1f} s", stream.first_line, now_s)
-            return
-        waited_s = now_s - self._sign_at_s
-        if self._paused or waited_s < stall.MARGIN_S or not (stream.window.used or stream.drained):
-            return
-        standing = self._standing_reports >= stall.IDLE_REPORTS and now_s > self._standing_at_s + stall.IDLE_S
-        allowed_s = stall.longest_wait_s(
-            first[1] if first is not None else None,
-            stream.tracker.unproven_answered,
-            self.settings,
-            self.view.overrides,
-            standing=standing,
-        )
-        if allowed_s is not None and waited_s > allowed_s:
-            self._fault(FaultCause.STALL, self._stall_words(first, waited_s, allowed_s, standing), stream.first_line, now_s)
-
-    @staticmethod
-    def _stall_words(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> str:
-        if first is None:
-            return f"every line is answered, but the mill neither moves nor comes to rest, for {waited_s:.1f} s now"
-        words = f"line {first[0].number} '{shown(first[0].text)}' got no answer and nothing moved for {waited_s:.1f} s"
-        if standing:
-            return f"{words}; the mill reports Idle: a line or a reply was lost"
-        return f"{words} (at most {allowed_s:.1f} s are explained by what is under way)"
+        return self.options.run_poll_s if self.phase is Phase.STREAMING else self.options.poll_s
 
     def start(self, lines: Iterator[ProgramLine], now_s: float) -> None:
         state = self.state
         if self.phase is not Phase.READY or state not in (MillState.IDLE, MillState.CHECK):
             raise NotAllowedError(f"start: the mill is {state.value}, it must be idle")
         settings, view = self.settings, self.view
-        steps = settings.step_mm or (0.01, 0.01, 0.01)
-        self._tolerance_mm = (
-            self.options.corridor_mm
-            + 1.7321 * view.report_step_mm
-            + 0.5 * sum(step * step for step in steps) ** 0.5
-            + (settings.arc_tolerance_mm or 0.002)
-        )
+        self._tolerance_mm = self._corridor_mm()
         modes = self._modes.split()
         self._interpreter = Interpreter(
             ModalState(
@@ -267,10 +199,13 @@ class GrblSession(SessionHearing):
             ),
             dialect=self.options.dialect,
         )
-        tracker = Tracker(planner_blocks=self.planner_blocks, tolerance_mm=self._tolerance_mm)
+        tracker = Tracker(
+            planner_blocks=self.planner_blocks, tolerance_mm=self._tolerance_mm, segments=SEGMENTS[settings.firmware]
+        )
         self._stream = Stream(lines, capacity=self.window_bytes, interpret=self._interpreter.take, tracker=tracker)
         self._corridor = False
         self._sign_at_s = now_s
+        self._count_at_s = now_s + COUNT_EVERY_S
         self._paused = self._hold_wanted = False
         self._move(Phase.STREAMING, now_s)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -149,6 +150,19 @@ def read_settings(replies: Iterable[Reply], banner: str = "") -> ControllerSetti
         offsets=_offsets(pushes, unit_mm),
         parser_state=texts.get("GC", ""),
     )
+
+
+_STATE_WORD = re.compile(r"[GMTFSH]-?\d+(?:\.\d*)?")
+_STATE_GROUPS = tuple(
+    frozenset(group.split())
+    for group in ("G54 G55 G56 G57 G58 G59 G59.1 G59.2 G59.3", "G17 G18 G19", "G20 G21", "G90 G91", "G93 G94 G95")
+)
+
+
+def is_parser_state(words: str) -> bool:
+    """[GC:] as a controller says it: words only, and one of each modal group that a program depends on."""
+    parts = words.split()
+    return all(map(_STATE_WORD.fullmatch, parts)) and all(len(group & set(parts)) == 1 for group in _STATE_GROUPS)
 
 
 def _firmware(words: str) -> str:

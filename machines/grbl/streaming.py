@@ -32,12 +32,13 @@ class Stream:
         self.wants_wire = False  # more could be sent if the wire were less full
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.echoed = False  # the oldest line under way has been echoed
+        self.counting = False  # no new lines until every line is answered: shows whether as many answers came as lines
 
     def fill(self, budget: int) -> bytes:
         """At most `budget` bytes to write now. Raises MachineError where the program cannot go on."""
         out = self._rest
         window = self.window
-        while len(out) < budget and not self._alone:
+        while len(out) < budget and not self._alone and not self.counting:
             following = self._next
             if following is None:
                 following = self._read()
@@ -90,6 +91,8 @@ class Stream:
             self.answered_line = number
         self._alone = False
         self.echoed = False
+        if self.counting and not self.window.used:
+            self.counting = False
         return flight
 
     @property

@@ -22,11 +22,13 @@ Triple = tuple[float, float, float]
 # Beside the planner's blocks there is one whose end is already cut into segments: measured 17 in all on 1.1
 # (reference/machines.md, 1).
 LONG_BLOCKS_BEYOND_PLANNER = 2
-# Every segment belongs to one block and lasts at most 10 ms: of short blocks all 6 segments and the one being stepped
-# may hold a block of their own. "Short" leaves room for a feed override of 200 %.
-SHORT_BLOCKS_BEYOND_PLANNER = 7
-SHORT_S = 0.12
-SHORT_RAPID_MM = 20.0  # SHORT_S at 10 m/min
+# Every segment belongs to one block and lasts at most 10 ms: of short blocks each segment, and one to spare, may hold a
+# block of its own. Segments by source: 1.1 has 6, grblHAL 10, FluidNC 6 to 20 by its configuration.
+SEGMENTS = {"grbl": 6, "grblhal": 10, "fluidnc": 20}
+SHORT_S_PER_SEGMENT = (
+    0.02  # a block is short if it lasts less than this times the segments; twice 10 ms: override 200 %
+)
+SHORT_RAPID_MM_PER_S = 500.0  # 30 m/min
 REMEMBERED = 64  # executed steps a late position may still lie on
 
 
@@ -70,22 +72,33 @@ class Tracker:
     __slots__ = (
         "_answered",
         "_beyond",
-        "_blocks",
+        "_by_count",
+        "_counted_line",
+        "_distrusted",
         "_recent",
+        "_short_beyond",
         "_short_left",
+        "_short_rapid_mm",
+        "_short_s",
         "_steps",
         "_tolerance_mm",
+        "_usual_beyond",
         "executed_line",
     )
 
-    def __init__(self, *, planner_blocks: int, tolerance_mm: float) -> None:
+    def __init__(self, *, planner_blocks: int, tolerance_mm: float, segments: int = SEGMENTS["grbl"]) -> None:
         self.executed_line = 0
         self._steps: deque[tuple[int, Move]] = deque()  # from the first not proven executed to the last sent
         self._recent: deque[tuple[int, Move]] = deque(maxlen=REMEMBERED)
         self._answered = 0  # how many of _steps, from the left, are answered
-        self._blocks = planner_blocks
-        self._beyond = planner_blocks + LONG_BLOCKS_BEYOND_PLANNER
+        self._by_count: deque[int] = deque()  # numbers of answered lines the buffers may still hold
+        self._counted_line = 0  # executed by (a) and (b) alone
+        self._usual_beyond = self._beyond = planner_blocks + LONG_BLOCKS_BEYOND_PLANNER
+        self._short_beyond = planner_blocks + segments + 1
+        self._short_s = SHORT_S_PER_SEGMENT * segments
+        self._short_rapid_mm = SHORT_RAPID_MM_PER_S * self._short_s
         self._short_left = 0
+        self._distrusted = False
         self._tolerance_mm = tolerance_mm
 
     def sent(self, number: int, step: Move) -> None:
@@ -94,24 +107,39 @@ class Tracker:
     def answered(self) -> None:
         """The oldest unanswered line was answered."""
         steps = self._steps
-        step = steps[self._answered][1]
+        number, step = steps[self._answered]
         self._answered += 1
         feed = step.feed_mm_per_min
-        if step.length_mm * 60.0 < feed * SHORT_S if feed is not None else step.length_mm < SHORT_RAPID_MM:
-            self._short_left = self._blocks + SHORT_BLOCKS_BEYOND_PLANNER
-            self._beyond = self._short_left
+        if step.length_mm * 60.0 < feed * self._short_s if feed is not None else step.length_mm < self._short_rapid_mm:
+            self._beyond = self._short_left = self._short_beyond
         elif self._short_left:
             self._short_left -= 1
             if not self._short_left:
-                self._beyond = self._blocks + LONG_BLOCKS_BEYOND_PLANNER
+                self._beyond = self._usual_beyond
+        counts = self._by_count
+        counts.append(number)
         if step.waits_for_empty_buffer:
             self.all_executed()
-        elif self._answered > self._beyond:
+            return
+        while len(counts) > self._beyond:
+            self._counted_line = counts.popleft() or self._counted_line
+        if self._answered > self._beyond:
             self._drop(self._answered - self._beyond)
 
     def all_executed(self) -> None:
         """The mill has done everything that was answered."""
+        for number in self._by_count:
+            self._counted_line = number or self._counted_line
+        self._by_count.clear()
         self._drop(self._answered)
+
+    def distrust_positions(self) -> None:
+        """A position was off the path: from which line on is not known, so that only counts prove anything now.
+
+        A damaged block may have crossed later lines by chance, and been taken for them.
+        """
+        self.executed_line = min(self.executed_line, self._counted_line)
+        self._distrusted = True
 
     def _drop(self, count: int) -> None:
         steps, recent = self._steps, self._recent
@@ -124,6 +152,8 @@ class Tracker:
 
     def reported(self, position_mm: Triple) -> Sight:
         """A position in the work frame of the program was reported while it runs or stands within the program."""
+        if self._distrusted:
+            return Sight(Place.UNTOLD)
         tolerance_mm = self._tolerance_mm
         nearest, nearest_mm = 0, float("inf")
         for index, (number, step) in enumerate(self._steps):
@@ -179,6 +209,15 @@ class Tracker:
     @property
     def unproven_answered(self) -> tuple[Move, ...]:
         return tuple(step for _, step in islice(self._steps, self._answered))
+
+    def last_sent_s(self, blocks: int, feed_percent: int) -> float:
+        """Least time the last steps sent, as many as fit into the planner, keep the mill moving."""
+        total_s = 0.0
+        for _, step in islice(reversed(self._steps), blocks):
+            feed = step.feed_mm_per_min
+            speed = feed * feed_percent / 6000.0 if feed is not None else SHORT_RAPID_MM_PER_S
+            total_s += step.length_mm / speed
+        return total_s
 
     @property
     def last_move(self) -> Move | None:

@@ -59,6 +59,7 @@ class SimulatedMdx40a:
     paused: bool = False
     spindle_on: bool = False
     unplugged: bool = False
+    released: int = 0  # times the host has let go of the interface
     error: int = 0
     sets: list[tuple[int, bytes]] = field(default_factory=list)
     bracket: bool = False
@@ -370,3 +371,10 @@ class UsbFace:
 
     def write(self, data: bytes, timeout: int = 0) -> int:
         return self.mill.bulk_write(data)
+
+    @property
+    def _ctx(self) -> UsbFace:  # pyusb's resource manager, as far as releasing the interface asks for it
+        return self
+
+    def managed_release_interface(self, device: object, interface: int) -> None:
+        self.mill.released += 1

@@ -364,10 +364,12 @@ class RolandUsbDriver:
         return (origin[0] + extra[0], origin[1] + extra[1], origin[2] + extra[2])
 
     def _lost(self, error: PortError) -> None:
-        now_s = self._device.clock() if self._device is not None else 0.0
-        line = self._progress.sent_line
+        device, line = self._device, self._progress.sent_line
+        now_s = device.clock() if device is not None else 0.0
         self._count()
         self._device = self._feed = None
+        if device is not None:
+            device.close()  # lets go of the interface, so that the mill can be opened anew
         self._held = self._aborting = False
         self._progress = replace(self._progress, streaming=False)
         self._status = replace(self._status, position_trusted=False)

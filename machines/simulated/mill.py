@@ -19,6 +19,9 @@ from machines.simulated.serial_side import SerialSide
 from machines.simulated.traits import GRBL_11, Traits
 
 _OK = b"ok\r\n"
+# Events without any time between them, after which the model is taken to be caught in a loop of its own.
+MOST_AT_ONCE = 200_000
+_CAUSES = ("axes", "main loop", "timer of a line", "realtime byte", "event")
 BUTTONS = ("hold", "start", "reset", "door", "close-door", "limit")
 
 
@@ -105,6 +108,7 @@ class SimulatedMill:
         """Let everything happen up to `to_s`, or up to the moment the next output reaches the host."""
         fw, serial = self.firmware, self.serial
         out, events = serial.out, self._events
+        at_once = 0
         while True:
             stepper = fw.stepper
             t = stepper.next_s
@@ -125,6 +129,11 @@ class SimulatedMill:
                 return
             if t > self.now_s:
                 self.now_s = fw.now_s = t
+                at_once = 0
+            else:
+                at_once += 1
+                if at_once > MOST_AT_ONCE:
+                    raise AssertionError(f"simulated time stands still at {self.now_s:.6f} s ({_CAUSES[kind]})")
             if kind == 0:
                 stepper.step()
                 if stepper.freed:

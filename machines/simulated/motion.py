@@ -240,7 +240,8 @@ class Stepper:
     def _cut(self, b: Block) -> None:
         """Put the next segment of the loaded block into the buffer."""
         start = left = b.remaining
-        v, time_left, phases = self._speed, self._segment_s, self._phases
+        v = speed = self._speed
+        time_left, phases = self._segment_s, self._phases
         while phases:
             accel, until, v_end = phases[0]
             total = v + v_end
@@ -268,6 +269,8 @@ class Stepper:
             self.freed = True
         elif not phases:
             self._halted = True  # stopped within the block
+        elif left == start and v == speed:
+            raise AssertionError(f"the axes make no way: block of line {b.line}, {left} mm left at {v} mm/s")
 
     # -- execution -----------------------------------------------------------------------------------------------
     def step(self) -> None:

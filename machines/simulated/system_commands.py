@@ -10,7 +10,8 @@ from machines.simulated.interpreter import ZERO
 from machines.simulated.words import GcodeError
 
 if TYPE_CHECKING:
-    from machines.simulated.firmware import Firmware, Task
+    from machines.simulated.firmware import Firmware
+    from machines.simulated.waiting import Task
 
 _HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 _SETTING = re.compile(r"\$([-+]?\d+\.?\d*)=([-+]?(?:\d+\.?\d*|\.\d+))")

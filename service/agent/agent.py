@@ -11,7 +11,7 @@ from service.agent.access import MillAccess
 from service.agent.programs import ProgramStore
 from service.agent.settings import AgentSettings
 from service.agent.sse import Hub
-from service.mill_link import Connector
+from service.mill_link import Connector, demand_blocks
 from service.preflight import preflight
 
 
@@ -27,4 +27,6 @@ class Agent:
     def preflight(self, program: Path) -> Preflight:
         """Read a program whole, held against this mill's own settings. Slow: not for the event loop's thread."""
         settings = self.connector.settings
-        return preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
+        facts = preflight(program, self.profile, settings=settings, cache=self.settings.folder / "preflight")
+        demand_blocks(facts, program.stem[:12])
+        return facts

@@ -26,11 +26,14 @@ _OPEN = {"/livez"}
 def read_token(path: Path) -> str:
     """The token a person keeps in a file; InputError where it is missing or too short to be one."""
     try:
+        others = path.stat().st_mode & 0o077
         token = path.read_text(encoding="ascii").strip()
     except OSError as error:
         raise InputError(sentence_of_os_error(error, doing="--token-file: cannot read")) from None
     except UnicodeDecodeError:
         raise InputError(f"--token-file: {path} is not plain text; allowed: one line of ASCII") from None
+    if others:
+        raise InputError(f"--token-file: {path} can be read by others; say: chmod 600 {path}")
     if len(token) < _SHORTEST or not token.isprintable() or any(map(str.isspace, token)):
         raise InputError(f"--token-file: {path} must hold one word of at least {_SHORTEST} characters")
     return token

@@ -22,6 +22,7 @@ from machines.errors import PortError
 from machines.mill import Mill
 from machines.mill_thread import MillThread
 from machines.profiles import MachineProfile
+from machines.recovery import Reentry
 from machines.runs import RunState
 from service.agent.access import MillAccess
 from service.agent.agent import Agent
@@ -45,7 +46,8 @@ def run_agent(settings: AgentSettings, profile: MachineProfile) -> None:
     with contextlib.ExitStack() as stack:
         listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
         connector = Connector(profile, settings.port_url)
-        mill = Mill(name=settings.machine, connect=connector, folder=settings.folder)
+        reentry = Reentry(safe_z_mm=profile.safe_z_mm)
+        mill = Mill(name=settings.machine, connect=connector, folder=settings.folder, reentry=reentry)
         thread = MillThread(mill)
         stack.callback(thread.stop, detach=True)
         stack.callback(connector.close_unused)

@@ -1,20 +1,25 @@
-"""The harness of the kill trials, loaded by path: the test folders are no packages."""
+"""What the tests of the mill's owner share."""
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from tests.machines.shop import LINES, Shop
+from tests.trials import kill_trial as trial
+
 
 @pytest.fixture(scope="session")
 def kill_trial() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("kill_trial", Path(__file__).with_name("kill_trial.py"))
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["kill_trial"] = module
-    spec.loader.exec_module(module)
-    return module
+    """The bench and the trials in which the owner of a mill dies."""
+    return trial
+
+
+@pytest.fixture
+def shop(tmp_path: Path, kill_trial: ModuleType) -> Iterator[Shop]:
+    made = Shop(tmp_path, kill_trial, LINES)
+    yield made
+    made.mill.close(detach=True)

@@ -50,6 +50,30 @@ def test_a_usual_program_of_each_control_is_taken(dialect: str, text: str) -> No
         ("grblhal", GRBL.replace("M3", "M6"), 3, "split the program"),
         ("linuxcnc", LINUXCNC.replace("G64 P0.002", "G90.1"), 2, "relative"),
         ("grbl", GRBL + "N1", 7, ""),
+        ("roland-nc", ROLAND.replace("S8000 M03", "M03"), 6, "S and M03 before"),
+        ("roland-nc", ROLAND.replace("S8000 M03", "S8000 M04"), 4, "does not have this word"),
+        ("roland-nc", ROLAND.replace("X8.5", "X8.5 F200"), 7, "decimal point"),
+        ("roland-nc", ROLAND.replace("X8.5 Y.125", "G02 X8.5 Y0.0 R9.0"), 7, "by I and J only"),
+        ("roland-nc", ROLAND.replace("X8.5 Y.125", "G28 Z0"), 7, "decimal point"),
+        ("roland-nc", ROLAND.replace("X8.5 Y.125", "G81 X1.0 Y1.0 Z-2.0 R1.0"), 7, "no canned cycles here"),
+        ("roland-nc", ROLAND.replace("X8.5 Y.125", "G10 P1"), 7, "does not have this word"),
+        ("roland-nc", ROLAND.replace("O00000001", "O0001"), 2, "O and 8 digits"),
+        ("roland-nc", ROLAND + "G01 X1.0\n", 11, "closing %"),
+        ("roland-nc", ROLAND + "%\n", 11, "first and last"),
+        ("roland-nc", ROLAND.replace("M05", "M05 %"), 8, "first and last"),
+        ("fanuc", FANUC.replace("X0.", "X5"), 4, "decimal point"),
+        ("fanuc", FANUC.replace("O0001", "O00001"), 2, "O and 1 to 4 digits"),
+        ("fanuc", FANUC.replace("O0001", "N5 O0001"), 2, "first on its line"),
+        ("fanuc", FANUC.replace("M05", "G38.2 Z-9. F10"), 8, "does not have this word"),
+        ("fanuc", FANUC.replace("M05", "G4"), 8, "P, its milliseconds, or X"),
+        ("okuma", OKUMA.replace("G15 H1", "G54"), 3, "G15 H"),
+        ("okuma", OKUMA.replace("G56 H1", "G43 H1"), 5, "G56 H"),
+        ("okuma", OKUMA.replace("M5", "G4 P1."), 11, "F, its seconds"),
+        ("okuma", OKUMA.replace("O100", "O" + "A" * 17), 2, "at most 16 letters and digits"),
+        ("okuma", "$LENS.MIN%\n" + OKUMA, 1, "file names are set at the control"),
+        ("okuma", OKUMA.replace("F200.", "F200"), 9, "decimal point"),
+        ("linuxcnc", LINUXCNC.replace("T1 M6", "O100 SUB"), 3, "letter"),
+        ("grbl", GRBL.replace("M3", "G15 H1"), 3, "does not know"),
     ],
 )
 def test_refusals_by_dialect(dialect: str, text: str, line: int, words: str) -> None:
@@ -59,6 +83,64 @@ def test_refusals_by_dialect(dialect: str, text: str, line: int, words: str) -> 
     with pytest.raises(ProgramRefusedError, match=words) as caught:
         read(dialect, text)
     assert caught.value.line == line
+
+
+@pytest.mark.parametrize(
+    ("dialect", "text", "pause_s"),
+    [
+        ("grbl", GRBL.replace("M5", "G4 P1.5"), 1.5),
+        ("linuxcnc", LINUXCNC.replace("M5", "G4 P1.5"), 1.5),
+        ("fanuc", FANUC.replace("M05", "G04 P1500"), 1.5),
+        ("fanuc", FANUC.replace("M05", "G04 X1.5"), 1.5),
+        ("okuma", OKUMA.replace("M5\n", "G4 F1.5\n"), 1.5),
+    ],
+)
+def test_each_control_has_its_own_letter_and_unit_of_a_dwell(dialect: str, text: str, pause_s: float) -> None:
+    """A dwell moves nothing and leaves the feed alone, whatever letter tells its time."""
+    scan = ProgramScan(dialect, RATES)
+    pauses = [float(pause) for batch in scan.batches([text.encode()]) for pause in batch.pause_s]
+    assert max(pauses) == pytest.approx(pause_s)
+    plain = read(dialect, {"grbl": GRBL, "linuxcnc": LINUXCNC, "fanuc": FANUC, "okuma": OKUMA}[dialect])
+    assert scan.state.position_mm == plain.state.position_mm
+    assert scan.state.feed_mm_per_min == plain.state.feed_mm_per_min
+
+
+@pytest.mark.parametrize(
+    ("dialect", "text", "line"),
+    [
+        ("roland-nc", ROLAND, "G02 X0.5 Y0.125 I-4.0 J0.0"),
+        ("roland-nc", ROLAND, "G90 G53 G00 Z0.0"),
+        ("roland-nc", ROLAND, "G91 G28 Z0.0"),
+        ("roland-nc", ROLAND, "G55"),
+        ("fanuc", FANUC, "G91 G28 Z0"),
+        ("fanuc", FANUC, "G54.1 P12"),
+        ("fanuc", FANUC, "G30 P2 Z0."),
+        ("fanuc", FANUC, "G01 X5. F500"),
+        ("okuma", OKUMA, "G30 P1"),
+        ("okuma", OKUMA, "N12 G1 X0 Y4.0001"),
+        ("okuma", OKUMA.replace("O100", "OLENS1"), "M01"),
+        ("linuxcnc", LINUXCNC, "G43.1 Z3"),
+    ],
+)
+def test_words_of_its_own_are_taken_in_the_middle_of_a_program(dialect: str, text: str, line: str) -> None:
+    end = "M05" if "M05" in text else "M5"
+    assert read(dialect, text.replace(end, f"{line}\n{end}")).state.ended
+
+
+def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
+    from machines.gcode import rules
+    from machines.gcode.limits import limits_of
+    from machines.profiles import load_profile
+
+    limits = limits_of(load_profile("okuma-osp", ()))
+    for text, told in ((OKUMA, True), (OKUMA.replace("G90", "N10 G90"), False)):
+        scan = read("okuma", text)
+        words = " ".join(
+            rules.warnings(
+                scan.events.tolist(), dialect=scan.dialect, limits=limits, spindle=None, ends=True, moves=True
+            )
+        )
+        assert ("sequence numbers" in words) is told
 
 
 def test_no_sentence_names_a_value_that_is_not_filled_in() -> None:

@@ -48,6 +48,25 @@ def test_the_path_cut_is_the_path_programmed(traits: Traits) -> None:
     assert "corridor" in "".join(bench.driver.protections)
 
 
+def test_protections_say_what_will_be_before_and_what_is_while_a_program_runs() -> None:
+    bench = Bench(GRBL_11_ECHO.with_settings({20: 1, 22: 1})).connected()
+    bench.driver.command(Unlock())
+    bench.until(lambda: bench.state() is MillState.IDLE)
+    before = bench.driver.protections
+    assert "while a program runs: reported positions" in before[1] and "corridor 0.017 mm" in before[1]
+    assert before[0].startswith("echo") and "soft limits" in before[2]
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(300)[0]))
+    assert not bench.driver.protections  # nothing was compared yet
+    bench.until(lambda: bench.driver.progress.executed_line > 20)
+    assert bench.driver.protections[0].startswith("reported positions are held against the path 10 times a second")
+    assert bench.until(lambda: bench.of(ProgramDone))
+    assert bench.driver.protections[0].startswith("while a program runs")
+    bench.driver.command(CheckMode(on=True))
+    bench.until(lambda: bench.state() is MillState.CHECK)
+    assert not bench.driver.protections
+
+
 def test_what_was_written_is_the_program_and_realtime_bytes_only() -> None:
     bench = Bench().connected()
     begin = len(bench.tap.written)
@@ -434,3 +453,29 @@ def test_the_driver_runs_on_any_chunks() -> None:
     bench.driver.start(iter(lines))
     assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))
     assert bench.last_whole(points) == 60
+
+
+@pytest.mark.parametrize("place", range(3, 40))
+def test_a_parser_state_damaged_on_the_way_is_asked_for_again(place: int) -> None:
+    """A byte lost from [GC:...] makes G54 a G4, or two words one: never believed."""
+
+    class Losing(Tap):
+        lost = False
+
+        def read(self, timeout_s: float) -> bytes:
+            data = super().read(timeout_s)
+            at = data.find(b"[GC:")
+            if at >= 0 and not self.lost:
+                self.lost = True
+                data = data[: at + place] + data[at + place + 1 :]
+            return data
+
+    bench = Bench()
+    bench.tap = Losing(bench.tap.port)
+    bench.driver = GrblDriver(bench.tap)
+    bench.connected()
+    whole = Bench().connected()
+    assert (
+        bench.tap.lost
+        and bench.driver.settings.parser_state.split()[:6] == whole.driver.settings.parser_state.split()[:6]
+    )

@@ -22,7 +22,12 @@ def faulted(bench: Bench, lines: list[ProgramLine], within_s: float = 60.0) -> F
     """Run into the fault and through the stop; '!' must have been written by the poll that brought the event."""
     bench.driver.start(iter(lines))
     begin = len(bench.tap.written)
-    assert bench.until(lambda: bench.of(Faulted) or bench.of(ProgramDone), within_s)
+    ended = lambda: bench.of(Faulted) or bench.of(ProgramDone)  # noqa: E731
+    assert bench.until(lambda: ended() or bench.state() is MillState.HELD, within_s)
+    if not ended():  # a byte became '!': whoever stands at the mill lets it go on
+        bench.driver.resume()
+        begin = len(bench.tap.written)
+        assert bench.until(ended, within_s)
     (fault,) = bench.of(Faulted)
     if fault.cause is not FaultCause.RESET:
         stop = next(at_s for at_s, data in bench.tap.written[begin:] if b"!" in data)
@@ -146,8 +151,9 @@ def test_bytes_that_act_at_once_never_get_into_a_stream(text: bytes) -> None:
 
 IDLE = b"<Idle|MPos:0.000,0.000,0.000|FS:0,0|WCO:0.000,0.000,0.000>\r\n"
 BANNER = b"Grbl 1.1h ['$' for help]\r\n"
-IDENTITY = (b"[VER:1.1h.2019:]\r\n[OPT:V,15,128]\r\nok\r\n", b"$13=0\r\n$110=5000\r\n$111=5000\r\n$112=5000\r\nok\r\n",
-            b"[G54:0.000,0.000,0.000]\r\nok\r\n", b"[GC:G0 G54 G17 G21 G90 G94]\r\nok\r\n")  # fmt: skip
+TOLD = (b"$13=0\r\n$110=5000\r\n$111=5000\r\n$112=5000\r\nok\r\n", b"[G54:0.000,0.000,0.000]\r\nok\r\n",
+        b"[GC:G0 G54 G17 G21 G90 G94]\r\nok\r\n")  # fmt: skip
+IDENTITY = (b"[VER:1.1h.2019:]\r\n[OPT:V,15,128]\r\nok\r\n", *(told for told in TOLD for _ in range(2)))
 
 
 def ready_session() -> GrblSession:

@@ -7,8 +7,9 @@ from hypothesis import strategies as st
 
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.grbl.tracking import LONG_BLOCKS_BEYOND_PLANNER, SHORT_BLOCKS_BEYOND_PLANNER, Place, Tracker
+from machines.grbl.tracking import LONG_BLOCKS_BEYOND_PLANNER, SEGMENTS, Place, Tracker
 
+SHORT_BEYOND = SEGMENTS["grbl"] + 1
 START = b"G21G90G94G17G1X0Y0Z0F600"
 
 
@@ -74,18 +75,18 @@ def test_an_answered_wait_for_standstill_proves_everything_before_it() -> None:
 
 @given(
     st.integers(1, 120),
-    st.sampled_from([(b"X%d.01", SHORT_BLOCKS_BEYOND_PLANNER), (b"X%d", LONG_BLOCKS_BEYOND_PLANNER)]),
+    st.sampled_from([(b"X%d.01", SHORT_BEYOND), (b"X%d", LONG_BLOCKS_BEYOND_PLANNER)]),
 )
 def test_what_the_buffers_cannot_hold_is_executed(count: int, kind: tuple[bytes, int]) -> None:
     """Planner (15) and segment buffer: 2 more blocks where they are long, 7 where they last less than 0.12 s."""
     pattern, beyond = kind
     blocks = [pattern % (2 * k) for k in range(1, count + 1)]
-    if beyond == SHORT_BLOCKS_BEYOND_PLANNER:
+    if beyond == SHORT_BEYOND:
         blocks = [b"X%.3f" % (0.001 * k) for k in range(1, count + 1)]
     tracker = tracker_of(*blocks)
     first_is_short = 1  # the move to the origin has no length
-    ahead = 15 + (SHORT_BLOCKS_BEYOND_PLANNER if beyond == SHORT_BLOCKS_BEYOND_PLANNER else LONG_BLOCKS_BEYOND_PLANNER)
-    least, most = count + 1 - 15 - SHORT_BLOCKS_BEYOND_PLANNER, count + 1 - ahead
+    ahead = 15 + (SHORT_BEYOND if beyond == SHORT_BEYOND else LONG_BLOCKS_BEYOND_PLANNER)
+    least, most = count + 1 - 15 - SHORT_BEYOND, count + 1 - ahead
     assert max(0, least) <= tracker.executed_line <= max(0, most, first_is_short - 1)
 
 

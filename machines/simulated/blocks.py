@@ -1,0 +1,190 @@
+"""Carrying out one block of G-code, in GRBL's order: each function is a task that yields what it waits for."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from machines.simulated import reports
+from machines.simulated.arcs import chords
+from machines.simulated.interpreter import ZERO, Action, Move, Triple
+from machines.simulated.suspending import apply_overrides
+from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
+
+if TYPE_CHECKING:
+    from machines.simulated.firmware import Firmware
+
+
+def gcode(fw: Firmware, code: bytes) -> Task:
+    """Check and execute one block, in GRBL's order."""
+    action = fw.interpreter.read(code)
+    if action.line_number is not None and fw.traits.line_numbers:
+        fw.line = action.line_number
+    dry = fw.state == "Check"
+    state = fw.interpreter
+    state.feed = action.feed
+    if action.spindle_rpm != state.spindle_rpm:
+        if state.modal["spindle"] != "M5" and not dry:
+            yield EMPTY
+        state.spindle_rpm = action.spindle_rpm
+        fw.spindle_rpm = action.spindle_rpm
+    if action.tool is not None:
+        state.tool = action.tool
+    yield from _accessories(fw, action, dry=dry)
+    if action.dwell_s is not None and not dry:
+        yield EMPTY
+        yield fw.now_s + action.dwell_s
+    old_wcs = state.modal["wcs"]
+    if action.words.axis_command == "tool-length" or action.modal["wcs"] != old_wcs or action.words.non_modal:
+        yield from _offsets(fw, action, dry=dry)
+    state.modal = action.modal
+    state.refresh()
+    if action.move is not None:
+        yield from _move(fw, action.move)
+    if action.stored is not None:
+        yield from _move(fw, Move("G0", action.stored, 0.0, 0.0))
+    yield from _flow(fw, action.words.commands.get("flow", ""), dry=dry)
+
+
+def _accessories(fw: Firmware, action: Action, *, dry: bool) -> Task:
+    """Spindle and coolant: a change waits for the buffer to run empty."""
+    state = fw.interpreter
+    if action.modal["spindle"] != state.modal["spindle"]:
+        if not dry:
+            yield EMPTY
+            fw.spindle = action.modal["spindle"]
+            fw.spindle_rpm = state.spindle_rpm
+            fw.report.ov_in = 0
+        state.modal["spindle"] = action.modal["spindle"]
+    wanted = action.words.commands.get("coolant")
+    if wanted is not None:
+        coolant = set() if wanted == "M9" else state.coolant | {wanted}
+        if coolant != state.coolant:
+            if not dry:
+                yield EMPTY
+                fw.report.ov_in = 0
+            state.coolant = coolant
+
+
+def _offsets(fw: Firmware, action: Action, *, dry: bool) -> Task:
+    """Changes of offsets wait for an empty buffer, those in the EEPROM shut the receiver meanwhile."""
+    state, command = fw.interpreter, action.words.non_modal
+    if command == "G53" or (command in ("G4", "G28", "G30") and action.modal["wcs"] == state.modal["wcs"]):
+        return
+    if not dry:
+        yield EMPTY
+    if command == "G10" and action.offsets is not None:
+        yield from fw.eeprom(3 * fw.traits.eeprom_write_s)
+        state.stored[action.system] = action.offsets
+    elif command in ("G28.1", "G30.1"):
+        yield from fw.eeprom(3 * fw.traits.eeprom_write_s)
+        state.stored[command[:3]] = state.position
+    elif command == "G92" and action.offsets is not None:
+        state.g92 = action.offsets
+    elif command == "G92.1":
+        state.g92 = ZERO
+    elif action.words.axis_command == "tool-length" and action.offsets is not None:
+        state.tool_length = action.offsets[2]
+    fw.report.wco_in = 0
+
+
+def eeprom(fw: Firmware, seconds: float) -> Task:
+    if seconds > 0.0:
+        fw.write_eeprom(seconds)
+        yield fw.now_s + seconds
+
+
+def _flow(fw: Firmware, command: str, *, dry: bool) -> Task:
+    if command in ("", "M1"):
+        return
+    if not dry:
+        yield EMPTY
+    if command == "M0":
+        if not dry:
+            fw.state, fw.held = "Hold", True
+            yield 0.0
+        return
+    state = fw.interpreter
+    state.modal.update({"motion": "G1", "plane": "G17", "distance": "G90", "feed-mode": "G94", "wcs": "G54"})
+    state.modal["spindle"] = "M5"
+    state.coolant.clear()
+    state.refresh()
+    if not dry:
+        fw.feed_percent = fw.rapid_percent = fw.spindle_percent = 100
+        apply_overrides(fw)
+        fw.spindle = "M5"
+        fw.report.wco_in = fw.report.ov_in = 0
+    fw.say("[MSG:Pgm End]")
+
+
+def _move(fw: Firmware, move: Move) -> Task:
+    if move.motion.startswith("G38"):
+        yield from _probe(fw, move)
+        return
+    rapid = move.motion == "G0"
+    points = [move.target] if move.arc is None else list(chords(move.arc, fw.settings[12]))
+    speed = move.speed
+    last = fw.interpreter.position
+    for point in points:
+        if move.inverse_time and not rapid:
+            length = sum((a - b) ** 2 for a, b in zip(point, last, strict=True)) ** 0.5
+            speed = length * len(points) * move.speed
+        last = point
+        yield from fw.plan(point, speed, rapid=rapid, feed=move.feed)
+    fw.interpreter.position = move.target
+
+
+def plan(fw: Firmware, point: Triple, speed: float, *, rapid: bool, feed: float, kind: str = "program") -> Task:
+    """mc_line: soft limits, room, planner."""
+    if fw.settings[20] and fw.state != "Jog" and out_of_travel(fw, point):
+        yield from _soft_limit(fw)
+    if fw.state == "Check":
+        return
+    yield ROOM
+    fw.stepper.planner.add(*point, speed, rapid, feed=feed, line=fw.line, kind=kind)
+    if fw.stepper.moving:
+        fw.stepper.prepare()
+
+
+def out_of_travel(fw: Firmware, point: Triple) -> bool:
+    travel = fw.settings
+    return any(not -travel[130 + i] - 1e-6 <= p <= 1e-6 for i, p in enumerate(point))
+
+
+def _soft_limit(fw: Firmware) -> Task:
+    """Stops in good order, then ALARM:2; the line that asked for it is never answered."""
+    if fw.state == "Run":
+        fw.soft_limit = True
+        fw.state, fw.held = "Hold", False
+        fw.stepper.hold()
+    else:
+        fw.raise_alarm(2)
+    yield NEVER
+
+
+def _probe(fw: Firmware, move: Move) -> Task:
+    """Straight probe. The contact ends the move at once (the real one overshoots by its braking distance)."""
+    if fw.state == "Check":
+        fw.interpreter.position = move.target
+        return
+    yield EMPTY
+    towards, strict = move.motion in ("G38.2", "G38.3"), move.motion in ("G38.2", "G38.4")
+    surface = fw.traits.probe_surface_mm
+    here, there = fw.interpreter.position[2] + fw.shift[2], move.target[2] + fw.shift[2]
+    touching = surface is not None and here < surface - 1e-9
+    if touching == towards:
+        fw.raise_alarm(4)
+        fw.probe_found = False
+        return
+    end, found = move.target, False
+    if surface is not None and (here - surface) * (there - surface) <= 0.0 and here != there:
+        share, found = (here - surface) / (here - there), True
+        end_list = [a + share * (b - a) for a, b in zip(fw.interpreter.position, move.target, strict=True)]
+        end = (end_list[0], end_list[1], end_list[2])
+    fw.stepper.planner.add(*end, move.speed, False, feed=move.feed, line=fw.line, kind="probe")
+    yield EMPTY
+    fw.interpreter.position = (fw.stepper.x, fw.stepper.y, fw.stepper.z)
+    fw.probe_found = found
+    fw.probed = fw.interpreter.position if found else ZERO
+    if strict and not found:
+        fw.raise_alarm(5)
+    fw.say(f"[PRB:{reports.xyz(fw.probed)}:{int(found)}]")

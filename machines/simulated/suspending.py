@@ -1,0 +1,92 @@
+"""Hold, door, sleep, jog cancel and overrides: what interrupts motion or changes its speed, and what lets it go on."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from machines.simulated.firmware import Firmware
+
+
+def hold(fw: Firmware) -> None:
+    """Feed hold, from `!` or the button."""
+    if fw.state == "Run":
+        fw.state, fw.held = "Hold", False
+        fw.stepper.hold()
+    elif fw.state == "Jog":
+        fw.cancel_jog()
+    elif fw.state == "Idle":
+        fw.state, fw.held = "Hold", True
+
+
+def cancel_jog(fw: Firmware) -> None:
+    if fw.state == "Jog":
+        fw.jog_cancel = True
+        fw.stepper.hold()
+
+
+def resume(fw: Firmware) -> None:
+    """Cycle start, from `~` or the button. Before a hold is complete it is ignored."""
+    if fw.state == "Door" and fw.held and "D" not in fw.pressed:
+        fw.door_restoring = True
+        fw.spindle_paused = False
+        fw.held = False
+        _leave_hold(fw)
+    elif fw.state == "Hold" and fw.held:
+        fw.spindle_paused = False
+        _leave_hold(fw)
+    elif fw.state == "Idle":
+        fw.starved = False
+        fw.auto_start()
+
+
+def _leave_hold(fw: Firmware) -> None:
+    fw.door_restoring = False
+    fw.state = "Idle"
+    fw.stepper.holding = False
+    fw.auto_start()
+    fw.go_on()
+
+
+def open_door(fw: Firmware) -> None:
+    fw.pressed.add("D")
+    if fw.state in ("Alarm", "Check"):
+        return
+    fw.say("[MSG:Check Door]")
+    if fw.state == "Home":
+        fw.task = None
+        fw.cut_off(7)
+    elif fw.state == "Jog":
+        fw.cancel_jog()
+    elif fw.state != "Sleep":
+        was = fw.state
+        fw.state = "Door"
+        if was == "Run":
+            fw.held = False
+            fw.stepper.hold()
+        elif not fw.stepper.moving:
+            fw._hold_complete()
+
+
+def sleep(fw: Firmware) -> None:
+    moving = fw.stepper.moving
+    fw.state, fw.held = "Sleep", not moving
+    if moving:
+        fw.stepper.hold()
+    else:
+        fw._hold_complete()
+
+
+def apply_overrides(fw: Firmware) -> None:
+    planner = fw.stepper.planner
+    feed, rapid = fw.feed_percent / 100.0, fw.rapid_percent / 100.0
+    if (feed, rapid) != (planner.feed_override, planner.rapid_override):
+        planner.feed_override, planner.rapid_override = feed, rapid
+        planner.overrides_changed()
+        if fw.stepper.moving:
+            fw.stepper.prepare()
+
+
+def overrides_changed(fw: Firmware) -> None:
+    fw.report.ov_in = 0
+    apply_overrides(fw)
