@@ -94,7 +94,7 @@ class MachineProfile:
     acceleration_mm_per_s2 : acceleration of each axis
     step_mm                : smallest move of an axis
     junction_deviation_mm  : GRBL's $11, how far a corner may be rounded in the planner's model
-    planner_blocks         : moves the planner looks ahead
+    planner_blocks         : moves the planner looks ahead, as `$I` reports them (GRBL 1.1: 15 of its 16 slots)
     lines_per_s            : blocks the controller can take in a second
     spindle_rpm            : slowest and fastest speed
     safe_z_mm              : height above the stock top at which rapids travel
@@ -177,19 +177,34 @@ def _values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> di
             raise BadValueError("name", own["name"], f"the name of the file, '{name}'")
         if extends is None:
             return own | {"link": own_link}
-        others = tuple(other for other in sources if other not in (*trail, name))
-        if extends not in others or len(trail) >= _MOST_EXTENDS:
-            raise BadValueError("extends", extends, ", ".join(f"'{other}'" for other in others))
+        _require_base(name, extends, sources, trail)
     except BadValueError as error:
         raise ProfileError(file, str(error)) from None
-    base = _values(extends, sources, (*trail, name))
+    try:
+        base = _values(extends, sources, (*trail, name))
+    except ProfileError as error:
+        raise ProfileError(file, f"extends '{extends}', which cannot be used: {error}") from None
     return base | own | {"link": base["link"] | own_link}
+
+
+def _require_base(name: str, extends: object, sources: Mapping[str, str], trail: tuple[str, ...]) -> None:
+    """May `name` extend that? BadValueError where it may not."""
+    chain = (*trail, name)
+    others = ", ".join(f"'{other}'" for other in sources if other not in chain)
+    if extends in chain:
+        way = " -> ".join(f"'{link}'" for link in (*chain[chain.index(str(extends)) :], extends))
+        raise BadValueError("extends", extends, f"a profile that does not come back to this one ({way}): {others}")
+    if not isinstance(extends, str) or extends not in sources or len(trail) >= _MOST_EXTENDS:
+        raise BadValueError("extends", extends, others)
 
 
 def _read(file: str) -> dict[str, Any]:
     try:
-        return tomllib.loads(Path(file).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ProfileError(file, f"cannot be read ({error.__class__.__name__})") from None
+        return tomllib.loads(Path(file).read_text(encoding="utf-8-sig"))  # some editors begin a file with a mark
+    except UnicodeDecodeError:
+        raise ProfileError(file, "is not UTF-8 text; save it as UTF-8") from None
+    except OSError as error:
+        words = {"IsADirectoryError": "is a folder", "FileNotFoundError": "is a link to a file that is not there"}
+        raise ProfileError(file, words.get(type(error).__name__, f"cannot be read: {error.strerror}")) from None
     except tomllib.TOMLDecodeError as error:
         raise ProfileError(file, f"not valid TOML: {error}") from None

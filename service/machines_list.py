@@ -10,6 +10,7 @@ from machines.profiles import (
     ProfileError,
     UnknownProfileError,
     load_profile,
+    profile_names,
     profile_sources,
     user_folders,
 )
@@ -55,6 +56,8 @@ def _table(profiles: list[MachineProfile], sources: dict[str, str]) -> list[str]
     for profile in profiles:
         travel = " x ".join(f"{value:g}" for value in profile.travel_mm)
         source = _origin(sources[profile.name])
+        if source != _BUILT_IN and profile.name in profile_names(()):
+            source += " (in place of the built-in)"
         rows.append((profile.name, profile.dialect, travel, _link(profile), source, profile.description))
     widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

@@ -26,7 +26,7 @@ from machines.mill_view import MillSnapshot
 from machines.profiles import MachineProfile
 from machines.recovery import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
-from service.agent.settings import mill_folder, usable_folder
+from service.agent.settings import mill_folder, usable, usable_folder
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, JobError, sentence_of_os_error
 from service.mill_link import Connector, demand_blocks
 from service.preflight import preflight
@@ -151,7 +151,8 @@ def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connec
     """The mill, with its thread running; let go of at the end."""
     connector = Connector(order.profile, order.port_url)
     reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
-    mill = Mill(name=order.profile.name, connect=connector, folder=folder, reentry=reentry)
+    with usable(folder):
+        mill = Mill(name=order.profile.name, connect=connector, folder=folder, reentry=reentry)
     thread = MillThread(mill)
     try:
         connector.open_now()

@@ -110,9 +110,9 @@ class SimulatedControl:
         return not self._wire and not self._buffer and not self._planner and self._block_ends_s == inf
 
     def run_dry(self) -> None:
-        """Let the control execute all it holds."""
-        while not self.idle and self._next_s() < inf:
-            self._step(self._next_s())
+        """Let the control execute all it holds; half a block without its end stays in the buffer."""
+        while (at_s := min(self._block_ends_s, self._wire[0][0] if self._wire else inf)) < inf:
+            self._step(max(at_s, self.now_s))
 
     def _next_s(self) -> float:
         times = [self._block_ends_s]

@@ -112,7 +112,7 @@ REASONS = {
     OUT_OF_RANGE: "the numbers lead farther than 100 000 mm away",
     MISPLACED_PERCENT: "% stands alone on its line, first and last: the control reads nothing behind the second one",
     BAD_NAME: "a program's name is {name_rule} here, first on its line",
-    OSP_OFFSETS: "{dialect} sets the work offset with G15 H and the tool length with G56 H; delete or translate the word",
+    OSP_OFFSETS: "{dialect} sets the work offset with G15 H, the tool length with G56 H; delete or translate the word",
     NOT_HERE: "{dialect} does not have this word, or means something else by it; delete or translate it",
     ARC_BY_R: "{dialect} takes arcs by I and J only, not by R",
 }

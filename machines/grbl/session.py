@@ -200,7 +200,10 @@ class GrblSession(SessionWatching):
             dialect=self.options.dialect,
         )
         tracker = Tracker(
-            planner_blocks=self.planner_blocks, tolerance_mm=self._tolerance_mm, segments=SEGMENTS[settings.firmware]
+            planner_blocks=self.planner_blocks,
+            tolerance_mm=self._tolerance_mm,
+            segments=SEGMENTS[settings.firmware],
+            least_block_mm=1.7321 * max(settings.step_mm or (0.01,)),  # then some axis makes a step
         )
         self._stream = Stream(lines, capacity=self.window_bytes, interpret=self._interpreter.take, tracker=tracker)
         self._corridor = False

@@ -34,9 +34,7 @@ SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 class Waiting(Move, Protocol):
     """What is used of the step whose answer is awaited."""
 
-    pause_s: float
     withholds_ok: bool
-    ends_program: bool
 
 
 def motion_time_s(step: Move, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:

@@ -1,9 +1,12 @@
 """What has certainly been executed, and whether the mill is where the program can have brought it.
 
 `ok` means parsed and queued: the controller may still hold that line in its planner and in its segment buffer. A line
-counts as executed only when (a) so many lines were answered after it that no buffer can hold it any more, (b) a block
-was answered that waits for all motion before it, or (c) a reported position lies on no earlier line than the next one.
-Where a position fits several lines, the earliest is believed.
+counts as executed only when
+(a) so many *blocks of motion* were answered after it that no buffer can hold it any more. Lines that move nothing take
+    no place in any buffer: they prove nothing; or
+(b) a line was answered that always waits for all motion before it: a dwell, M2, M30. But M5, M3, M9 or G54 wait only
+    where they change something, and what they change the controller knows better than we; or
+(c) a reported position lies on no earlier line than the next one; where it fits several, the earliest is believed.
 """
 
 from __future__ import annotations
@@ -29,7 +32,9 @@ SHORT_S_PER_SEGMENT = (
     0.02  # a block is short if it lasts less than this times the segments; twice 10 ms: override 200 %
 )
 SHORT_RAPID_MM_PER_S = 500.0  # 30 m/min
-REMEMBERED = 64  # executed steps a late position may still lie on
+REMEMBERED = 64  # executed steps, for naming the nearest line and the last move
+# The mill never goes back: a position may lie at the end of what is executed, a few tiny steps back, not further.
+BEHIND = 4
 
 
 class Move(Protocol):
@@ -39,6 +44,8 @@ class Move(Protocol):
     feed_mm_per_min: float | None
     length_mm: float
     waits_for_empty_buffer: bool
+    pause_s: float
+    ends_program: bool
     start_mm: Position
     end_mm: Position
     arc: Arc | None
@@ -71,10 +78,13 @@ class Tracker:
 
     __slots__ = (
         "_answered",
+        "_answered_line",
         "_beyond",
         "_by_count",
         "_counted_line",
         "_distrusted",
+        "_dropped",
+        "_least_block_mm",
         "_recent",
         "_short_beyond",
         "_short_left",
@@ -86,12 +96,23 @@ class Tracker:
         "executed_line",
     )
 
-    def __init__(self, *, planner_blocks: int, tolerance_mm: float, segments: int = SEGMENTS["grbl"]) -> None:
+    def __init__(
+        self,
+        *,
+        planner_blocks: int,
+        tolerance_mm: float,
+        segments: int = SEGMENTS["grbl"],
+        least_block_mm: float = 0.02,
+    ) -> None:
+        """least_block_mm: a shorter move may be no step of any axis, and then no block."""
         self.executed_line = 0
         self._steps: deque[tuple[int, Move]] = deque()  # from the first not proven executed to the last sent
         self._recent: deque[tuple[int, Move]] = deque(maxlen=REMEMBERED)
         self._answered = 0  # how many of _steps, from the left, are answered
-        self._by_count: deque[int] = deque()  # numbers of answered lines the buffers may still hold
+        self._by_count: deque[tuple[int, int]] = deque()  # answered blocks the buffers may hold: count of steps, line
+        self._dropped = 0  # steps that are no longer in _steps
+        self._answered_line = 0
+        self._least_block_mm = least_block_mm
         self._counted_line = 0  # executed by (a) and (b) alone
         self._usual_beyond = self._beyond = planner_blocks + LONG_BLOCKS_BEYOND_PLANNER
         self._short_beyond = planner_blocks + segments + 1
@@ -109,6 +130,13 @@ class Tracker:
         steps = self._steps
         number, step = steps[self._answered]
         self._answered += 1
+        if number:
+            self._answered_line = number
+        if step.waits_for_empty_buffer and (step.pause_s > 0.0 or step.ends_program):
+            self.all_executed()
+            return
+        if step.length_mm < self._least_block_mm or not step.moves:
+            return
         feed = step.feed_mm_per_min
         if step.length_mm * 60.0 < feed * self._short_s if feed is not None else step.length_mm < self._short_rapid_mm:
             self._beyond = self._short_left = self._short_beyond
@@ -116,20 +144,17 @@ class Tracker:
             self._short_left -= 1
             if not self._short_left:
                 self._beyond = self._usual_beyond
-        counts = self._by_count
-        counts.append(number)
-        if step.waits_for_empty_buffer:
-            self.all_executed()
-            return
-        while len(counts) > self._beyond:
-            self._counted_line = counts.popleft() or self._counted_line
-        if self._answered > self._beyond:
-            self._drop(self._answered - self._beyond)
+        blocks = self._by_count
+        blocks.append((self._dropped + self._answered, number))
+        while len(blocks) > self._beyond:
+            place, number = blocks.popleft()
+            self._counted_line = number or self._counted_line
+            if place > self._dropped:
+                self._drop(place - self._dropped)
 
     def all_executed(self) -> None:
         """The mill has done everything that was answered."""
-        for number in self._by_count:
-            self._counted_line = number or self._counted_line
+        self._counted_line = self._answered_line
         self._by_count.clear()
         self._drop(self._answered)
 
@@ -144,6 +169,7 @@ class Tracker:
     def _drop(self, count: int) -> None:
         steps, recent = self._steps, self._recent
         self._answered -= count
+        self._dropped += count
         for _ in range(count):
             entry = steps.popleft()
             recent.append(entry)
@@ -180,7 +206,7 @@ class Tracker:
         before = self._nearest_before(position_mm)
         if before is not None and before.distance_mm <= self._tolerance_mm:
             return Sight(Place.ON_PATH, before.line, before.distance_mm)
-        if not self._answered and before is None:
+        if before is None and not any(step.moves for step in self.unproven_answered):
             return Sight(Place.UNTOLD)  # nothing has run yet: the mill stands by chance on a later line
         if index == self._answered:
             # The first unanswered line may be under way: an arc is answered when its last chord is queued.
@@ -189,11 +215,15 @@ class Tracker:
         return Sight(Place.UNANSWERED, number, away_mm)
 
     def _nearest_before(self, position_mm: Triple) -> Sight | None:
-        """The nearest of the steps already executed; None if none moved."""
+        """The nearest of the last steps already executed; None if none moved."""
         found: Sight | None = None
+        looked = 0
         for number, step in reversed(self._recent):
             if not step.moves:
                 continue
+            looked += 1
+            if looked > BEHIND:
+                break
             away_mm = step.distance_mm(position_mm)
             if found is None or away_mm < found.distance_mm:
                 found = Sight(Place.ON_PATH, number, away_mm)

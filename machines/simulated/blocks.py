@@ -187,4 +187,4 @@ def _probe(fw: Firmware, move: Move) -> Task:
     fw.probed = fw.interpreter.position if found else ZERO
     if strict and not found:
         fw.raise_alarm(5)
-    fw.say(f"[PRB:{reports.xyz(fw.probed)}:{int(found)}]")
+    fw.say(f"[PRB:{reports.xyz(fw, fw.probed)}:{int(found)}]")

@@ -14,8 +14,17 @@ _OV_BUSY_EVERY = 20
 _BUSY = ("Home", "Run", "Hold", "Jog", "Door")
 
 
-def xyz(values: Iterable[float]) -> str:
-    return ",".join(f"{v + 0.0:.3f}" if abs(v) >= 0.0005 else "0.000" for v in values)
+INCH_MM = 25.4
+
+
+def xyz(fw: Firmware, values: Iterable[float]) -> str:
+    """Lengths as reported: mm with three decimals, with $13 inch with four."""
+    unit_mm, digits = (INCH_MM, 4) if fw.settings[13] else (1.0, 3)
+    return ",".join(f"{(0.0 if abs(v) < 0.5 * unit_mm * 10.0**-digits else v / unit_mm):.{digits}f}" for v in values)
+
+
+def rate(fw: Firmware, mm_per_min: float) -> float:
+    return mm_per_min / INCH_MM if fw.settings[13] else mm_per_min
 
 
 class StatusReport:
@@ -30,15 +39,15 @@ class StatusReport:
         at = fw.stepper.where(fw.now_s)
         offset = fw.interpreter.offset
         if settings & 1:
-            fields = [state, f"MPos:{xyz(at)}"]
+            fields = [state, f"MPos:{xyz(fw, at)}"]
         else:
-            fields = [state, f"WPos:{xyz(p - o for p, o in zip(at, offset, strict=True))}"]
+            fields = [state, f"WPos:{xyz(fw, (p - o for p, o in zip(at, offset, strict=True)))}"]
         if settings & 2:
             free = max(0, fw.traits.planner_blocks - len(fw.stepper.planner.blocks))
             fields.append(f"Bf:{free},{fw.rx_free()}")
         if fw.traits.line_numbers and (block := fw.stepper.executing()) is not None:
             fields.append(f"Ln:{block.line}")
-        fields.append(f"FS:{fw.stepper.speed() * 60:.0f},{fw.spindle_now():.0f}")
+        fields.append(f"FS:{rate(fw, fw.stepper.speed() * 60):.0f},{fw.spindle_now():.0f}")
         if pins := fw.pins():
             fields.append(f"Pn:{pins}")
         fields += self._rare(fw, offset)
@@ -51,7 +60,7 @@ class StatusReport:
         else:
             self.wco_in = (_WCO_BUSY_EVERY if busy else _IDLE_EVERY) - 1
             self.ov_in = max(self.ov_in, 1)  # never both in one report
-            return [f"WCO:{xyz(offset)}"]
+            return [f"WCO:{xyz(fw, offset)}"]
         if self.ov_in > 0:
             self.ov_in -= 1
             return []
@@ -74,10 +83,10 @@ def _setting(number: int, value: float) -> str:
 
 def offsets_lines(fw: Firmware) -> list[str]:
     state = fw.interpreter
-    lines = [f"[{name}:{xyz(value)}]" for name, value in state.stored.items()]
-    lines.append(f"[G92:{xyz(state.g92)}]")
-    lines.append(f"[TLO:{state.tool_length:.3f}]")
-    lines.append(f"[PRB:{xyz(fw.probed)}:{int(fw.probe_found)}]")
+    lines = [f"[{name}:{xyz(fw, value)}]" for name, value in state.stored.items()]
+    lines.append(f"[G92:{xyz(fw, state.g92)}]")
+    lines.append(f"[TLO:{xyz(fw, (state.tool_length,))}]")
+    lines.append(f"[PRB:{xyz(fw, fw.probed)}:{int(fw.probe_found)}]")
     return lines
 
 

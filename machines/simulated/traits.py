@@ -96,6 +96,7 @@ GRBLHAL = replace(
     tx_bytes=1023,
     line_chars=255,
     planner_blocks=100,
+    segments=9,
     lines_per_s=10000.0,
     crlf_answered_twice=False,
     eeprom_write_s=0.0,
@@ -112,6 +113,7 @@ FLUIDNC = replace(
     rx_advertised=255,
     tx_bytes=4096,
     planner_blocks=15,
+    segments=12,
 )
 PRESETS: Mapping[str, Traits] = {
     "grbl11": GRBL_11,

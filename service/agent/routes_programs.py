@@ -8,6 +8,8 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from machines.mill import Mill
+from machines.runs import RunState
 from service.agent.agent import Agent
 from service.agent.bodies import fields_of
 from service.agent.fetching import fetch_program
@@ -25,6 +27,7 @@ class ProgramRoutes:
             Route("/v1/programs", self.fetched, methods=["POST"]),
             Route("/v1/programs/{sha256}", self.shown, methods=["GET"]),
             Route("/v1/programs/{sha256}", self.brought, methods=["PUT"]),
+            Route("/v1/programs/{sha256}", self.removed, methods=["DELETE"]),
         ]
 
     async def listed(self, _request: Request) -> Response:
@@ -38,6 +41,20 @@ class ProgramRoutes:
         announced = int(length) if length.isdigit() else None
         sha256 = valid_sha256(request.path_params["sha256"])
         return _stored(*await self._agent.store.receive(sha256, _body(request), announced_bytes=announced))
+
+    async def removed(self, request: Request) -> Response:
+        """Delete a copy; one that a run may still need stays."""
+        sha256 = self._agent.store.entry(request.path_params["sha256"]).sha256
+
+        def remove(mill: Mill) -> None:  # on the mill's thread: no run of it can be parked or recovered meanwhile
+            needed = [run for run in mill.runs if run.program == sha256 and run.state is not RunState.FINISHED]
+            if needed:
+                words = ", ".join(f"{run.id} ({run.state.value})" for run in needed[:3])
+                raise Problem(409, f"program {sha256[:12]} is needed by run {words}", field="program")
+            self._agent.store.remove(sha256)
+
+        await self._agent.access.call(remove)
+        return Response(status_code=204)
 
     async def fetched(self, request: Request) -> Response:
         fields = await fields_of(request)

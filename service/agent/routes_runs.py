@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
+from pathlib import Path
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -19,6 +21,7 @@ from service.agent.problems import Problem
 class RunRoutes:
     def __init__(self, agent: Agent) -> None:
         self._agent = agent
+        self._parking = asyncio.Lock()
 
     def routes(self) -> list[Route]:
         return [
@@ -43,12 +46,30 @@ class RunRoutes:
         fields = await fields_of(request)
         program = fields.text("program")
         name = fields.text("name", program[:12], longest=200)
+        key = fields.text("key", longest=100) if fields.has("key") else ""
         fields.done()
         path = self._agent.store.path_of(program)
-        facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
-        run: RunView = await self._agent.access.call(lambda mill: mill.park(facts, path, name))
-        location = {"Location": f"/v1/runs/{run.id}"}
-        return JSONResponse(run.as_dict(), status_code=201, headers=location)
+        async with self._parking:  # a client that asks again must not overtake itself
+            if (known := self._parked_before(key, program)) is not None:
+                return _parked(known, status=200)
+            facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
+            run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
+            if key:
+                self._agent.keys.remember(key, run.id)
+        return _parked(run, status=201)
+
+    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
+        """On the mill's thread, as is a removal: the program is still there once the run is known."""
+        self._agent.store.entry(path.stem)
+        return mill.park(facts, path, name)
+
+    def _parked_before(self, key: str, program: str) -> RunView | None:
+        """The run that this key has parked; a Problem where it was for another program."""
+        run_id = self._agent.keys.run_of(key) if key else None
+        run = next((run for run in self._runs() if run.id == run_id), None)
+        if run is not None and run.program != program:
+            raise Problem(409, f"key '{key}' has parked run {run.id} of another program; take a new key", field="key")
+        return run
 
     async def started(self, request: Request) -> Response:
         run, said = self._run(request), await _confirmation(request, START_CHECKS)
@@ -93,6 +114,10 @@ class RunRoutes:
             if run.id == wanted:
                 return run
         raise Problem(404, f"no run '{wanted}' here; GET /v1/runs lists them", field="run")
+
+
+def _parked(run: RunView, *, status: int) -> Response:
+    return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
 
 
 async def _confirmation(request: Request, allowed: frozenset[str]) -> Confirmation:

@@ -27,8 +27,9 @@ from machines.runs import RunState
 from service.agent.access import MillAccess
 from service.agent.agent import Agent
 from service.agent.app import make_app
+from service.agent.keys import ClientKeys
 from service.agent.programs import ProgramStore
-from service.agent.settings import AgentSettings
+from service.agent.settings import AgentSettings, usable
 from service.agent.sse import Hub
 from service.agent.watch import Watch
 from service.errors import InputError, printable
@@ -47,7 +48,8 @@ def run_agent(settings: AgentSettings, profile: MachineProfile) -> None:
         listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
         connector = Connector(profile, settings.port_url)
         reentry = Reentry(safe_z_mm=profile.safe_z_mm)
-        mill = Mill(name=settings.machine, connect=connector, folder=settings.folder, reentry=reentry)
+        with usable(settings.folder):
+            mill = Mill(name=settings.machine, connect=connector, folder=settings.folder, reentry=reentry)
         thread = MillThread(mill)
         stack.callback(thread.stop, detach=True)
         stack.callback(connector.close_unused)
@@ -93,7 +95,15 @@ async def _serve(
     access = MillAccess(thread)
     hub = Hub(ring=settings.ring_events, readers=settings.subscribers)
     store = ProgramStore(settings.folder / "programs", max_bytes=settings.max_program_bytes)
-    agent = Agent(settings=settings, profile=profile, access=access, store=store, hub=hub, connector=connector)
+    agent = Agent(
+        settings=settings,
+        profile=profile,
+        access=access,
+        store=store,
+        hub=hub,
+        connector=connector,
+        keys=ClientKeys(settings.folder / "client-keys.json"),
+    )
     watch = Watch(thread, asyncio.get_running_loop(), hub)
     server = _Server(
         uvicorn.Config(

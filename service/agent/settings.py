@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +64,15 @@ def usable_folder(folder: Path) -> Path:
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
     return folder
+
+
+@contextlib.contextmanager
+def usable(folder: Path) -> Iterator[None]:
+    """What the disk refuses when the folder is taken into use, as one line that names the folder."""
+    try:
+        yield
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing=f"cannot use the data folder {folder}")) from None
 
 
 def agent_settings(

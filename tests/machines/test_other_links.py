@@ -1,4 +1,4 @@
-"""Programs for mills that are not of the GRBL family, end to end: pre-flight, reader, driver, simulated machine, Mill."""
+"""Programs for mills outside the GRBL family, end to end: pre-flight, reader, driver, simulated machine, Mill."""
 
 from __future__ import annotations
 

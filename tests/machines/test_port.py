@@ -12,14 +12,19 @@ import tty
 from collections.abc import Iterator
 
 import pytest
+import serial
 
 from machines.driver import MillState, ProgramDone, ProgramLine
 from machines.errors import PortError, PortLostError
 from machines.grbl.driver import GrblDriver
-from machines.port import open_port, stable_name
+from machines.port import SerialPort, open_port, stable_name
 from machines.profiles import LinkSettings
 
 LINK = LinkSettings()
+
+
+def _raw_line(name: str) -> serial.Serial:
+    return serial.Serial(name, timeout=0)
 
 
 @pytest.fixture
@@ -57,6 +62,104 @@ def test_a_wait_is_ended_from_another_thread(terminal: tuple[int, str]) -> None:
     assert port.read(20.0) == b""
     timer.join()
     port.close()
+
+
+def test_a_wake_ends_the_gathering_too_and_what_has_come_is_returned(terminal: tuple[int, str]) -> None:
+    """A hold must not wait for more replies to come."""
+    port = SerialPort(terminal[1], _raw_line(terminal[1]), 11520.0, gather_s=20.0)
+    os.write(terminal[0], b"ok")
+    timer = threading.Timer(0.1, port.wake)
+    timer.start()
+    begin_s = time.monotonic()
+    assert port.read(20.0) == b"ok"
+    assert time.monotonic() - begin_s < 10.0
+    timer.join()
+    port.close()
+
+
+def test_replies_that_come_one_by_one_are_gathered_on_a_paced_line_only(terminal: tuple[int, str]) -> None:
+    """A line with a wire rate is read some 5 ms after its first byte; TCP at once: it may be faster than any wire."""
+    port = open_port(terminal[1], LINK)
+    assert port._gather_s == 0.005  # type: ignore[attr-defined]
+    port.close()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_port(f"socket://127.0.0.1:{server.getsockname()[1]}", LINK)
+        assert port._gather_s == 0.0  # type: ignore[attr-defined]
+        port.close()
+
+
+def test_a_wait_on_a_port_that_is_closed_from_another_thread_ends_as_a_lost_port(terminal: tuple[int, str]) -> None:
+    port = open_port(terminal[1], LINK)
+    timers = [threading.Timer(0.05, port.close), threading.Timer(0.1, port.wake)]
+    for timer in timers:
+        timer.start()
+    begin_s = time.monotonic()
+    with pytest.raises(PortLostError):
+        for _ in range(2):  # the first read may be woken before it sees that the line is gone
+            port.read(20.0)
+    assert time.monotonic() - begin_s < 10.0
+    for timer in timers:
+        timer.join()
+
+
+def test_a_wake_after_the_close_rings_nobody_elses_file(terminal: tuple[int, str]) -> None:
+    port = open_port(terminal[1], LINK)
+    cord = port._cord  # type: ignore[attr-defined]
+    port.close()
+    port.close()
+    begin, end = os.pipe()
+    other = cord if cord in (begin, end) else os.dup2(end, cord)
+    os.set_blocking(begin, False)
+    port.wake()
+    with pytest.raises(BlockingIOError):
+        os.read(begin, 1)
+    for descriptor in {begin, end, other}:
+        os.close(descriptor)
+
+
+def test_many_wakes_do_not_block_and_end_in_one_empty_read(terminal: tuple[int, str]) -> None:
+    port = open_port(terminal[1], LINK)
+    for _ in range(70_000):  # more than a pipe holds
+        port.wake()
+    assert port.read(20.0) == b""
+    port.close()
+
+
+@pytest.mark.parametrize("url", ["loop://", "pty"])
+def test_what_is_unsent_is_told(terminal: tuple[int, str], url: str) -> None:
+    port = open_port(terminal[1] if url == "pty" else url, LINK)
+    assert port.unsent_bytes() == 0  # type: ignore[attr-defined]
+    port.close()
+    if url == "pty":
+        with pytest.raises(PortLostError):
+            port.unsent_bytes()  # type: ignore[attr-defined]
+
+
+def test_a_lost_port_is_named_without_the_guesses_of_the_library(terminal: tuple[int, str]) -> None:
+    far, name = terminal
+    port = open_port(name, LINK)
+    os.close(far)
+    with pytest.raises(PortLostError) as caught:
+        port.read(1.0)
+    assert str(caught.value).startswith(f"port {name}: gone: cable out")
+    assert "multiple access" not in str(caught.value)
+
+
+@pytest.mark.parametrize("url", ["/tmp", __file__])
+def test_what_is_no_serial_port_is_said_so(url: str) -> None:
+    with pytest.raises(PortError, match="is not a serial port; ports here:"):
+        open_port(url, LINK)
+
+
+@pytest.mark.parametrize("url", ["socket://localhost", "socket://:23", "rfc2217://host", "socket://host:99999"])
+def test_an_address_needs_host_and_port(url: str) -> None:
+    with pytest.raises(PortError, match=r"names no host and port; allowed: [a-z0-9]+://HOST:PORT"):
+        open_port(url, LINK)
+
+
+def test_a_far_end_that_refuses_is_told_in_words() -> None:
+    with pytest.raises(PortError, match=r"cannot be reached: connection refused$"):
+        open_port("socket://127.0.0.1:1", LINK)
 
 
 def test_a_port_is_opened_once(terminal: tuple[int, str]) -> None:

@@ -116,6 +116,55 @@ def test_a_bad_file_is_one_line_with_file_key_value_and_what_is_allowed(tmp_path
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ({"bench": 'extends = "bench"'}, "a profile that does not come back to this one ('bench' -> 'bench')"),
+        (
+            {"bench": 'extends = "b"', "b": 'extends = "bench"'},
+            "extends 'b', which cannot be used: ",
+        ),
+        ({"bench": 'extends = "b"', "b": 'extends = "bench"'}, "('bench' -> 'b' -> 'bench')"),
+        ({"bench": 'extends = "nope"'}, "extends = 'nope': allowed: 'grbl', 'grbl-3018'"),
+        ({"bench": "extends = 5"}, "extends = 5: allowed: 'grbl'"),
+        ({"bench": 'extends = "b"', "b": "wings = 2"}, "which cannot be used: "),
+        ({"bench": ""}, "missing; give them"),
+        ({"bench": b'extends = "grbl"\ndescription = "caf\xe9"'}, "is not UTF-8 text"),
+        ({"bench": None}, "is a folder"),
+        ({"bench": Path("nowhere.toml")}, "a link to a file that is not there"),
+    ],
+)
+def test_files_that_cannot_be_used_are_one_line_each(tmp_path: Path, files: dict[str, object], words: str) -> None:
+    for name, text in files.items():
+        path = tmp_path / f"{name}.toml"
+        if text is None:
+            path.mkdir()
+        elif isinstance(text, Path):
+            path.symlink_to(text)
+        else:
+            path.write_bytes(text if isinstance(text, bytes) else str(text).encode())
+    with pytest.raises(ProfileError) as caught:
+        load_profile("bench", [tmp_path])
+    said = str(caught.value)
+    assert words in said and said.startswith(str(tmp_path / "bench.toml")) and "\n" not in said
+
+
+def test_no_right_to_read_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written(tmp_path, "bench", 'extends = "grbl"')
+
+    def refuse(*_: object, **__: object) -> str:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "read_text", refuse)
+    with pytest.raises(ProfileError, match=r"bench\.toml: cannot be read: Permission denied"):
+        load_profile("bench", [tmp_path])
+
+
+def test_a_byte_order_mark_is_no_fault(tmp_path: Path) -> None:
+    (tmp_path / "bench.toml").write_bytes(b'\xef\xbb\xbfextends = "grbl"\r\nsafe_z_mm = 3\r\n')
+    assert load_profile("bench", [tmp_path]).safe_z_mm == 3
+
+
 def test_a_file_that_extends_nothing_must_be_complete(tmp_path: Path) -> None:
     written(tmp_path, "bench", 'dialect = "grbl"\n')
     with pytest.raises(ProfileError, match="missing; give them, or start from a profile"):

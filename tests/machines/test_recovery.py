@@ -245,3 +245,30 @@ class TestWhatMustBeDoneFirst:
     def test_an_offset_that_does_not_is_only_named(self, raster: Shop) -> None:
         plan = raster.plan(10, dataclasses.replace(NOW, offsets=OFFSETS | {"G55": (9.0, 2.0, 3.0)}))
         assert plan.ready and any("G55" in words for words in plan.words)
+
+    def test_start_up_blocks_that_set_a_feed_do_not_hide_a_restart(self, raster: Shop) -> None:
+        """$N0=G1 F900: after every restart $G says F900, as it did before the program was first started."""
+        doubted = dataclasses.replace(self.status(position_trusted=False), parser_state="G1 G54 G21 G90 M5 M9 F900 S0")
+        assert self.needs(raster, doubted, state_before="G0 G54 G21 G90 M5 M9 F0 S0") == []
+        assert self.needs(raster, doubted, state_before="G1 G54 G21 G90 M5 M9 F900 S0") == ["position"]
+        spinning = dataclasses.replace(doubted, parser_state="G1 G54 G21 G90 M3 M9 F900 S0")
+        assert self.needs(raster, spinning, state_before="G1 G54 G21 G90 M5 M9 F900 S0") == []
+
+
+def test_the_height_is_that_in_the_frame_of_the_program(raster: Shop) -> None:
+    """The controller is in G55, in which the tool seems high up: in G54 it is in the work, and goes up first."""
+    status = dataclasses.replace(IDLE, machine_mm=(3.0, 4.0, -1.2), work_mm=(3.0, 4.0, 30.0))
+    offsets = OFFSETS | {"G55": (0.0, 0.0, -31.2)}
+    blocks = raster.plan(10, dataclasses.replace(NOW, status=status, offsets=offsets), offsets=offsets).blocks
+    across = next(i for i, block in enumerate(blocks) if block.startswith("G0 X"))
+    assert blocks[across - 1] == "G0 Z5"
+
+
+def test_a_one_way_link_is_recovered_by_its_sequence_numbers(tmp_path: Path, kill_trial: Any) -> None:
+    lines = ["N10 G21 G90", "N20 G0 X0 Y0 Z5", *(f"N{10 * n} G1 X{n} F100" for n in range(3, 60)), "G0 Z5", "M2"]
+    shop = Shop(tmp_path, lines, kill_trial)
+    shop.facts = dataclasses.replace(shop.facts, dialect="okuma-osp")
+    plan = shop.plan(12, sent_line=40)
+    refusal = " ".join(plan.refusals)
+    assert not plan.ready and plan.needs == () and plan.blocks == ()
+    assert "line 40 (N400)" in refusal and "line 12 (N120)" in refusal and "sequence number" in refusal

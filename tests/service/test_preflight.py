@@ -186,3 +186,46 @@ def test_an_index_in_json_has_only_what_differs(program: Path, cache: Path) -> N
     facts = preflight(program, GRBL, cache=cache)
     plain = json.loads(facts.to_json())
     assert plain["index"]["entries"][0][3] == {}
+
+
+def test_the_planner_looks_ahead_as_far_in_cam_as_in_preflight() -> None:
+    """GRBL 1.1 has 16 slots, one always free: `$I` and the profile say 15, the model of the planner wants 16."""
+    from cam.duration import DurationModel
+    from service.stages_cam import kinematics_of
+
+    assert GRBL.planner_blocks == limits_of(GRBL).planner_blocks == 15
+    assert kinematics_of(GRBL).planner_blocks == 16
+    assert DurationModel(kinematics_of(GRBL))._window == 15
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "words"),
+    [
+        (b"V10;\n!MC1;\nZ0,0,\n-5;\n", 3, "goes on in the next line"),
+        (b"V10;\n!MC1;Z0,0,0;\nG01 X5;\n", 3, 'dialect = "roland-nc"'),
+        (b"V10;\n!MC1;Z0,0,0;\n" + b"Z1,1,1;" * 90 + b"\n", 3, "put a line end"),
+        (b"V10;\n!MC1;Z0,0,0;\nZ40000,0,0;", 3, "travel of roland-mdx-40a is 305"),
+        (b"V10;\n!MC1;Z0,0,0;\nZ4\x000,0,0;", 3, "is not a number"),
+        (b"V10;\n!MC1;Z0,0,0;\nZ1,1", 3, "cut off"),
+        (b"", 0, "no RML-1 command"),
+    ],
+)
+def test_an_rml_program_is_refused_by_line_text_and_reason(
+    tmp_path: Path, cache: Path, text: bytes, line: int, words: str
+) -> None:
+    path = tmp_path / "p.rml"
+    path.write_bytes(text)
+    with pytest.raises(ProgramRefusedError, match=words) as caught:
+        preflight(path, replace(load_profile("roland-mdx-40a", []), dialect="rml-1"), cache=cache)
+    assert caught.value.line == line and str(caught.value).isprintable()
+
+
+def test_an_rml_program_is_remembered_too(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "p.rml"
+    path.write_bytes(b"V10;\n!RC15;!MC1;\nZ0,0,100;Z0,0,-100;\nW1000;\n!MC0;\n\x1a")
+    mill = replace(load_profile("roland-mdx-40a", []), dialect="rml-1")
+    facts = preflight(path, mill, cache=cache)
+    assert (facts.lines, facts.blocks, facts.spindle_rpm) == (6, 5, (15000, 15000))
+    assert facts.time_s == pytest.approx(2.0 / 10 + 1.0)
+    monkeypatch.setattr(subprocess, "Popen", no_child)
+    assert preflight(path, mill, cache=cache) == facts

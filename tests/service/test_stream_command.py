@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import pty
 import resource
+import select
 import signal
 import socket
 import subprocess
 import sys
 import threading
+import tty
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -238,6 +243,74 @@ def test_a_port_that_another_process_has(tmp_path: Path, monkeypatch: pytest.Mon
         assert len(mill.cut) >= before
         person.types("ay")
         assert person.ends() == 130
+
+
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (lambda data: b"", "nothing answers"),
+        (lambda data: data, "not a GRBL controller"),
+        (lambda data: b"start\r\nMarlin 2.1.2\r\n", "'start'"),
+        (lambda data: bytes(0x80 | byte * 37 & 0x7F for byte in data * 5), "wrong baud"),
+    ],
+    ids=["silent", "echo", "printer", "noise"],
+)
+def test_what_is_behind_the_port_is_no_grbl(tmp_path: Path, answer: Callable[[bytes], bytes], words: str) -> None:
+    """One line says which; nothing but the harmless '?' is sent to a machine that is not known."""
+    path = program(tmp_path / "p.nc", 5)
+    far, near = pty.openpty()
+    tty.setraw(near)
+    sent, ended_ = bytearray(), threading.Event()
+
+    def behave() -> None:
+        while not ended_.is_set():
+            if select.select([far], [], [], 0.05)[0]:
+                data = os.read(far, 4096)
+                sent.extend(data)
+                os.write(far, answer(data))
+
+    behaving = threading.Thread(target=behave)
+    behaving.start()
+    try:
+        for more in ([], ["--dry-run"]):
+            line = refused(2, str(path), "--port", os.ttyname(near), *more)
+            assert words in line
+            assert line.count(os.ttyname(near)) == 1, line
+        assert set(sent) == {ord("?")}
+    finally:
+        ended_.set()
+        behaving.join()
+        os.close(near)
+        os.close(far)
+
+
+def test_what_is_no_program_file_is_refused_before_anything_is_asked_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.nc")
+    assert "pipe" in refused(2, str(tmp_path / "pipe.nc"), "--port", "/dev/x")
+    assert "folder" in refused(2, str(tmp_path), "--port", "/dev/x")
+
+
+@pytest.mark.parametrize("content", [b"", b"\n(only words)\n", bytes(range(256)), b"$O100%\nG15 H1\n", b"^IN;!MC1;\n"])
+def test_what_is_no_program_of_this_dialect(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "p.nc"
+    path.write_bytes(content)
+    with bench(10.0) as mill:
+        assert refused(2, str(path), "--port", mill.url)
+        assert mill.cut == []
+
+
+def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", 60)
+    with bench(4.0) as mill:
+        process = piped(str(path), "--port", mill.url, preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN))
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line.startswith("run"):
+                break
+        process.send_signal(signal.SIGHUP)
+        code, _, errors = ended(process)
+        assert (code, errors) == (0, [])
+        assert mill.cut == ends(60)
 
 
 def test_something_that_is_not_a_controller(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ FIRST_LINE = 7  # of the first cut in the program
 _PREAMBLE = ("G21G90G94G17G54", "M3S12000", "G0Z5", "G0X1Y1", "G0Z1", "G1Z-1F600")
 TRAITS = replace(GRBL_11.with_settings({22: 1, 20: 1}), lines_per_s=1000.0)
 ANNA = "anna"
-SILENT_KINDS = ("drop", "flip", "duplicate")  # a byte on its way to the mill may change a number into another number
+SILENT_KINDS = ("drop", "flip", "duplicate", "eeprom-stall")  # bytes to the mill: one number may become another
 
 
 def path_mm() -> list[tuple[float, float, float]]:

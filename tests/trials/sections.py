@@ -99,7 +99,7 @@ def kills() -> Iterator[Figure]:
 
 
 def wire() -> Iterator[Figure]:
-    """Lines of 20 bytes at 115200: in simulated time, then in real time over a pty with the streamer's processor time."""
+    """Lines of 20 bytes at 115200, in simulated time and in real time over a pty, with the processor time of it."""
     yield Figure(
         "share of the wire, simulated time", 100 * soak(200_000, line_bytes=20)["wire_share"], "%", "20-byte lines"
     )

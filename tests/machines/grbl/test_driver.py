@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 
 import pytest
 from grbl_bench import Bench, Tap, numbered, spiral
@@ -163,25 +162,8 @@ def test_offsets_written_by_a_program_are_sent_alone() -> None:
     assert not bench.of(Faulted) and bench.mill.serial.lost_deaf == 0
 
 
-class InchTap(Tap):
-    """Turns positions in reports into inch, as $13=1 does."""
-
-    _rest = b""
-
-    def read(self, timeout_s: float) -> bytes:
-        whole, newline, self._rest = (self._rest + super().read(timeout_s)).rpartition(b"\n")
-        return re.sub(rb"(MPos|WCO):([-.0-9,]+)", self._inch, whole) + newline
-
-    @staticmethod
-    def _inch(found: re.Match[bytes]) -> bytes:
-        return found[1] + b":" + b",".join(b"%.4f" % (float(part) / 25.4) for part in found[2].split(b","))
-
-
 def test_inch_reports_are_followed_in_mm() -> None:
-    bench = Bench(GRBL_11.with_settings({13: 1}))
-    bench.tap = InchTap(bench.tap.port)
-    bench.driver = GrblDriver(bench.tap)
-    bench.connected()
+    bench = Bench(GRBL_11.with_settings({13: 1})).connected()
     lines, points = spiral(200)
     bench.driver.start(iter(lines))
     assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted))

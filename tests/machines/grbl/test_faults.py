@@ -76,6 +76,22 @@ def test_a_restart_in_the_middle_skips_nothing() -> None:
         assert claimed <= bench.last_whole(points)
 
 
+def test_a_restart_among_lines_that_change_nothing_skips_nothing() -> None:
+    """M9, M3 and G54 again, the same point twice: answered at once, with the planner full of what is before."""
+    lines, points = spiral(200, turn_rad=0.01)
+    blocks = [line.text for line in lines]
+    idle = [b"M9", b"G54", b"M3S10000", b"F1500", b"G1"]
+    mixed = blocks[:FIRST_POINT_LINE]
+    for k, block in enumerate(blocks[FIRST_POINT_LINE:]):
+        mixed += [block, *(idle[: k % 6] if k % 3 else [])]
+    ends = [number for number, block in enumerate(mixed, 1) if block.startswith(b"G1X")]
+    for line in range(60, 300, 11):
+        bench = Bench(faults=(Fault(kind="power-cycle", line=line),)).connected()
+        faulted(bench, numbered(mixed))
+        claimed = sum(number <= bench.driver.progress.executed_line for number in ends)
+        assert claimed <= bench.last_whole(points)
+
+
 def test_a_dropped_point_is_seen_by_the_corridor() -> None:
     """X105 instead of X10.5: no error from the controller, every line answered, but reports leave the path."""
 

@@ -12,7 +12,7 @@ from machines.errors import NotAllowedError
 from machines.grbl.stall import IDLE_S, REPORT_SILENCE_S
 from machines.grbl.watching import COUNT_EVERY_S
 from machines.simulated.faults import Fault
-from machines.simulated.traits import GRBL_11
+from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
 
 Block = bytes
 PLACE = st.integers(0, 40).map(lambda n: n / 2)
@@ -48,20 +48,26 @@ PROGRAMS = st.lists(pieces(), min_size=1, max_size=8).map(lambda many: [block fo
 WINDING = [b"G1X%.2fY%.2fF3000" % (0.1 * (k % 2), 0.1 * k) for k in range(60)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(
     PROGRAMS,
     st.sampled_from([10.0, 50.0, 400.0, 3000.0]),
     st.sampled_from([None, ("feed", 10), ("rapid", 25), ("feed", 200)]),
     st.floats(0.0, 20.0),
     st.booleans(),
+    st.sampled_from([GRBL_11, GRBL_11_ECHO, GRBLHAL, FLUIDNC]),
 )
-@example([*WINDING, b"M5"], 400.0, None, 0.0, False)
-@example([*WINDING, b"G2X0.1Y5.9I0J5F3000", b"M5"], 10.0, ("feed", 10), 1.0, True)
+@example([*WINDING, b"M5"], 400.0, None, 0.0, False, GRBL_11)
+@example([*WINDING, b"G2X0.1Y5.9I0J5F3000", b"M5"], 10.0, ("feed", 10), 1.0, True, GRBL_11)
 def test_no_program_stalls_on_a_healthy_link(
-    blocks: list[Block], acceleration: float, override: tuple[str, int] | None, hold_at_s: float, holds: bool
+    blocks: list[Block],
+    acceleration: float,
+    override: tuple[str, int] | None,
+    hold_at_s: float,
+    holds: bool,
+    traits: Traits,
 ) -> None:
-    bench = Bench(GRBL_11.with_settings({120: acceleration, 121: acceleration, 122: acceleration / 2})).connected()
+    bench = Bench(traits.with_settings({120: acceleration, 121: acceleration, 122: acceleration / 2})).connected()
     bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X0Y0Z0F600", *blocks, b"M2"])))
     begin_s = bench.mill.now_s
     if override is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -53,6 +54,27 @@ def test_off_the_path_names_the_distance() -> None:
     assert (sight.place, sight.line, round(sight.distance_mm, 6)) == (Place.OFF_PATH, 3, 1.5)
 
 
+def test_back_on_what_is_executed_is_off_the_path() -> None:
+    """No mill goes back: a damaged block may, along a row that is cut already."""
+    tracker = tracker_of(*(b"X%d" % (2 * k) for k in range(1, 31)))
+    assert tracker.reported((41.0, 0.0, 0.0)).place is Place.ON_PATH
+    assert tracker.reported((37.0, 0.0, 0.0)).place is Place.ON_PATH  # a step back may be the end of tiny ones
+    assert tracker.reported((25.0, 0.0, 0.0)).place is Place.OFF_PATH
+
+
+def test_after_a_place_off_the_path_only_counts_prove_anything() -> None:
+    """A damaged block that crosses later lines by chance has not cut them."""
+    tracker = tracker_of(*(b"X%d" % (2 * k) for k in range(1, 31)))
+    counted = tracker.executed_line
+    assert counted == 31 - 15 - LONG_BLOCKS_BEYOND_PLANNER
+    tracker.reported((55.0, 0.0, 0.0))
+    assert tracker.executed_line > counted
+    tracker.distrust_positions()
+    assert tracker.executed_line == counted
+    tracker.reported((57.0, 0.0, 0.0))
+    assert tracker.executed_line == counted
+
+
 def test_rounding_of_reports_is_not_off_the_path() -> None:
     assert tracker_of(b"X10Y3.3333").reported((5.001, 1.666, 0.001)).place is Place.ON_PATH
 
@@ -60,6 +82,19 @@ def test_rounding_of_reports_is_not_off_the_path() -> None:
 def test_a_place_on_lines_that_were_never_answered_is_a_lost_reply() -> None:
     tracker = tracker_of(b"X10", b"X20", b"X30", b"X40", answered=3)
     assert tracker.reported((35.0, 0.0, 0.0)).place is Place.UNANSWERED
+
+
+def test_standing_before_the_first_move_is_no_lost_reply() -> None:
+    """Re-entry: modes and spindle are answered, the first move is not; the mill stands where that move will begin."""
+    tracker, interpreter = (
+        Tracker(planner_blocks=15, tolerance_mm=0.02),
+        Interpreter(ModalState(position_mm=(9.0, 0.0, 5.0))),
+    )
+    for block in (b"G21G90G94G17", b"M3S1000", b"G4P3", b"G0Z5", b"G0X1"):
+        tracker.sent(0, interpreter.take(block))
+    tracker.answered()
+    tracker.answered()
+    assert tracker.reported((9.0, 0.0, 5.0)).place is not Place.UNANSWERED
 
 
 def test_the_first_unanswered_line_may_be_under_way() -> None:
@@ -70,24 +105,39 @@ def test_the_first_unanswered_line_may_be_under_way() -> None:
 
 
 def test_an_answered_wait_for_standstill_proves_everything_before_it() -> None:
-    assert tracker_of(b"X10", b"M3S1000").executed_line == 3
+    assert tracker_of(b"X10", b"G4P1").executed_line == 3
+    assert tracker_of(b"X10", b"M2").executed_line == 3
+
+
+@pytest.mark.parametrize("block", [b"M5", b"M3", b"M9", b"M8", b"G54", b"S0", b"M3S1000"])
+def test_a_word_that_may_change_nothing_proves_nothing(block: bytes) -> None:
+    """M5 with the spindle off already is answered at once, with twenty blocks still to be cut."""
+    assert tracker_of(b"X10", block).executed_line == 0
 
 
 @given(
-    st.integers(1, 120),
-    st.sampled_from([(b"X%d.01", SHORT_BEYOND), (b"X%d", LONG_BLOCKS_BEYOND_PLANNER)]),
+    st.integers(1, 120), st.sampled_from([("X%.2f", 0.03, SHORT_BEYOND), ("X%.2f", 2.0, LONG_BLOCKS_BEYOND_PLANNER)])
 )
-def test_what_the_buffers_cannot_hold_is_executed(count: int, kind: tuple[bytes, int]) -> None:
+def test_what_the_buffers_cannot_hold_is_executed(count: int, kind: tuple[str, float, int]) -> None:
     """Planner (15) and segment buffer: 2 more blocks where they are long, 7 where they last less than 0.12 s."""
-    pattern, beyond = kind
-    blocks = [pattern % (2 * k) for k in range(1, count + 1)]
-    if beyond == SHORT_BEYOND:
-        blocks = [b"X%.3f" % (0.001 * k) for k in range(1, count + 1)]
+    pattern, length_mm, beyond = kind
+    tracker = tracker_of(*((pattern % (length_mm * k)).encode() for k in range(1, count + 1)))
+    executed = count - 15 - beyond
+    assert tracker.executed_line == (1 + executed if executed > 0 else 0)  # line 1 moves nothing
+
+
+@given(st.lists(st.sampled_from([b"move", b"M5", b"F600", b"G54", b"again", b"M9"]), max_size=120))
+def test_lines_that_move_nothing_take_no_place_in_a_buffer(kinds: list[bytes]) -> None:
+    """However many are between: the last 17 lines that move may still have to be cut."""
+    x_mm, blocks, moving = 0, [], []
+    for number, kind in enumerate(kinds, 2):
+        if kind == b"move":
+            x_mm += 2
+            moving.append(number)
+        blocks.append(b"X%d" % x_mm if kind in (b"move", b"again") else kind)
     tracker = tracker_of(*blocks)
-    first_is_short = 1  # the move to the origin has no length
-    ahead = 15 + (SHORT_BEYOND if beyond == SHORT_BEYOND else LONG_BLOCKS_BEYOND_PLANNER)
-    least, most = count + 1 - 15 - SHORT_BEYOND, count + 1 - ahead
-    assert max(0, least) <= tracker.executed_line <= max(0, most, first_is_short - 1)
+    ahead = 15 + LONG_BLOCKS_BEYOND_PLANNER
+    assert tracker.executed_line == (moving[-ahead - 1] if len(moving) > ahead else 0)
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=2, max_size=40), st.data())

@@ -1,4 +1,4 @@
-"""A Roland over a real pty through pyserial and `open_driver`: a busy mill loses nothing, is not lost, and a hold holds.
+"""A Roland over a real pty through pyserial and `open_driver`: a busy mill loses nothing, and a hold holds.
 
 A pty has no CTS and tells TIOCOUTQ as 0 (what is written lies in the far end's queue at once), so the mill here is busy
 by not reading, and what it has not read stands for what a UART would still hold.

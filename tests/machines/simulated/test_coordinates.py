@@ -87,3 +87,20 @@ def test_reset_while_held_keeps_the_position():
     mill.advance(mill.now_s + 1.0)
     assert mill.firmware.state == "Idle" and not mill.firmware.position_lost
     assert mill.firmware.physical() == at and mill.recording.segments[-1].end == at
+
+
+def test_with_13_lengths_are_reported_in_inch_and_settings_stay_in_mm() -> None:
+    mill = SimulatedMill(GRBL_11.with_settings({13: 1}))
+    port = MemoryPort(mill, None)
+    mill.advance(1.0)
+    mill.output()
+    port.write(b"G21G1X25.4F2540\nG92X0Z2.54\n")
+    mill.advance(1.3)
+    port.write(b"?")
+    mill.advance(1.31)
+    assert b"|FS:100,0" in mill.output()
+    mill.advance(20.0)
+    port.write(b"?$#\n$$\n")
+    mill.advance(20.1)
+    words = mill.output()
+    assert b"MPos:1.0000,0.0000,0.0000" in words and b"[G92:1.0000,0.0000,-0.1000]" in words and b"$110=5000" in words

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import concurrent.futures
+import contextlib
 import hashlib
 import http.server
 import signal
+import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -167,6 +171,88 @@ def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentPr
     assert agent.post("/v1/programs", 502, url=url, sha256="1" * 64)["field"] == "url"
 
 
+def test_the_same_key_parks_once_even_across_a_new_start(tmp_path: Path, mill: Bench) -> None:
+    """A job server that lost the answer asks again: it must not find two runs."""
+    path, other = program(tmp_path / "p.nc", 20), program(tmp_path / "q.nc", 21)
+    with AgentProcess(tmp_path / "data", mill.url) as agent:
+        sha256 = agent.upload(path)
+        body = {"program": sha256, "name": "p", "key": "job-7/pass-1"}
+        with concurrent.futures.ThreadPoolExecutor(4) as pool:
+            answers = list(pool.map(lambda _: agent.http.post("/v1/runs", json=body), range(4)))
+        assert sorted(answer.status_code for answer in answers) == [200, 200, 200, 201]
+        assert len({answer.json()["id"] for answer in answers}) == 1
+        problem = agent.post("/v1/runs", 409, program=agent.upload(other), key="job-7/pass-1")
+        assert problem["field"] == "key"
+        agent.stop()
+    with AgentProcess(tmp_path / "data", mill.url) as agent:
+        run = agent.post("/v1/runs", 200, **body)
+        assert run["id"] == answers[0].json()["id"]
+        assert len(agent.get("/v1/runs")["runs"]) == 1
+
+
+def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", 20)
+    sha256 = agent.upload(path)
+    assert agent.http.delete(f"/v1/programs/{sha256}").status_code == 204
+    assert agent.http.delete(f"/v1/programs/{sha256}").status_code == 404
+    agent.upload(path)
+    run = agent.post("/v1/runs", 201, program=sha256, name="p")["id"]
+    refused = agent.http.delete(f"/v1/programs/{sha256}")
+    assert (refused.status_code, run in refused.json()["detail"]) == (409, True)
+    agent.post(f"/v1/runs/{run}:start", 202, operator="Ada", checks=CHECKS)
+    assert agent.http.delete(f"/v1/programs/{sha256}").status_code == 409
+    agent.until(lambda status: agent.get(f"/v1/runs/{run}")["state"] == "finished")
+    assert agent.http.delete(f"/v1/programs/{sha256}").status_code == 204
+    assert agent.http.delete("/v1/programs/..%2Ftoken").status_code in (404, 422)
+
+
+def test_two_who_start_at_once_start_one_run(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    sha256 = agent.upload(program(tmp_path / "p.nc", LONG))
+    runs = [agent.post("/v1/runs", 201, program=sha256, name=name)["id"] for name in ("one", "two")]
+    body = {"operator": "Ada", "checks": CHECKS}
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        codes = list(pool.map(lambda run: agent.http.post(f"/v1/runs/{run}:start", json=body).status_code, runs))
+    assert sorted(codes) == [202, 409]
+
+
+def test_a_file_without_a_block_is_not_a_program(agent: AgentProcess, tmp_path: Path) -> None:
+    path = tmp_path / "blank.nc"
+    path.write_text("\n(words)\n")
+    problem = agent.post("/v1/runs", 422, program=agent.upload(path), name="blank")
+    assert (problem["field"], "not one block" in problem["detail"]) == ("program", True)
+
+
+def test_a_hold_is_quick_while_twenty_readers_listen_and_some_do_not_read(
+    agent: AgentProcess, mill: Bench, tmp_path: Path
+) -> None:
+    """Readers that never read cost bounded memory, and no hold waits for them."""
+    started(agent, program(tmp_path / "p.nc", LONG))
+    host, _, port = agent.url.removeprefix("http://").partition(":")
+    request = f"GET /v1/events HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {agent.token}\r\n\r\n"
+    with contextlib.ExitStack() as stack:
+        for _ in range(20):
+            reader = stack.enter_context(socket.create_connection((host, int(port))))
+            reader.sendall(request.encode())
+        agent.until(lambda status: status["progress"]["executed_line"] > 8)
+        begun_s = time.monotonic()
+        agent.post("/v1/control/hold", 202)
+        assert time.monotonic() - begun_s < 1.0  # alone a few ms; on a busy machine more, but never a client's timeout
+        agent.until(lambda status: status["status"]["state"] == "held")
+        assert agent.rss_mb() < 70
+
+
+def test_a_slow_body_does_not_stop_a_hold(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+    started(agent, program(tmp_path / "p.nc", LONG))
+    host, _, port = agent.url.removeprefix("http://").partition(":")
+    head = (
+        f"POST /v1/runs HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {agent.token}\r\nContent-Length: 99\r\n\r\n"
+    )
+    with socket.create_connection((host, int(port))) as slow:
+        slow.sendall(head.encode() + b"{")
+        agent.post("/v1/control/hold", 202)
+        agent.until(lambda status: status["status"]["state"] == "held")
+
+
 def test_events_come_live_and_what_was_missed_comes_again(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     with agent.events() as events:
         first = next(events)
@@ -249,6 +335,14 @@ def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_p
 
 def test_an_address_that_others_reach_needs_a_token_file(mill: Bench) -> None:
     assert "--token-file" in refused("--port", mill.url, "--host", "0.0.0.0")
+
+
+def test_a_token_that_others_can_read_is_refused(mill: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "secret"
+    path.write_text("x" * 32)
+    path.chmod(0o640)
+    words = refused("--port", mill.url, "--bind-port", "0", "--data", str(tmp_path / "d"), "--token-file", str(path))
+    assert f"chmod 600 {path}" in words
 
 
 def test_without_a_token_the_agent_says_nothing(agent: AgentProcess) -> None:
