@@ -72,7 +72,7 @@ class MillStarting(MillEvents):
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
         baseline |= {"started_s": round(self._wall(), 3), "executed_line": 0}
-        baseline["state_before"] = baseline["parser_state"]
+        baseline |= {"state_before": baseline["parser_state"], "began_mm": baseline["machine_mm"]}
         self._go(run, RunState.RUNNING, baseline, lambda: driver.start(reader.lines(1)))
 
     def plan_recovery(self, run_id: str) -> RecoveryPlan:
@@ -95,9 +95,9 @@ class MillStarting(MillEvents):
         _, reader = run.load(self._folders, lambda facts: self._reader(run, facts))
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
-        baseline |= {"recoveries": int(run.record.get("recoveries", 0)) + 1, "ended_s": None}
+        baseline |= {"recoveries": int(run.record.get("recoveries", 0)) + 1, "ended_s": None, "began_mm": None}
         if run.record.get("restarted"):
-            baseline["state_before"] = baseline["parser_state"]
+            baseline |= {"state_before": baseline["parser_state"], "began_mm": baseline["machine_mm"]}
         self._go(run, RunState.RECOVERING, baseline, lambda: driver.start(plan.lines(reader)))
 
     def _planned(self, run: Run) -> tuple[RecoveryPlan, dict[str, Any] | None, Placement]:

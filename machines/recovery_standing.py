@@ -9,6 +9,7 @@ within it has cut the line before. So more is sent again than need be where a pa
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from machines.driver import Triple
@@ -18,6 +19,7 @@ from machines.gcode.program import ProgramReader
 from machines.grbl.settings import MM_PER_INCH, ControllerSettings
 
 LINES_AFTER_LAST_MARK = 2000  # beyond the last journaled line of an owner that died: 1 s of short lines and a buffer
+_LINES_BEFORE_PLACE = 200  # a program has told all axes by then
 _AGREE_MM = 0.0015  # offsets are reported with three decimals
 _STEP_MM = 0.01  # where the controller does not tell
 
@@ -58,10 +60,28 @@ def executed_by_standing(
         return executed  # it may stand on the way in, of which the program tells nothing
     state = reader.state_before(executed + 1)
     offset_mm = frame_offset_mm(record, state.wcs)
-    if offset_mm is None or state.shifted or None in state.position_mm:
+    if offset_mm is None:
+        return executed
+    if None in state.position_mm and executed < _LINES_BEFORE_PLACE:
+        state = _from_its_start(reader, record, offset_mm, executed)
+    if state.shifted or None in state.position_mm:
         return executed
     x, y, z = (m - o for m, o in zip(machine_mm, offset_mm, strict=True))
     return _first_place(reader, state, (x, y, z), executed, last_line, tolerance_mm)
+
+
+def _from_its_start(reader: ProgramReader, record: Mapping[str, Any], offset_mm: Triple, executed: int) -> ModalState:
+    """The state after the first lines of a program, with the axes it has not moved yet where they began."""
+    state, began = reader.state_before(1), record.get("began_mm")
+    if began is not None:
+        x, y, z = (float(m) - o for m, o in zip(began, offset_mm, strict=True))
+        state = replace(state, position_mm=(x, y, z))
+    interpreter = Interpreter(state, dialect=reader.index.dialect)
+    for line in reader.lines(1):
+        if line.number > executed:
+            break
+        interpreter.take(line.text)
+    return interpreter.state
 
 
 def _first_place(

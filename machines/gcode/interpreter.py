@@ -31,6 +31,7 @@ _KINDS = {
 }
 _PLANES = {17.0: (0, 1, 2), 18.0: (2, 0, 1), 19.0: (1, 2, 0)}
 _FAR_MM = 100_000.0
+_WHOLE = {b"%d" % n: 10 * n for n in range(100)}  # nearly all G and M numbers
 
 
 class Interpreter:
@@ -135,6 +136,8 @@ class Interpreter:
         return self._step()
 
     def _code(self, block: bytes, number: bytes, refusal: int) -> int:
+        if number in _WHOLE:
+            return _WHOLE[number]
         tenths = float(number) * 10.0
         code = round(tenths)
         if abs(tenths - code) > 1e-6 or code < 0:

@@ -17,7 +17,8 @@ class Step:
     feed_mm_per_min  : of cutting moves; None for rapids
     length_mm     : of the path, as far as it is known
     pause_s       : of a dwell
-    waits_for_empty_buffer : the controller answers only when all motion before it is done (G4, M3, S, M2, G10 ...)
+    waits_for_empty_buffer : the controller may answer only when all motion before it is done (G4, M3, S, M2, G10 ...);
+                      where the word changes nothing it answers at once, so its answer proves nothing
     withholds_ok  : M0, M1: no answer until cycle start
     ends_program  : M2, M30
     writes_settings : G10, G28.1, G30.1: the controller writes its EEPROM; to be sent alone, never counted ahead
@@ -68,7 +69,7 @@ class Step:
         return share, sum((offset - share * along) ** 2 for along, offset in known)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)  # not frozen, as Step: one is made for every arc that is sent, in a tenth of its time
 class Arc:
     """Circle or helix about an axis. u, v, w : axes 0..2 with w the helix axis; sweep > 0 turns from u toward v."""
 

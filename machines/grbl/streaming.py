@@ -32,6 +32,7 @@ class Stream:
         self.wants_wire = False  # more could be sent if the wire were less full
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.echoed = False  # the oldest line under way has been echoed
+        self.agreed_line = 0  # as many answers had come as lines, when this one was answered
         self.counting = False  # no new lines until every line is answered: shows whether as many answers came as lines
 
     def fill(self, budget: int) -> bytes:
@@ -91,8 +92,9 @@ class Stream:
             self.answered_line = number
         self._alone = False
         self.echoed = False
-        if self.counting and not self.window.used:
+        if not self.window.used:
             self.counting = False
+            self.agreed_line = self.answered_line
         return flight
 
     @property

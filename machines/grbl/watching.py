@@ -72,9 +72,10 @@ class SessionWatching(SessionHearing):
             standing=standing,
         )
         if allowed_s is not None and waited_s > allowed_s:
-            self._fault(
-                FaultCause.STALL, self._stall_words(first, waited_s, allowed_s, standing), stream.first_line, now_s
-            )
+            words = self._stall_words(first, waited_s, allowed_s, standing)
+            if standing and first is not None:
+                words += f" after line {stream.agreed_line} (if a line, it was not cut: look at the part from there on)"
+            self._fault(FaultCause.STALL, words, stream.first_line, now_s)
 
     def _count(self, stream: Stream, now_s: float) -> None:
         """Let the controller answer everything before more is sent, where its planner holds motion for long enough.

@@ -11,6 +11,8 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
+from machines.gcode.words import shown
+
 UNIT_MM = 0.01
 FASTEST_MM_PER_S = 50.0  # V of the MDX-40: 3000 mm/min
 LONGEST_DWELL_MS = 32767
@@ -101,7 +103,7 @@ def spindle_rpm(code: float, slowest: float, fastest: float) -> float:
 
 def _number(part: bytes, shape: Shape) -> float:
     if not _NUMBER.match(part):
-        raise RmlFault(f"'{part.decode('latin-1')}' is not a number")
+        raise RmlFault(f"'{shown(part)}' is not a number")
     if shape.whole and b"." in part:
         raise RmlFault(f"{part.decode()} must be a whole number (coordinates are hundredths of a millimetre)")
     value = float(part)

@@ -149,3 +149,19 @@ def test_g92_and_tool_length_are_part_of_the_frame() -> None:
     assert frame_offset_mm({"offsets": offsets, "work_offset_mm": (1.5, 2.0, 7.0)}, "G54") == (1.5, 2.0, 7.0)
     assert frame_offset_mm({"offsets": offsets, "work_offset_mm": (1.5, 2.0, 3.0)}, "G54") is None
     assert frame_offset_mm({"offsets": offsets, "work_offset_mm": (1.5, 2.0, 7.0)}, "G55") is None
+
+
+@pytest.mark.parametrize("executed", [0, 1, 2])
+def test_a_program_that_has_told_no_place_yet_began_where_the_mill_stood(
+    tmp_path: Path, kill_trial: Any, executed: int
+) -> None:
+    """Without that place nothing is known; after G28 neither."""
+    lines = ["G21 G90", "M3 S9000", "G0 Z5", "G0 X1 Y1", "G1 Z-1 F100", "X2", "X3"]
+    program = Path3(tmp_path, lines, kill_trial)
+    began = tuple(o + 7.0 for o in OFFSET)
+    assert program.proven(executed, (2.0, 1.0, -1.0), began_mm=began) == 6
+    assert program.proven(executed, (7.0, 7.0, 5.0), began_mm=began) == 3
+    assert program.proven(executed, (7.0, 7.0, 7.0), began_mm=began) == executed
+    assert program.proven(executed, (2.0, 1.0, -1.0)) == executed
+    away = Path3(tmp_path, ["G21 G90", "G28", *lines], kill_trial)
+    assert away.proven(2, (2.0, 1.0, -1.0), began_mm=began) == 2

@@ -75,3 +75,14 @@ def test_a_dialect_no_program_can_be_written_in_is_one_line(own: Path) -> None:
     assert str(caught.value).startswith(
         "machine.profile: 'osp' speaks okuma, and no programs can be written in that yet"
     )
+
+
+def test_a_job_takes_a_machine_of_ones_own_and_refuses_one_it_has_no_programs_for(own: Path) -> None:
+    (own / "bench.toml").write_text('extends = "grbl-3018"\ntravel_mm = [280, 175, 40]\n')
+    machine = machine_of(resolve_spec(overrides=["machine.profile=bench", "machine.safe_z_mm=4"]))
+    assert (machine.name, machine.travel_mm, machine.safe_z_mm) == ("bench", (280, 175, 40), 4)
+    with pytest.raises(SpecError, match="'okuma-osp' speaks okuma, and no programs can be written in that yet"):
+        require_post(resolve_spec(overrides=["machine.profile=okuma-osp"]))
+    (own / "bench.toml").write_text("travel_mm = [-1, 2, 3]\n")
+    with pytest.raises(SpecError, match=r"machine\.profile: 'bench' cannot be used: .*bench\.toml: travel_mm"):
+        resolve_spec(overrides=["machine.profile=bench"])

@@ -30,6 +30,7 @@ from machines.driver import (
 )
 from machines.errors import NotAControllerError, NotAllowedError
 from machines.grbl.driver import GrblDriver
+from machines.grbl.settings import is_parser_state
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
 
 
@@ -437,16 +438,16 @@ def test_the_driver_runs_on_any_chunks() -> None:
     assert bench.last_whole(points) == 60
 
 
-@pytest.mark.parametrize("place", range(3, 40))
-def test_a_parser_state_damaged_on_the_way_is_asked_for_again(place: int) -> None:
-    """A byte lost from [GC:...] makes G54 a G4, or two words one: never believed."""
+@pytest.mark.parametrize(("mark", "place"), [(b"[GC:", k) for k in range(3, 40)] + [(b"$131=", k) for k in range(12)])
+def test_what_was_damaged_on_the_way_is_asked_for_again(mark: bytes, place: int) -> None:
+    """A byte lost from [GC:...] makes G54 a G4, from $131=300.000 no travel at all: never believed."""
 
     class Losing(Tap):
         lost = False
 
         def read(self, timeout_s: float) -> bytes:
             data = super().read(timeout_s)
-            at = data.find(b"[GC:")
+            at = data.find(mark)
             if at >= 0 and not self.lost:
                 self.lost = True
                 data = data[: at + place] + data[at + place + 1 :]
@@ -456,8 +457,20 @@ def test_a_parser_state_damaged_on_the_way_is_asked_for_again(place: int) -> Non
     bench.tap = Losing(bench.tap.port)
     bench.driver = GrblDriver(bench.tap)
     bench.connected()
-    whole = Bench().connected()
-    assert (
-        bench.tap.lost
-        and bench.driver.settings.parser_state.split()[:6] == whole.driver.settings.parser_state.split()[:6]
-    )
+    assert bench.tap.lost and bench.driver.settings.travel_mm == (300.0, 300.0, 80.0)
+    assert bench.driver.settings.parser_state.split()[:6] == ["G0", "G54", "G17", "G21", "G90", "G94"]
+
+
+@pytest.mark.parametrize(
+    ("words", "right"),
+    [
+        ("G0 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0", True),
+        ("G1 G59.1 G17 G20 G91 G94 G49 G98 G50 M5 M9 T0 F0 S0.", True),
+        ("G0 G4 G17 G21 G90 G94 M5 M9 T0 F0 S0", False),
+        ("G0G54 G54 G17 G21 G90 G94 M5 M9 T0 F0 S0", False),
+        ("G0 G54 G17 G21 G90 M5 M9", False),
+        ("", False),
+    ],
+)
+def test_a_parser_state_names_one_of_each_group(words: str, right: bool) -> None:
+    assert is_parser_state(words) is right

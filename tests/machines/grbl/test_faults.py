@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from grbl_bench import Bench, Tap, numbered, spiral
 from hypothesis import given, settings
@@ -225,6 +227,61 @@ def test_silence_is_a_fault() -> None:
         session.output(now_s)
     assert now_s < 3.5
     assert any(isinstance(event, Faulted) and event.cause is FaultCause.STALL for event in session.take_events())
+
+
+def said_for(session: GrblSession, report: bytes, seconds: float, now_s: float) -> float:
+    """The same report ten times a second."""
+    for _ in range(int(seconds * 10)):
+        now_s += 0.1
+        session.tick(now_s)
+        session.output(now_s)
+        session.receive(report, now_s)
+    return now_s
+
+
+RUN = b"<Run|MPos:0.000,0.000,0.000|FS:10,0|WCO:0.000,0.000,0.000>\r\n"
+
+
+def long_move() -> GrblSession:
+    session = ready_session()
+    session.start(iter(numbered([b"G21G90G94G17G1F10", b"X100", b"X0"])), 1.0)
+    session.tick(1.0)
+    session.output(1.0)
+    session.receive(b"ok\r\n", 1.0)
+    return session
+
+
+def test_idle_with_lines_unanswered_is_a_stall_however_long_the_next_move() -> None:
+    session = long_move()
+    said_for(session, IDLE, 1.5, 1.0)
+    assert session.phase is Phase.STREAMING
+    said_for(session, IDLE, 2.0, 2.5)
+    (fault,) = [event for event in session.take_events() if isinstance(event, Faulted)]
+    assert fault.cause is FaultCause.STALL and "Idle" in fault.words
+
+
+def test_idle_in_between_is_no_standing() -> None:
+    """The same place for long, but not Idle: a move may be slow, or come round to the same place at every look."""
+    session = long_move()
+    now_s = said_for(session, IDLE, 1.0, 1.0)
+    said_for(session, RUN, 20.0, now_s)
+    assert session.phase is Phase.STREAMING
+
+
+def test_answers_are_not_counted_where_the_planner_would_run_dry() -> None:
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered([b"G21G90G94G17G1F3000", *(b"X%.3f" % (0.002 * k) for k in range(25000)), b"M2"])))
+    while not bench.of(ProgramDone):
+        bench.pass_time(0.05)
+        stream = bench.driver._session._stream
+        assert stream is None or not stream.counting
+
+
+def test_a_link_given_up_asks_for_no_more_calls() -> None:
+    """A deadline in the past would make whoever polls spin, and simulated time stand still."""
+    session = streaming_session()
+    session.lost("cable", 2.0)
+    assert session.next_deadline_s == math.inf and session.output(3.0) == b""
 
 
 def test_no_reset_while_the_mill_may_move() -> None:

@@ -51,6 +51,12 @@ def test_an_arc_is_as_many_blocks_as_it_has_chords() -> None:
     assert motion_time_s(arc, settings, FULL) == pytest.approx(79 * 2 * (chord_mm / 100) ** 0.5, rel=0.03)
 
 
+def test_an_arc_that_reaches_its_feed_pays_a_ramp_for_each_chord() -> None:
+    settings = ControllerSettings(values={**VALUES, 12: "0.002"})
+    (arc,) = steps(b"G2X20I10F60")
+    assert motion_time_s(arc, settings, FULL) == pytest.approx(arc.length_mm + 79 * 1 / 100, abs=0.05)
+
+
 def test_a_feed_override_stretches_the_time() -> None:
     (move,) = steps(b"G1X100F600")
     assert motion_time_s(move, SETTINGS, (10, 100, 100)) > 9.5 * motion_time_s(move, SETTINGS, FULL)

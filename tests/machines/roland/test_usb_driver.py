@@ -288,6 +288,7 @@ def test_a_pulled_cable_is_a_fault_in_words() -> None:
     assert driver.status.state is MillState.DISCONNECTED
     assert driver.poll(1.0) == ()
     driver.close()
+    assert mill.released == 1, "the interface is let go, so that the mill can be opened anew"
 
 
 def test_a_mill_that_neither_counts_nor_moves_is_a_stall() -> None:

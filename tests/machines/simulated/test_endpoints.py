@@ -86,7 +86,7 @@ def test_the_command_prints_where_to_connect_and_records_the_cut(tmp_path, capsy
 
 @pytest.mark.parametrize(
     ("change", "word"),
-    [({"firmware": "marlin"}, "firmware"), ({"listen": "com1"}, "not understood"), ({"faults": ("melt@line=1",)}, "fault"),
+    [({"firmware": "marlin"}, "firmware"), ({"listen": "com1"}, "understood"), ({"faults": ("melt@line=1",)}, "fault"),
      ({"time_factor": 0.0}, "time factor")],
 )  # fmt: skip
 def test_bad_options_are_one_clear_line(change, word):
