@@ -78,7 +78,7 @@ def stream(
     """Run a program on a mill, watched from this terminal. Ctrl-C holds the mill and asks."""
     with _machine_errors():
         from service.mill_link import machine_and_port
-        from service.stream import StreamOrder, stream_program
+        from service.stream.command import StreamOrder, stream_program
 
         profile, port_url = machine_and_port(machine, port)
         order = StreamOrder(

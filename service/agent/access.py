@@ -10,9 +10,9 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from machines.mill import Mill
-from machines.mill_thread import MillThread
-from machines.mill_view import MillSnapshot
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
 
 T = TypeVar("T")
 

@@ -32,7 +32,7 @@ def read_token(path: Path) -> str:
         raise InputError(sentence_of_os_error(error, doing="--token-file: cannot read")) from None
     except UnicodeDecodeError:
         raise InputError(f"--token-file: {path} is not plain text; allowed: one line of ASCII") from None
-    if False:
+    if others:
         raise InputError(f"--token-file: {path} can be read by others; say: chmod 600 {path}")
     if len(token) < _SHORTEST or not token.isprintable() or any(map(str.isspace, token)):
         raise InputError(f"--token-file: {path} must hold one word of at least {_SHORTEST} characters")

@@ -23,7 +23,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
-from machines.mill import Mill
+from machines.mill.mill import Mill
 from service.agent.agent import Agent
 from service.agent.bodies import Fields, fields_of
 from service.agent.problems import Problem

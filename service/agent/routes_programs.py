@@ -8,7 +8,7 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
-from machines.mill import Mill
+from machines.mill.mill import Mill
 from machines.runs import RunState
 from service.agent.agent import Agent
 from service.agent.bodies import fields_of

@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from machines.gcode.preflight import Preflight
-from machines.mill import Mill
+from machines.mill.mill import Mill
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.agent.agent import Agent
 from service.agent.bodies import fields_of

@@ -19,10 +19,10 @@ import uvicorn
 
 from machines.driver import MillState
 from machines.errors import PortError
-from machines.mill import Mill
-from machines.mill_thread import MillThread
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
 from machines.profiles import MachineProfile
-from machines.recovery import Reentry
+from machines.recovery.planning import Reentry
 from machines.runs import RunState
 from service.agent.access import MillAccess
 from service.agent.agent import Agent

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 import threading
 
-from machines.mill_thread import MillThread
-from machines.mill_view import MillSnapshot
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
 from service.agent.sse import Hub
 
 _WAIT_S = 1.0

@@ -1,4 +1,4 @@
-"""A small lens milled to the end: its three programs streamed over a pty to the simulated mill, held against the path cut."""
+"""A small lens milled to the end: three programs streamed over a pty to the simulated mill, against the path cut."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ passes = [
     {name = "finish", radius_mm = 0.5, pitch_mm = 0.1},
 ]
 """
-# A pty has no wire of its own; at this rate the host's pacing does not hold up a mill that runs a thousand times as fast.
+# A pty has no wire of its own; at this rate the pacing does not hold up a mill that runs a thousand times as fast.
 PROFILE = """
 extends = "grbl"
 name = "bench"

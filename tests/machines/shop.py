@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from machines.driver import MillState
-from machines.journal_disk import RealDisk, RealFile
+from machines.journal.disk import RealDisk, RealFile
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunState
 
 YES = Confirmation("ann", START_CHECKS)

@@ -11,8 +11,8 @@ import pytest
 
 from machines.driver import MillState, Override, SendBlock, SetZero, TrustPosition
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
-from machines.journal import Journal, read_journal
-from machines.journal_disk import InlineSyncer
+from machines.journal.disk import InlineSyncer
+from machines.journal.journal import Journal, read_journal
 from machines.runs import START_CHECKS, Confirmation, RunState
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 

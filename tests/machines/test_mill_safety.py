@@ -13,10 +13,10 @@ import pytest
 from machines.driver import Home, Jog, MillState, SendBlock, SetZero
 from machines.errors import JournalError, MachineError, NotAllowedError
 from machines.gcode.preflight import Preflight
-from machines.journal import read_journal
-from machines.mill import Mill
-from machines.mill_files import RunFolders
-from machines.mill_thread import MillThread
+from machines.journal.journal import read_journal
+from machines.mill.files import RunFolders
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
 from machines.runs import RunState
 from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
@@ -222,7 +222,7 @@ def test_an_interrupted_run_is_the_one_shown_after_the_death_of_its_owner(shop: 
 
 
 def test_old_finished_runs_leave_the_disk_but_no_interrupted_one(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("machines.mill_core.KEPT_RUNS", 3)
+    monkeypatch.setattr("machines.mill.core.KEPT_RUNS", 3)
     unplugged(shop.started(), 5.0)
     shop.bench.until_state(MillState.IDLE)
     for _ in range(6):

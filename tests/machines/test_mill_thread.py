@@ -12,7 +12,7 @@ import pytest
 
 from machines.driver import MillState
 from machines.errors import NotAllowedError
-from machines.mill_thread import MillThread
+from machines.mill.thread import MillThread
 from machines.runs import START_CHECKS, Confirmation, RunState
 
 YES = Confirmation("ann", START_CHECKS)

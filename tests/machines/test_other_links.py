@@ -15,9 +15,9 @@ from machines.driver import Driver, MillState
 from machines.errors import PortLostError
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
-from machines.journal import Journal
-from machines.journal_disk import InlineSyncer
-from machines.mill import Mill
+from machines.journal.disk import InlineSyncer
+from machines.journal.journal import Journal
+from machines.mill.mill import Mill
 from machines.profiles import LinkSettings, MachineProfile, load_profile
 from machines.roland.serial_driver import RolandSerialDriver
 from machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
-from machines.recovery_standing import executed_by_standing, frame_offset_mm, standing_tolerance_mm
+from machines.recovery.standing import executed_by_standing, frame_offset_mm, standing_tolerance_mm
 
 Point = tuple[float, float, float]
 HEAD = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 X0 Y0 Z0", "G1 X1 F200"]

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from service.stream_keys import Keys, Question, Wish, keys_in, single_keys
+from service.stream.keys import Keys, Question, Wish, keys_in, single_keys
 
 INTERRUPT = "^C"
 

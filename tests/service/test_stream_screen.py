@@ -7,8 +7,8 @@ import dataclasses
 import pytest
 from rich.console import Console
 
-from service.stream_keys import Question
-from service.stream_screen import StreamView, one_line, panel
+from service.stream.keys import Question
+from service.stream.screen import StreamView, one_line, panel
 
 CALM = StreamView(state="run", run_state="running", line=134, executed_line=105, total_lines=923, time_left_s=43.0)
 FULL = dataclasses.replace(

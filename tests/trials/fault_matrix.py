@@ -12,8 +12,8 @@ from machines.driver import Home, Jog, MillState, SetZero
 from machines.errors import MachineError, NotAllowedError
 from machines.gcode.preflight import Preflight
 from machines.grbl.driver import GrblDriver
-from machines.journal import Journal
-from machines.mill import Mill
+from machines.journal.journal import Journal
+from machines.mill.mill import Mill
 from machines.profiles import load_profile
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits

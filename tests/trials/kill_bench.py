@@ -7,9 +7,9 @@ from pathlib import Path
 
 from machines.driver import Home, MillState, Reset, TrustPosition
 from machines.grbl.driver import GrblDriver
-from machines.journal import Journal
-from machines.journal_disk import InlineSyncer, RealDisk, RealFile
-from machines.mill import Mill
+from machines.journal.disk import InlineSyncer, RealDisk, RealFile
+from machines.journal.journal import Journal
+from machines.mill.mill import Mill
 from machines.simulated.memory_port import MemoryPort
 from machines.simulated.mill import SimulatedMill
 from machines.simulated.traits import GRBL_11, GRBLHAL

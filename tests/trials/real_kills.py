@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from machines.journal import read_journal
+from machines.journal.journal import read_journal
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from tests.benchmarks.timing import Figure

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 from machines.driver import Command, JogCancel, MillState, Override, ReadSettings
 from machines.errors import JournalError, MachineError, NotAllowedError
-from machines.mill_run import Run
-from machines.mill_starting import MillStarting
-from machines.mill_view import LogEntry, MillSnapshot
+from machines.mill.run import Run
+from machines.mill.starting import MillStarting
+from machines.mill.view import LogEntry, MillSnapshot
 from machines.runs import RunState
 
 __all__ = ["LogEntry", "Mill", "MillSnapshot"]

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Generic, TypeVar
 
 from machines.errors import MachineError, NotAllowedError
-from machines.mill import Mill, MillSnapshot
+from machines.mill.mill import Mill, MillSnapshot
 
 T = TypeVar("T")
 

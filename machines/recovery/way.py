@@ -8,8 +8,8 @@ from machines.errors import MachineError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.preflight import Preflight
-from machines.recovery_entry import EntryPoint
-from machines.recovery_plan import Present, Reentry
+from machines.recovery.entry import EntryPoint
+from machines.recovery.plan import Present, Reentry
 
 
 def height_mm(present: Present, wcs: str) -> float | None:

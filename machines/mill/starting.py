@@ -15,11 +15,11 @@ from machines.errors import JournalError, MachineError, NotAllowedError, Program
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
-from machines.mill_events import MillEvents
-from machines.mill_run import Run
-from machines.mill_standing import STILL_S
-from machines.placement import Placement, program_placement, way_in_placement
-from machines.recovery import Present, RecoveryPlan, plan_recovery
+from machines.mill.events import MillEvents
+from machines.mill.placement import Placement, program_placement, way_in_placement
+from machines.mill.run import Run
+from machines.mill.standing import STILL_S
+from machines.recovery.planning import Present, RecoveryPlan, plan_recovery
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState, RunView
 
 ASK_S = 5.0

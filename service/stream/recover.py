@@ -12,12 +12,12 @@ from pathlib import Path
 
 from machines.driver import Command, Home, TrustPosition, Unlock
 from machines.gcode.preflight import Preflight
-from machines.mill import Mill
-from machines.mill_thread import MillThread
-from machines.recovery import Need, RecoveryPlan
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
+from machines.recovery.planning import Need, RecoveryPlan
 from machines.runs import RECOVERABLE, RunView
 from service.errors import FailedError, InputError
-from service.stream_words import print_lines
+from service.stream.words import print_lines
 
 _SOON_S = 10.0
 _HOMING_S = 300.0

@@ -12,11 +12,11 @@ from typing import Any
 from machines.driver import Driver, MillState, MillStatus, Triple
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
-from machines.mill_run import Run
-from machines.recovery import GRBL_DIALECTS
-from machines.recovery_needs import position_doubt
-from machines.recovery_plan import Present
-from machines.recovery_standing import LINES_AFTER_LAST_MARK, executed_by_standing, standing_tolerance_mm
+from machines.mill.run import Run
+from machines.recovery.needs import position_doubt
+from machines.recovery.plan import Present
+from machines.recovery.planning import GRBL_DIALECTS
+from machines.recovery.standing import LINES_AFTER_LAST_MARK, executed_by_standing, standing_tolerance_mm
 
 STILL_S = 0.5  # two status reports at the same place
 

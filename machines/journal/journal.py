@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from machines.errors import JournalError
-from machines.journal_disk import Disk, File, RealDisk, Syncer, ThreadSyncer, os_words
+from machines.journal.disk import Disk, File, RealDisk, Syncer, ThreadSyncer, os_words
 
 ROTATE_BYTES = 4_000_000
 _PATTERN = "journal-*.log"

@@ -13,7 +13,7 @@ from machines.driver import DriverFacts, MillState, MillStatus
 from machines.gcode.preflight import Preflight
 from machines.runs import RunView
 from service.errors import printable
-from service.stream_screen import duration_words, position_words
+from service.stream.screen import duration_words, position_words
 
 DEFAULT_MACHINE = "grbl"
 _AXES = "XYZ"

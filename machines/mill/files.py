@@ -18,8 +18,8 @@ from typing import Any
 
 from machines.errors import JournalError, NotAllowedError
 from machines.gcode.preflight import Preflight
-from machines.journal import JournalContent, read_journal
-from machines.journal_disk import os_words
+from machines.journal.disk import os_words
+from machines.journal.journal import JournalContent, read_journal
 from machines.runs import LIVE, RunState, RunView
 
 _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z-]{0,79}")

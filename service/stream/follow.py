@@ -19,13 +19,13 @@ from enum import Enum
 from machines.driver import MillState, Override
 from machines.errors import MachineError
 from machines.gcode.preflight import Preflight
-from machines.mill import Mill
-from machines.mill_thread import MillThread
-from machines.mill_view import MillSnapshot
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
 from machines.runs import RunState
-from service.stream_keys import Keys, Question, Wish, keys_in
-from service.stream_screen import Screen, StreamView
-from service.stream_signals import Signals
+from service.stream.keys import Keys, Question, Wish, keys_in
+from service.stream.screen import Screen, StreamView
+from service.stream.signals import Signals
 
 _LOOK_S = 0.25
 _ABORT_WAIT_S = 20.0

@@ -18,9 +18,9 @@ from machines.driver import (
     Stopped,
 )
 from machines.errors import JournalError
-from machines.mill_following import MillFollowing
-from machines.mill_run import Run
-from machines.mill_standing import LINK_LOST
+from machines.mill.following import MillFollowing
+from machines.mill.run import Run
+from machines.mill.standing import LINK_LOST
 from machines.runs import RunState
 
 _TOUCH_OFF = "a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"

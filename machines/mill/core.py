@@ -9,14 +9,14 @@ from typing import Any
 
 from machines.driver import Driver, MillStatus
 from machines.errors import NotAllowedError
-from machines.journal import Journal
-from machines.mill_files import FolderLock, RunFolders, left_alone
-from machines.mill_link import MillLink
-from machines.mill_log import MillLog
-from machines.mill_run import Run
-from machines.mill_standing import OWNER_LOST, Standstill
-from machines.mill_view import MillSnapshot
-from machines.recovery import Reentry
+from machines.journal.journal import Journal
+from machines.mill.files import FolderLock, RunFolders, left_alone
+from machines.mill.link import MillLink
+from machines.mill.log import MillLog
+from machines.mill.run import Run
+from machines.mill.standing import OWNER_LOST, Standstill
+from machines.mill.view import MillSnapshot
+from machines.recovery.planning import Reentry
 from machines.runs import RECOVERABLE, RunState, RunView
 
 SHOWN_RUNS = 100

@@ -8,9 +8,9 @@ from machines.driver import MillState, MillStatus, StreamProgress
 from machines.errors import JournalError, MachineError
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
-from machines.mill_core import MillCore
-from machines.mill_run import Run
-from machines.mill_standing import adrift, ashore, proven_line
+from machines.mill.core import MillCore
+from machines.mill.run import Run
+from machines.mill.standing import adrift, ashore, proven_line
 from machines.runs import RECOVERABLE, RunState
 
 LOOK_S = 0.05

@@ -11,8 +11,8 @@ from machines.driver import MillStatus, StreamProgress
 from machines.errors import JournalError
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
-from machines.journal import Journal
-from machines.mill_files import RunFolders, view_of
+from machines.journal.journal import Journal
+from machines.mill.files import RunFolders, view_of
 from machines.runs import LIVE, RunState, RunView, moved
 
 MARK_EVERY_S = 0.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from machines.mill_view import LogEntry
+from machines.mill.view import LogEntry
 
 LOG_ENTRIES = 100
 

@@ -20,25 +20,25 @@ from machines.errors import NotAControllerError
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
-from machines.mill import Mill
-from machines.mill_thread import MillThread
-from machines.mill_view import MillSnapshot
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
 from machines.profiles import MachineProfile
-from machines.recovery import Reentry
+from machines.recovery.planning import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.agent.settings import mill_folder, usable, usable_folder
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, JobError, sentence_of_os_error
 from service.mill_link import Connector, demand_blocks
 from service.preflight import preflight
 from service.progress import PlainReporter, Reporter, TerminalReporter
-from service.stream_ask import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_person, operator_name
-from service.stream_dry import dry_run
-from service.stream_follow import Ended, Follower, Outcome, at_once, keyboard
-from service.stream_keys import single_keys
-from service.stream_recover import interrupted_run, ready_plan
-from service.stream_screen import LiveScreen, PlainScreen, Screen
-from service.stream_signals import watched_signals
-from service.stream_words import left_words, mill_lines, print_lines, program_lines, recover_command, took_words
+from service.stream.ask import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_person, operator_name
+from service.stream.dry import dry_run
+from service.stream.follow import Ended, Follower, Outcome, at_once, keyboard
+from service.stream.keys import single_keys
+from service.stream.recover import interrupted_run, ready_plan
+from service.stream.screen import LiveScreen, PlainScreen, Screen
+from service.stream.signals import watched_signals
+from service.stream.words import left_words, mill_lines, print_lines, program_lines, recover_command, took_words
 
 _CONNECT_S = 15.0
 _POSITION_S = 2.0

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from machines.driver import MillState
-from machines.recovery_entry import EntryPoint
-from machines.recovery_plan import Need, Present
+from machines.recovery.entry import EntryPoint
+from machines.recovery.plan import Need, Present
 
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
 

@@ -1,0 +1,1 @@
+"""`causticmill stream`: one program on one mill, watched from this terminal."""
