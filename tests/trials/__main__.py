@@ -1,6 +1,6 @@
 """`make soak`: the long trials of the streamer, as figures in out/soak.md and out/soak.json; a broken law is exit 1.
 
-    python -m tests.trials [clean faults echo kills wire big latency estimate]
+    python -m tests.trials [clean faults echo kills agent wire big latency estimate]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
@@ -19,6 +19,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "faults": sections.faults,
     "echo": sections.echo,
     "kills": sections.kills,
+    "agent": sections.agent,
     "wire": sections.wire,
     "big": sections.big,
     "latency": sections.latency,

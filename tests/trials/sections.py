@@ -16,6 +16,7 @@ from service.preflight import preflight
 from tests.benchmarks.timing import Figure
 from tests.trials import estimate as estimates
 from tests.trials import fault_matrix, kill_trial, latency_trial, live
+from tests.trials.real_kills import real_kills
 from tests.trials.soak import soak
 
 SOAK_LINES = 10_000_000
@@ -96,6 +97,11 @@ def kills() -> Iterator[Figure]:
     loss_s = max(t.journal_loss_s for t in trials)
     yield Figure("kills: most journal time lost", loss_s, "s", _law(loss_s > 1.0 and loss_s, "allowed 1 s"))
     yield Figure("kills: most segments cut twice", max(t.recut for t in trials), "segments")
+
+
+def agent() -> Iterator[Figure]:
+    """The agent's process killed with kill -9 over a real pty."""
+    yield from real_kills(20)
 
 
 def wire() -> Iterator[Figure]:
