@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
-MILL := out/demo-mill
+MILL := out/demo-mill.txt
 
 .PHONY: demo test lint bench soak format lock clean
 
@@ -16,14 +16,14 @@ $(READY): requirements-dev.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-# One picture through everything, and the first program streamed to a simulated mill that runs $(SPEEDUP) times as fast as a real one.
-SPEEDUP ?= 2000
+# One picture through everything, and the first program streamed to a simulated mill $(SPEEDUP) times as fast as a real one.
+SPEEDUP ?= 500
 demo: $(READY)
 	$(BIN)/causticmill make $(PICTURE) --output out/demo --force
-	@$(BIN)/causticmill sim-mill --pty --link $(MILL) --time-factor $(SPEEDUP) & \
-	mill=$$!; trap 'kill $$mill' EXIT; \
-	until [ -e $(MILL) ]; do kill -0 $$mill || exit 1; sleep 0.1; done; \
-	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $(MILL) --yes
+	@rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & \
+	mill=$$!; trap 'kill $$mill; wait $$mill; tail -n 1 $(MILL)' EXIT; \
+	until port=$$(grep -o -s 'socket://[^ ]*' $(MILL)); do kill -0 $$mill || exit 1; sleep 0.1; done; \
+	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $$port --yes
 
 test: $(READY)
 	$(BIN)/python -m pytest

@@ -19,6 +19,7 @@ from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmatio
 from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits
 from service.preflight import preflight
 from tests.trials.judge import Verdict, judge
+from tests.trials.programs import waves_mm
 
 CUTS = 400
 FIRST_LINE = 7  # of the first cut in the program
@@ -28,18 +29,8 @@ ANNA = "anna"
 SILENT_KINDS = ("drop", "flip", "duplicate", "eeprom-stall")  # bytes to the mill: one number may become another
 
 
-def path_mm() -> list[tuple[float, float, float]]:
-    """Where the cuts begin and end: rows of waves, about 0.3 mm a move, 30 to 60 blocks a second."""
-    points = [(1.0, 1.0, -1.0)]
-    for k in range(CUTS):
-        row, column = divmod(k + 1, 50)
-        x = 1.0 + 0.3 * (column if row % 2 == 0 else 49 - column)
-        points.append((round(x, 3), round(1.0 + 0.25 * row, 3), round(-1.0 - 0.013 * (k * 37 % 11), 3)))
-    return points
-
-
 def write_program(path: Path) -> Path:
-    cuts = [f"X{x:.3f}Y{y:.3f}Z{z:.3f}" for x, y, z in path_mm()[1:]]
+    cuts = [f"X{x:.3f}Y{y:.3f}Z{z:.3f}" for x, y, z in waves_mm(CUTS)[1:]]
     path.write_text("\n".join([*_PREAMBLE, *cuts, "G0Z5", "M5", "M2"]) + "\n")
     return path
 
@@ -124,7 +115,7 @@ def one_fault(kind: str, seed: int, facts: Preflight, program: Path, *, traits: 
         for cut in mill.recording.segments
         if cut.kind in ("program", "slip")
     ]
-    verdict = judge(path_mm(), [cut for cut in cuts if not cut.rapid and min(cut.start[2], cut.end[2]) < 0.0][1:])
+    verdict = judge(waves_mm(CUTS), [cut for cut in cuts if not cut.rapid and min(cut.start[2], cut.end[2]) < 0.0][1:])
     return Trial(kind, seed, ended.state.value, verdict, causes, log.delay_s, ended.recoveries, bool(mill.faults.log))
 
 

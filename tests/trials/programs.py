@@ -52,3 +52,13 @@ def lines(count: int, *, line_bytes: int | None = None) -> Iterator[ProgramLine]
     yield numbered(b"G0Z5")
     yield numbered(b"M5")
     yield numbered(b"M2")
+
+
+def waves_mm(cuts: int) -> list[tuple[float, float, float]]:
+    """Where so many cuts begin and end: rows of shallow waves, 0.3 mm a move."""
+    points = [(1.0, 1.0, -1.0)]
+    for k in range(cuts):
+        row, column = divmod(k + 1, 50)
+        x = 1.0 + 0.3 * (column if row % 2 == 0 else 49 - column)
+        points.append((round(x, 3), round(1.0 + 0.25 * row, 3), round(-1.0 - 0.013 * (k * 37 % 11), 3)))
+    return points

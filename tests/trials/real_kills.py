@@ -21,7 +21,8 @@ from machines.simulated.endpoints import serve_pty
 from tests.benchmarks.timing import Figure
 from tests.service.agent.process import AgentProcess
 from tests.service.mills import AT_ZERO
-from tests.trials.judge import Triple, Verdict, judge
+from tests.trials.judge import Verdict, judge
+from tests.trials.programs import waves_mm
 
 CUTS = 3000
 _FACTOR = 10.0
@@ -45,16 +46,6 @@ class Trial:
     plan_s: list[float] = field(default_factory=list)
     verdict: Verdict | None = None
     faults: list[str] = field(default_factory=list)
-
-
-def path_mm() -> list[Triple]:
-    """Rows of shallow waves, 0.3 mm a move."""
-    points = [(1.0, 1.0, -1.0)]
-    for k in range(CUTS):
-        row, column = divmod(k + 1, 50)
-        x = 1.0 + 0.3 * (column if row % 2 == 0 else 49 - column)
-        points.append((round(x, 3), round(1.0 + 0.25 * row, 3), round(-1.0 - 0.013 * (k * 37 % 11), 3)))
-    return points
 
 
 def real_kills(count: int) -> Iterator[Figure]:
@@ -89,7 +80,7 @@ def one_trial(seed: int) -> Trial:
     with tempfile.TemporaryDirectory() as made, serve_pty(mill, _FACTOR) as endpoint:
         folder = Path(made)
         program = folder / "program.nc"
-        cuts = [f"X{x:.3f}Y{y:.3f}Z{z:.3f}" for x, y, z in path_mm()[1:]]
+        cuts = [f"X{x:.3f}Y{y:.3f}Z{z:.3f}" for x, y, z in waves_mm(CUTS)[1:]]
         program.write_text("\n".join([*_PREAMBLE, *cuts, "G0Z5", "M5", "M2"]) + "\n")
         run = ""
         try:
@@ -114,7 +105,7 @@ def one_trial(seed: int) -> Trial:
                         trial.faults.append(f"ended {state}: {agent.get(f'/v1/runs/{run}')['words']}")
         except (AssertionError, TimeoutError) as error:
             trial.faults.append(str(error)[:300])
-    trial.verdict = judge(path_mm(), mill.recording.cuts(), back=_BACK)
+    trial.verdict = judge(waves_mm(CUTS), mill.recording.cuts(), back=_BACK)
     if not trial.verdict.clean:
         foreign = [(cut.start, cut.end) for cut in trial.verdict.foreign[:2]]
         trial.faults.append(f"skipped {trial.verdict.skipped[:5]}, foreign {foreign}")
