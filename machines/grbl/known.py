@@ -76,6 +76,8 @@ class SessionKnown:
         self._steer: tuple[Override, float] | None = None
         self._steer_reports = 0
         # _sign_at_s: the last answer, new position, proven step or hold: something goes on
+        # _looked_at_s, _patient_from_s: the last look at the clock, and the end of our own last absence
+        self._looked_at_s = self._patient_from_s = 0.0
         self._sign_at_s = self._phase_at_s = self._hold_at_s = self._poll_at_s = self._watch_at_s = 0.0
         self._idle_reports = 0
         self._count_at_s = 0.0  # when lines and answers are counted against each other next

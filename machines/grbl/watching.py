@@ -10,6 +10,7 @@ from machines.grbl.states import Phase
 from machines.grbl.streaming import Flight, Stream
 
 COUNT_EVERY_S, COUNT_RETRY_S = 10.0, 1.0
+ABSENT_S = 0.5  # longer than this between two looks, and it was we who slept: a suspended or starved computer
 # Motion that the planner must hold while the last answers come and the next lines go: on a serial line, on a network.
 COUNT_COVER_S, COUNT_COVER_NETWORK_S = 0.1, 0.5
 
@@ -19,6 +20,9 @@ class SessionWatching(SessionHearing):
 
     def _watch(self, now_s: float) -> None:
         """What time alone shows."""
+        if now_s > self._looked_at_s + ABSENT_S:
+            self._patient_from_s = now_s  # the answers may lie in the port, unread
+        self._looked_at_s = now_s
         phase = self.phase
         if phase is Phase.HAILING:
             self._watch_hail(now_s)
@@ -53,14 +57,14 @@ class SessionWatching(SessionHearing):
     def _watch_stream(self, now_s: float) -> None:
         stream = self._stream
         assert stream is not None
-        silent_s = now_s - max(self.view.report_at_s, self._phase_at_s)
+        silent_s = now_s - max(self.view.report_at_s, self._phase_at_s, self._patient_from_s)
         first = stream.first
         if silent_s > stall.REPORT_SILENCE_S and not (first is not None and first[1].writes_settings):
             self._fault(FaultCause.STALL, f"no answer to '?' for {silent_s:.1f} s", stream.first_line, now_s)
             return
         if now_s >= self._count_at_s and not self._paused:
             self._count(stream, now_s)
-        waited_s = now_s - self._sign_at_s
+        waited_s = now_s - max(self._sign_at_s, self._patient_from_s)
         if self._paused or waited_s < stall.MARGIN_S or not (stream.window.used or stream.drained):
             return
         standing = self._standing_reports >= stall.IDLE_REPORTS and now_s > self._standing_at_s + stall.IDLE_S

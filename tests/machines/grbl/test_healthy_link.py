@@ -137,3 +137,16 @@ def test_counting_does_not_slow_the_mill() -> None:
         patch.setattr("machines.grbl.watching.COUNT_EVERY_S", 1e9)
         assert seconds() == pytest.approx(with_counts, abs=0.15)
     assert with_counts > 4 * COUNT_EVERY_S
+
+
+@pytest.mark.parametrize("absent_s", [1.0, 5.0, 60.0])
+def test_a_computer_that_slept_blames_nobody(absent_s: float) -> None:
+    """Our own absence is no silence of the mill: what it said meanwhile lies in the port, unread."""
+    lines, _ = spiral(3000)
+    bench = Bench().connected()
+    bench.driver.start(iter(lines))
+    for _ in range(3):
+        bench.pass_time(1.0)
+        bench.mill.advance(bench.mill.now_s + absent_s)
+    assert bench.until(lambda: bench.of(ProgramDone) or bench.of(Faulted), 600.0)
+    assert not bench.of(Faulted), bench.of(Faulted)
