@@ -36,7 +36,7 @@ class FolderLock:
             folder.mkdir(parents=True, exist_ok=True)
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise JournalError(f"folder {folder}: {os_words(error)}; choose another with --folder") from None
+            raise JournalError(f"folder {folder}: {os_words(error)}; the journal needs a folder that can be written") from None
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
@@ -44,7 +44,7 @@ class FolderLock:
             os.close(self._descriptor)
             words = f" (process {owner})" if owner else ""
             raise NotAllowedError(
-                f"folder {folder}: another agent{words} owns this mill; stop that one first"
+                f"folder {folder}: another agent or stream{words} owns this mill; stop that one first"
             ) from None
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)

@@ -224,7 +224,7 @@ def test_nothing_starts_without_a_journal(shop: Shop) -> None:
 
 
 def test_two_owners_of_one_folder(shop: Shop) -> None:
-    with pytest.raises(NotAllowedError, match=r"another agent \(process [0-9]+\) owns this mill"):
+    with pytest.raises(NotAllowedError, match=r"another agent or stream \(process [0-9]+\) owns this mill"):
         shop.bench.new_mill()
 
 

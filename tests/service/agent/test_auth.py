@@ -83,7 +83,17 @@ def test_a_made_token_is_private_and_stays_the_same(tmp_path: Path) -> None:
 def test_a_token_file_must_hold_one_word(tmp_path: Path, content: str) -> None:
     path = tmp_path / "token"
     path.write_text(content)
+    path.chmod(0o600)
     with pytest.raises(InputError, match="one word"):
+        read_token(path)
+
+
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o644])
+def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path, mode: int) -> None:
+    path = tmp_path / "token"
+    path.write_text(TOKEN)
+    path.chmod(mode)
+    with pytest.raises(InputError, match="chmod 600"):
         read_token(path)
 
 
@@ -97,6 +107,7 @@ def test_an_address_others_can_reach_needs_a_token_of_the_person(tmp_path: Path,
     with pytest.raises(InputError, match="--token-file"):
         settings(None)
     (tmp_path / "t").write_text(TOKEN)
+    (tmp_path / "t").chmod(0o600)
     assert settings(tmp_path / "t") == TOKEN
 
 
