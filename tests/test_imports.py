@@ -67,6 +67,33 @@ def test_nothing_in_optics_or_cam_opens_a_file(package: str) -> None:
                 assert name not in FILE_CALLS, f"{path}:{node.lineno}: {name}()"
 
 
+def test_only_the_port_knows_pyserial() -> None:
+    assert [path.name for path in modules("machines") if "serial" in roots(path)] == ["port.py"]
+    assert not any("serial" in roots(path) for path in modules("service"))
+
+
+def test_the_simulated_mill_reads_programs_by_itself() -> None:
+    """A parser shared with the streamer would hide the streamer's mistakes from every test."""
+    for path in modules("machines/simulated"):
+        ours = {name for name in imported(path) if name.startswith("machines.")}
+        allowed = ("machines.simulated", "machines.errors")
+        assert all(name.startswith(allowed) for name in ours), (path, ours)
+
+
+def test_what_streams_does_without_arrays() -> None:
+    """The streaming process stays small: arrays and compiled code belong to pre-flight's child."""
+    heavy = {"numpy", "numba", "scipy"}
+    users = [path.name for path in modules("machines") if roots(path) & heavy]
+    assert sorted(users) == ["scan.py", "scan_kernel.py"]
+
+
+def test_the_protocol_core_has_no_thread_port_or_clock() -> None:
+    shell = {"threading", "time", "socket", "select", "os", "serial", "asyncio"}
+    for path in modules("machines/grbl"):
+        if path.name != "driver.py":
+            assert not roots(path) & shell, path
+
+
 def test_no_cycle_between_modules() -> None:
     """A module that is imported at the top of another must not, through any chain, import it at its own top."""
     names = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for p in PACKAGES for path in modules(p)}

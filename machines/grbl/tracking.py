@@ -73,6 +73,11 @@ class Sight:
     distance_mm: float = 0.0
 
 
+def _apart_mm(a: Position, b: Position) -> float:
+    """Distance along the axes that both tell."""
+    return sum((q - p) ** 2 for p, q in zip(a, b, strict=True) if p is not None and q is not None) ** 0.5
+
+
 class Tracker:
     """A window of the steps sent. Lines with number 0 (re-entry) are tracked like others but never become progress."""
 
@@ -82,6 +87,7 @@ class Tracker:
         "_beyond",
         "_by_count",
         "_counted_line",
+        "_crept_from_mm",
         "_distrusted",
         "_dropped",
         "_least_block_mm",
@@ -113,6 +119,7 @@ class Tracker:
         self._dropped = 0  # steps that are no longer in _steps
         self._answered_line = 0
         self._least_block_mm = least_block_mm
+        self._crept_from_mm: Position | None = None  # where moves too short for a block of their own began
         self._counted_line = 0  # executed by (a) and (b) alone
         self._usual_beyond = self._beyond = planner_blocks + LONG_BLOCKS_BEYOND_PLANNER
         self._short_beyond = planner_blocks + segments + 1
@@ -135,7 +142,7 @@ class Tracker:
         if step.waits_for_empty_buffer and (step.pause_s > 0.0 or step.ends_program):
             self.all_executed()
             return
-        if step.length_mm < self._least_block_mm or not step.moves:
+        if not step.moves or not self._makes_block(step):
             return
         feed = step.feed_mm_per_min
         if step.length_mm * 60.0 < feed * self._short_s if feed is not None else step.length_mm < self._short_rapid_mm:
@@ -151,6 +158,16 @@ class Tracker:
             self._counted_line = number or self._counted_line
             if place > self._dropped:
                 self._drop(place - self._dropped)
+
+    def _makes_block(self, step: Move) -> bool:
+        """Whether this move, with the too short ones before it, has brought the axes a step further for certain."""
+        if step.length_mm < self._least_block_mm:
+            begin = self._crept_from_mm or step.start_mm
+            if _apart_mm(begin, step.end_mm) < self._least_block_mm:
+                self._crept_from_mm = begin
+                return False
+        self._crept_from_mm = None
+        return True
 
     def all_executed(self) -> None:
         """The mill has done everything that was answered."""

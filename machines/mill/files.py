@@ -36,7 +36,9 @@ class FolderLock:
             folder.mkdir(parents=True, exist_ok=True)
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
         except OSError as error:
-            raise JournalError(f"folder {folder}: {os_words(error)}; the journal needs a folder that can be written") from None
+            raise JournalError(
+                f"folder {folder}: {os_words(error)}; the journal needs one that can be written"
+            ) from None
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:

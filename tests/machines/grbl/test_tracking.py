@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -138,6 +140,26 @@ def test_lines_that_move_nothing_take_no_place_in_a_buffer(kinds: list[bytes]) -
     tracker = tracker_of(*blocks)
     ahead = 15 + LONG_BLOCKS_BEYOND_PLANNER
     assert tracker.executed_line == (moving[-ahead - 1] if len(moving) > ahead else 0)
+
+
+@given(st.lists(st.integers(-12, 12), min_size=1, max_size=2500))
+def test_creeping_moves_make_a_block_where_they_have_come_a_step_further(moves_um: list[int]) -> None:
+    """The firmware makes a block of what changes a step count; the tracker never counts more of them."""
+    step_um = 10
+    places_um = list(itertools.accumulate(moves_um))
+    tracker = tracker_of(*(b"X%.3f" % (um / 1000) for um in places_um))
+    counts = [round(um / step_um) for um in places_um]
+    made = [number for number, (a, b) in enumerate(itertools.pairwise([0, *counts]), 2) if a != b]
+    ahead = 15 + SHORT_BEYOND
+    assert tracker.executed_line <= (made[-ahead - 1] if len(made) > ahead else 0) or tracker.executed_line <= 1
+
+
+def test_a_long_creep_is_not_remembered_for_ever() -> None:
+    """Thousands of moves shorter than a step, to and fro over the same place."""
+    blocks = [b"X%.3f" % (abs(k % 2000 - 1000) / 1000) for k in range(1, 8001)]
+    tracker = tracker_of(*blocks)
+    assert len(tracker.unproven) < 1000
+    assert tracker.executed_line > 7000
 
 
 @given(st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=2, max_size=40), st.data())
