@@ -101,11 +101,6 @@ class ControllerSettings:
         """$22."""
         return self._flag(22)
 
-    @property
-    def laser_mode(self) -> bool:
-        """$32: 1 = laser (grblHAL: 2 = lathe)."""
-        return self.values.get(32, "0").strip() == "1"
-
     def to_dict(self) -> dict[str, Any]:
         return {
             "values": {str(number): value for number, value in sorted(self.values.items())},

@@ -47,7 +47,7 @@ class Stream:
                     break
             line, step = following
             size = len(line.text) + 1
-            if window.used + size > window.capacity or (step.writes_settings and window.used):
+            if not window.accepts(size) or (step.writes_settings and window.used):
                 break
             window.sent(size, following)
             self.tracker.sent(line.number, step)

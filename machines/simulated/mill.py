@@ -210,8 +210,7 @@ class SimulatedMill:
         fw = self.firmware
         if fw.stepper.moving:
             self._stop_without_power()
-        at, shift = fw.stepper.where(self.now_s), fw.shift
-        fw.shift = (at[0] + shift[0], at[1] + shift[1], at[2] + shift[2])
+        fw.shift = fw.physical()  # from here on the counters say 0
         fw.position_lost = True
         fw.power_on_state()
         self._off = True
@@ -278,8 +277,7 @@ class SimulatedMill:
     @property
     def physical_mm(self) -> tuple[float, float, float]:
         """Where the tool really is, in the coordinates of the recording."""
-        at, shift = self.firmware.stepper.where(self.now_s), self.firmware.shift
-        return (at[0] + shift[0], at[1] + shift[1], at[2] + shift[2])
+        return self.firmware.physical()
 
     # -- faults of the plan ----------------------------------------------------------------------------------------
     def arm(self, faults: Faults) -> None:

@@ -18,6 +18,7 @@ from machines.simulated.endpoints import serve_pty
 from tests.benchmarks.timing import Figure
 from tests.service.agent.process import AgentProcess, memory_mb
 from tests.service.mills import AT_ZERO
+from tests.trials.live import usage
 
 _LINES = 400_000
 
@@ -43,7 +44,7 @@ def figures(holds: int) -> Iterator[Figure]:
             run = agent.post("/v1/runs", 201, program=agent.upload(path), name="latency")["id"]
             agent.post(f"/v1/runs/{run}:start", 202, operator="trial", checks=["tool", "zero", "stock", "clear"])
             chance, took_s = random.Random(3), []
-            begun_s, cpu_s, sent = time.perf_counter(), _cpu_s(agent.process.pid), lines[0]
+            begun_s, cpu_s, sent = time.perf_counter(), usage(agent.process.pid)[0], lines[0]
             for _ in range(holds):
                 agent.until(lambda status: status["status"]["state"] == "run")
                 time.sleep(0.2 + 0.3 * chance.random())
@@ -55,7 +56,7 @@ def figures(holds: int) -> Iterator[Figure]:
                 agent.until(lambda status: status["status"]["state"] == "held")
                 agent.post("/v1/control/resume", 202)
             time_s, rate = time.perf_counter() - begun_s, lines[0] - sent
-            cpu_share = (_cpu_s(agent.process.pid) - cpu_s) / time_s
+            cpu_share = (usage(agent.process.pid)[0] - cpu_s) / time_s
             yield Figure(
                 "agent: resident memory while streaming",
                 memory_mb(agent.process.pid),
@@ -69,8 +70,3 @@ def figures(holds: int) -> Iterator[Figure]:
                 yield Figure(
                     f"`!` from API call to wire, p{100 * share:g} of {holds}", took_ms, "ms", "allowed: p99 20 ms"
                 )
-
-
-def _cpu_s(pid: int) -> float:
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / 100

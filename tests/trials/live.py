@@ -75,7 +75,7 @@ def watch_stream(
             if not first_motion_s[0] and mill.firmware.stepper.moving:
                 first_motion_s[0] = now_s
             if now_s >= next_s:
-                samples.append(Sample(now_s, received[0], *_usage(process.pid)))
+                samples.append(Sample(now_s, received[0], *usage(process.pid)))
                 next_s += every_s
                 if enough is not None and enough(samples):
                     break
@@ -98,7 +98,7 @@ def _streaming(program: Path, url: str, state: Path) -> Iterator[subprocess.Pope
             process.wait()
 
 
-def _usage(pid: int) -> tuple[float, float]:
+def usage(pid: int) -> tuple[float, float]:
     """Processor seconds and resident megabytes of a process."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])

@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from typing import Any
 
 from machines.driver import Faulted, MillState, ProgramDone
 from machines.grbl.driver import GrblDriver
-from machines.simulated import GRBL_11, CutSegment, MemoryPort, Recording, SimulatedMill
+from machines.simulated import CutSegment, MemoryPort, Recording, SimulatedMill
 from tests.trials import programs
-
-# Fast enough that the wire, not the motion, sets the pace.
-_FAST = replace(
-    GRBL_11.with_settings({110: 30000, 111: 30000, 112: 30000, 120: 20000, 121: 20000, 122: 20000}), lines_per_s=4000.0
-)
+from tests.trials.live import FAST
 
 
 class CutCounter:
@@ -52,7 +47,7 @@ def soak(
 ) -> dict[str, Any]:
     """Stream `count` cuts in simulated time; the figures as a dict. Ends early, saying so, when `budget_s` is over."""
     counter = CutCounter()
-    mill = SimulatedMill(_FAST, recording=Recording(counter, keep=False))
+    mill = SimulatedMill(FAST, recording=Recording(counter, keep=False))
     driver = GrblDriver(MemoryPort(mill, baud=115200))
     driver.connect()
     while driver.status.state is MillState.CONNECTING or not driver.status.controller:
