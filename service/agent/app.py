@@ -12,11 +12,11 @@ from starlette.routing import Route
 from machines.errors import MachineError
 from service.agent.agent import Agent
 from service.agent.auth import Guard
-from service.agent.problems import Problem, on_error, on_http_error
 from service.agent.routes_control import ControlRoutes
 from service.agent.routes_mill import MillRoutes
 from service.agent.routes_programs import ProgramRoutes
 from service.agent.routes_runs import RunRoutes
+from service.web.problems import Problem, on_error, on_http_error
 
 
 def make_app(agent: Agent) -> Starlette:

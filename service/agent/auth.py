@@ -1,22 +1,17 @@
-"""Who may tell the mill what to do: a bearer token, and a Host header that no web page can make up.
-
-A page in a browser on the same machine could otherwise be served from a name that is re-pointed to 127.0.0.1 (DNS
-rebinding) and talk to the agent; a name cannot be re-pointed when only addresses and known names are accepted.
-"""
+"""Who may tell the mill what to do: a bearer token, and a Host header that no web page can make up."""
 
 from __future__ import annotations
 
 import hmac
-import ipaddress
 import os
 import secrets
-import socket
 from pathlib import Path
 
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.agent.problems import Problem, problem_response
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.web.hosts import is_own_host, own_names
+from service.web.problems import Problem, problem_response
 
 TOKEN_FILE = "token"
 _SHORTEST = 16
@@ -53,22 +48,13 @@ def made_token(folder: Path) -> tuple[str, Path]:
     return read_token(path), path
 
 
-def is_loopback(host: str) -> bool:
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
 class Guard:
     """ASGI middleware: refuses foreign Host headers (403) and requests without the token (401)."""
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] = frozenset()) -> None:
         self._app = app
         self._token = token.encode()
-        self._hosts = hosts | {"localhost", socket.gethostname().lower()}
+        self._hosts = hosts | own_names()
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and (problem := self._refusal(scope)) is not None:
@@ -83,7 +69,7 @@ class Guard:
                 return Problem(400, f"two {name.decode()} headers")
             headers[name] = value
         host = headers.get(b"host", b"").decode("latin-1").lower()
-        if not self._is_ours(host):
+        if not is_own_host(host, self._hosts):
             return Problem(403, f"Host is '{host}'; allowed: localhost, an address, or this machine's name")
         if scope["path"] in _OPEN:
             return None
@@ -91,13 +77,3 @@ class Guard:
         if kind.lower() != b"bearer" or not hmac.compare_digest(token.strip(), self._token):
             return Problem(401, "a token is needed: Authorization: Bearer ...", field="Authorization")
         return None
-
-    def _is_ours(self, host: str) -> bool:
-        name = host.rpartition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0]
-        if name in self._hosts:
-            return True
-        try:
-            ipaddress.ip_address(name)
-        except ValueError:
-            return False
-        return True

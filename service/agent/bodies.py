@@ -11,7 +11,7 @@ from collections.abc import Collection
 
 from starlette.requests import ClientDisconnect, Request
 
-from service.agent.problems import Problem
+from service.web.problems import Problem
 
 _MAX_BYTES = 65536
 

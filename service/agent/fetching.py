@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from urllib.parse import urlsplit
 
-from service.agent.problems import Problem
 from service.agent.programs import ProgramStore, StoredProgram
+from service.web.problems import Problem
 
 _WAIT_S = 30.0
 _REDIRECTS = 3

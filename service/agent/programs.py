@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from service.agent.problems import Problem
+from service.web.problems import Problem
 
 _PIECE_BYTES = 1 << 20
 _SPARE_BYTES = 64 << 20  # for the journal: a program must not be the last straw

@@ -26,7 +26,7 @@ from machines.driver import (
 from machines.mill.mill import Mill
 from service.agent.agent import Agent
 from service.agent.bodies import Fields, fields_of
-from service.agent.problems import Problem
+from service.web.problems import Problem
 
 _MOST_MM = 5000.0
 _AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")

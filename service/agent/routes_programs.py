@@ -13,8 +13,8 @@ from machines.runs import RunState
 from service.agent.agent import Agent
 from service.agent.bodies import fields_of
 from service.agent.fetching import fetch_program
-from service.agent.problems import Problem
 from service.agent.programs import StoredProgram, valid_sha256
+from service.web.problems import Problem
 
 
 class ProgramRoutes:

@@ -15,7 +15,7 @@ from machines.mill.mill import Mill
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.agent.agent import Agent
 from service.agent.bodies import fields_of
-from service.agent.problems import Problem
+from service.web.problems import Problem
 
 
 class RunRoutes:

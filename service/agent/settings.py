@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from machines.port import stable_name
-from service.agent.auth import is_loopback, made_token, read_token
+from service.agent.auth import made_token, read_token
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.web.hosts import is_loopback
 
 DEFAULT_PORT = 8765
 

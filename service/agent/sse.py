@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 
 from starlette.types import Receive, Scope, Send
 
-from service.agent.problems import Problem, problem_response
+from service.web.problems import Problem, problem_response
 
 _QUEUE = 256
 _SEND_WAIT_S = 20.0

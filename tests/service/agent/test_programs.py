@@ -15,8 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.agent import programs
-from service.agent.problems import Problem, problem_of
 from service.agent.programs import ProgramStore
+from service.web.problems import Problem, problem_of
 
 PROGRAM = b"G21 G90\nG1 X1 F100\nM2\n" * 1000
 

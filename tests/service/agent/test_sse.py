@@ -9,8 +9,8 @@ import pytest
 from starlette.types import Message as AsgiMessage
 
 from service.agent import sse
-from service.agent.problems import Problem
 from service.agent.sse import EventStream, Hub
+from service.web.problems import Problem
 
 
 def numbers(hub: Hub, last_id: str) -> list[int]:

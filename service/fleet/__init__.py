@@ -1,0 +1,1 @@
+"""The mills of the shop: their agents, and runs on them."""

@@ -1,0 +1,1 @@
+"""One computer's services: starting, stopping, installing, backing up."""

@@ -1,0 +1,1 @@
+"""What is known of jobs: their states, their tables, and every change to them."""

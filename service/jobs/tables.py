@@ -1,0 +1,189 @@
+"""The database: one table per thing that must survive a crash. Times are seconds since 1970, ids are text.
+
+`jobs` is the truth about a job. The engine only promises that what was submitted to it runs until it has ended; every
+write of a worker names the fence under which it owns the job, so what a dead owner writes late changes nothing.
+"""
+
+from __future__ import annotations
+
+from sqlalchemy import (
+    JSON,
+    BigInteger,
+    Boolean,
+    Column,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    MetaData,
+    String,
+    Table,
+    text,
+)
+
+metadata = MetaData(
+    naming_convention={
+        "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+        "fk": "fk_%(table_name)s_%(column_0_N_name)s",
+        "pk": "pk_%(table_name)s",
+    }
+)
+
+# spec is the resolved one; error = {stage, detail, field}; fence counts the claims by workers, version every change;
+# attempt counts from 1 and grows with :retry; stage, progress (0..1 of the whole job) belong to the running attempt.
+jobs = Table(
+    "jobs",
+    metadata,
+    Column("id", String(40), primary_key=True),
+    Column("name", String(255), nullable=False),
+    Column("state", String(16), nullable=False, index=True),
+    Column("priority", Integer, nullable=False),
+    Column("spec", JSON, nullable=False),
+    Column("image_sha256", String(64), nullable=False),
+    Column("image_bytes", BigInteger, nullable=False),
+    Column("created_by", String(100), nullable=False),
+    Column("created_at", Float, nullable=False, index=True),
+    Column("queued_at", Float, nullable=False),
+    Column("started_at", Float),
+    Column("ended_at", Float),
+    Column("stage", String(40)),
+    Column("progress", Float, nullable=False),
+    Column("error", JSON(none_as_null=True)),
+    Column("report", JSON(none_as_null=True)),
+    Column("cancel_requested", Boolean, nullable=False),
+    Column("attempt", Integer, nullable=False),
+    Column("owner", String(100), index=True),
+    Column("fence", Integer, nullable=False),
+    Column("version", Integer, nullable=False),
+)
+
+# One row per try of a stage. log_sha256: what the stage's process said, kept as an artifact.
+stage_runs = Table(
+    "stage_runs",
+    metadata,
+    Column("id", Integer, primary_key=True, autoincrement=True),
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), nullable=False, index=True),
+    Column("attempt", Integer, nullable=False),
+    Column("number", Integer, nullable=False),
+    Column("stage", String(40), nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("key", String(64), nullable=False),
+    Column("executor", String(100), nullable=False),
+    Column("fence", Integer, nullable=False),
+    Column("started_at", Float, nullable=False),
+    Column("ended_at", Float),
+    Column("peak_rss_mb", Float),
+    Column("log_sha256", String(64)),
+    Column("words", String(2000)),
+)
+
+# What a stage made, by the content of everything it depends on. outputs = {name: {sha256, bytes}}; report and notes are
+# its part of report.json. Shared by all jobs; job_id is the one that paid for it, for the record only.
+stage_results = Table(
+    "stage_results",
+    metadata,
+    Column("key", String(64), primary_key=True),
+    Column("stage", String(40), nullable=False),
+    Column("outputs", JSON, nullable=False),
+    Column("report", JSON, nullable=False),
+    Column("notes", JSON, nullable=False),
+    Column("seconds", Float, nullable=False),
+    Column("peak_rss_mb", Float, nullable=False),
+    Column("job_id", String(40), nullable=False),
+    Column("created_at", Float, nullable=False),
+    Column("used_at", Float, nullable=False),
+)
+
+# Files of a job, each there as soon as its stage is committed.
+artifacts = Table(
+    "artifacts",
+    metadata,
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("name", String(100), primary_key=True),
+    Column("sha256", String(64), nullable=False, index=True),
+    Column("bytes", BigInteger, nullable=False),
+    Column("stage", String(40), nullable=False),
+    Column("created_at", Float, nullable=False),
+)
+
+# What happened to a job, in order; seq counts from 1 in each job and is the id of a server-sent event.
+events = Table(
+    "events",
+    metadata,
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("seq", Integer, primary_key=True),
+    Column("at", Float, nullable=False),
+    Column("kind", String(40), nullable=False),
+    Column("data", JSON, nullable=False),
+)
+
+# How far the running stage is: overwritten at most twice a second, lost without harm.
+progress = Table(
+    "progress",
+    metadata,
+    Column("job_id", ForeignKey("jobs.id", ondelete="CASCADE"), primary_key=True),
+    Column("stage", String(40), nullable=False),
+    Column("share", Float, nullable=False),
+    Column("at", Float, nullable=False),
+)
+
+# Which request made which thing, so that a client may ask again. kind = "job" | "run".
+idempotency_keys = Table(
+    "idempotency_keys",
+    metadata,
+    Column("principal", String(100), primary_key=True),
+    Column("kind", String(16), primary_key=True),
+    Column("key", String(200), primary_key=True),
+    Column("request_sha256", String(64), nullable=False),
+    Column("resource_id", String(40), nullable=False),
+    Column("created_at", Float, nullable=False),
+)
+
+# Workers that are alive; seen_at is the database's own clock.
+executors = Table(
+    "executors",
+    metadata,
+    Column("id", String(100), primary_key=True),
+    Column("host", String(255), nullable=False),
+    Column("pid", Integer, nullable=False),
+    Column("boot", String(40), nullable=False),
+    Column("version", String(40), nullable=False),
+    Column("started_at", Float, nullable=False),
+    Column("seen_at", Float, nullable=False),
+)
+
+# sha256 of a token, never the token. scopes is a list of words.
+tokens = Table(
+    "tokens",
+    metadata,
+    Column("id", String(40), primary_key=True),
+    Column("name", String(100), nullable=False),
+    Column("sha256", String(64), nullable=False, unique=True),
+    Column("scopes", JSON, nullable=False),
+    Column("created_at", Float, nullable=False),
+    Column("expires_at", Float),
+    Column("last_used_at", Float),
+    Column("revoked_at", Float),
+)
+
+# Programs given to mills. agent_run is the agent's own id of the run; view is what the agent said of it last.
+runs = Table(
+    "runs",
+    metadata,
+    Column("id", String(40), primary_key=True),
+    Column("machine", String(100), nullable=False, index=True),
+    Column("job_id", String(40), nullable=False, index=True),
+    Column("program", String(100), nullable=False),
+    Column("number", Integer, nullable=False),
+    Column("sha256", String(64), nullable=False),
+    Column("agent_run", String(60)),
+    Column("state", String(16), nullable=False),
+    Column("open", Boolean, nullable=False),
+    Column("view", JSON(none_as_null=True)),
+    Column("words", String(1000)),
+    Column("created_by", String(100), nullable=False),
+    Column("created_at", Float, nullable=False),
+    Column("ended_at", Float),
+)
+# One run per mill, by the database itself.
+Index("uq_runs_open_machine", runs.c.machine, unique=True, sqlite_where=text("open = 1"), postgresql_where=text("open"))

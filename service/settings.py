@@ -1,0 +1,122 @@
+"""Settings of the job server, its workers and its machines: from the environment (CAUSTICMILL_...), all with defaults.
+
+Command-line options become environment variables of the processes that `serve` starts, so this is the one place where
+a default stands.
+"""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, ValidationError
+from pydantic_settings import BaseSettings, SettingsConfigDict
+
+from service.errors import InputError, printable
+
+PREFIX = "CAUSTICMILL_"
+
+
+class ServerSettings(BaseSettings):
+    """Every value can be set as CAUSTICMILL_<NAME>.
+
+    data              : folder of database, artifacts, scratch, agents and locks of this computer
+    database_url      : postgresql://...; None: a SQLite file in `data`
+    store_url         : file:///folder, s3://bucket/prefix; None: the folder `objects` in `data`
+    store_is_shared   : the person's word that a file:// store is the same folder on every host of the farm
+    anonymous         : what a caller on this computer without a token may do, as long as no token has ever been made
+    allowed_hosts     : further names under which the server may be called (Host header)
+    behind_proxy      : a proxy with TLS and its own guard stands in front; needed to bind anything but loopback
+    lease_s           : a worker that was not heard of for so long is dead, and its jobs move
+    slots             : jobs that one worker runs at the same time
+    executor          : this worker's name in the farm; None: made from host and data folder
+    stage_memory_mb   : address space of a stage's process beyond what it starts with
+    stage_time_s      : the longest a stage may take
+    free_disk_mb      : below this much free space nothing new is accepted or started
+    keep_days         : ended jobs older than this are deleted; None: kept
+    quota_mb          : artifacts beyond this are deleted, oldest ended jobs first; None: no quota
+    requests_per_s    : of one caller, with bursts of ten times as many; POST of jobs: jobs_per_min
+    agents_file       : TOML that lists the agents of mills on other computers
+    start_agents      : `serve` starts an agent for every configured machine that has a port
+    """
+
+    model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore")
+
+    data: Path = Path("causticmill-data")
+    database_url: str | None = None
+    store_url: str | None = None
+    store_is_shared: bool = False
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 8000
+    anonymous: Literal["jobs", "none"] = "jobs"
+    allowed_hosts: tuple[str, ...] = ()
+    behind_proxy: bool = False
+    lease_s: Annotated[float, Field(ge=1, le=3600)] = 30.0
+    slots: Annotated[int, Field(ge=1, le=64)] = 1
+    executor: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.:-]{0,90}$")] | None = None
+    stage_memory_mb: Annotated[int, Field(ge=256)] = 8000
+    stage_time_s: Annotated[float, Field(ge=1)] = 6 * 3600.0
+    max_upload_mb: Annotated[float, Field(gt=0, le=1024)] = 64.0
+    max_megapixels: Annotated[float, Field(gt=0, le=100)] = 40.0
+    free_disk_mb: Annotated[int, Field(ge=0)] = 1000
+    keep_days: Annotated[float, Field(gt=0)] | None = None
+    quota_mb: Annotated[int, Field(gt=0)] | None = None
+    requests_per_s: Annotated[float, Field(gt=0)] = 50.0
+    jobs_per_min: Annotated[float, Field(gt=0)] = 600.0
+    agents_file: Path | None = None
+    start_agents: bool = True
+    log_level: Literal["debug", "info", "warning"] = "info"
+
+    @property
+    def embedded(self) -> bool:
+        """Database and store are this folder's own: one computer, one worker."""
+        return self.database_url is None
+
+    @property
+    def sqlalchemy_url(self) -> str:
+        """The database as SQLAlchemy and the engine take it (psycopg 3 for PostgreSQL)."""
+        if self.database_url is None:
+            return f"sqlite:///{self.data.absolute() / 'causticmill.sqlite'}"
+        return self.database_url.replace("postgres://", "postgresql://", 1).replace(
+            "postgresql://", "postgresql+psycopg://", 1
+        )
+
+    @property
+    def scratch(self) -> Path:
+        """Where stages work; on the store's file system where that is local, so that files need not be copied."""
+        return self.data / "scratch"
+
+    @property
+    def agents_folder(self) -> Path:
+        """One folder per local mill: its agent's journal, programs, token and agent.json."""
+        return self.data / "agents"
+
+    def environment(self) -> dict[str, str]:
+        """The environment of a child process that shall have the same settings as this one."""
+        own = {
+            f"{PREFIX}{name.upper()}": _as_text(value)
+            for name, value in self.model_dump(mode="json", exclude_none=True).items()
+        }
+        others = {key: value for key, value in os.environ.items() if key.upper() not in own}
+        return others | own
+
+    @classmethod
+    def load(cls, **given: object) -> Self:
+        """From the environment, `given` (those not None) on top. InputError names the variable at fault."""
+        try:
+            return cls(**{key: value for key, value in given.items() if value is not None})  # type: ignore[arg-type]
+        except ValidationError as error:
+            raise InputError(*(_sentence(dict(problem)) for problem in error.errors())) from None
+
+
+def _as_text(value: object) -> str:
+    import json
+
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _sentence(problem: dict[str, object]) -> str:
+    where = problem["loc"]
+    name = str(where[0]) if isinstance(where, tuple) and where else "settings"
+    return printable(f"{PREFIX}{name.upper()}: {problem['input']!r} cannot be used: {problem['msg']}")

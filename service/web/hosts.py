@@ -1,0 +1,36 @@
+"""Which addresses are this computer, and which Host headers may be served.
+
+A page in a browser on the same machine could be served from a name that is re-pointed to 127.0.0.1 (DNS rebinding) and
+talk to us; a name cannot be re-pointed when only addresses and known names are accepted.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+
+
+def is_loopback(host: str) -> bool:
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def own_names() -> frozenset[str]:
+    """Names under which this computer may be called."""
+    return frozenset({"localhost", socket.gethostname().lower()})
+
+
+def is_own_host(header: str, names: frozenset[str]) -> bool:
+    """True for a Host header, lower case, that holds one of the names or an address, with or without a port."""
+    name = header.rpartition("]")[0].removeprefix("[") if header.startswith("[") else header.partition(":")[0]
+    if name in names:
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return True
