@@ -1,115 +1,137 @@
 """The commands as sequences of stages: picture -> lens -> light -> programs -> pictures -> report.
 
-Every command works in a staging folder that takes the output's place only when all of it has succeeded.
+The stages are those of the job server (`stages/plan.py`), all run in this process on one folder. Every command works
+in a staging folder that takes the output's place only when all of it has succeeded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from cam.errors import CamError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
-from optics.errors import OpticsError
-from optics.heightfield import Heightfield
 from service import job_files
-from service.errors import FailedError, InputError
+from service.fitting import shortage
+from service.passes import cam_passes_of, cam_stock_of
 from service.progress import Reporter, Stopwatch
-from service.report_stage import report_stage
-from service.solid import ReliefTooDeep, SolidError
 from service.spec import JobSpec
-from service.stages_cam import mill_stage, require_millable, require_post, toolpath_stage
-from service.stages_optics import caustic_stage, design_stage, read_target, require_fit_in_stock, solid_stage
-from service.workshop import Part, Workshop, load_heightfield, load_target
+from service.stages.arrays import load_heightfield, load_target
+from service.stages.lens import require_fit_in_stock, solid_block
+from service.stages.order import merge_notes, merge_reports
+from service.stages.plan import plan, stage_of
+from service.stages.programs import require_post
+from service.stages.words import in_the_services_words
+from service.stages.workshop import Workshop
 
-_INPUT_ERRORS = (
-    OpticsError, ReliefTooDeep, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError,
-)  # fmt: skip
+_LAST = "report"
+_LENS = ("image", "irradiance", "map", "heightfield", "caustic")
+
+
+@dataclass
+class Job:
+    """A running command: the stages' common folder and desk, and what they have said so far."""
+
+    spec: JobSpec
+    folder: Path
+    reporter: Reporter
+    picture: Path = Path()
+    report: dict[str, Any] = field(default_factory=dict)
+    notes: dict[str, list[str]] = field(default_factory=dict)
+    desk: dict[str, Any] = field(default_factory=dict)
+
+    def run(self, *stages: str) -> None:
+        for name in stages:
+            stage = stage_of(name)
+            self.work(stage.load(), number=stage.number)
+
+    def work(self, function: Callable[[Workshop], None], *, number: int = 0) -> None:
+        """Call a stage's function and join what it adds to the report and the notes."""
+        shop = Workshop(
+            spec=self.spec,
+            folder=self.folder,
+            watch=Stopwatch(self.reporter),
+            number=number,
+            so_far=self.report,
+            earlier_notes=self.notes,
+            picture=self.picture,
+            picture_name=self.picture.name,
+            desk=self.desk,
+        )
+        with in_the_services_words():
+            function(shop)
+        self.report = merge_reports((self.report, shop.report, {"timings_s": shop.watch.timings_s}))
+        self.notes = merge_notes((self.notes, shop.notes))
 
 
 def make(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
     """The whole chain. Returns what report.json holds."""
     require_post(spec)
     job_files.require_usable_output(output, force=force)
-    with _workshop(output, spec, reporter) as shop:
-        heightfield = _lens(shop, picture)
-        require_millable(shop, heightfield)
-        mill_stage(shop, heightfield)
-        toolpath_stage(shop)
-        report_stage(shop)
-    return shop.report
+    with _job(output, spec, reporter, picture=picture) as job:
+        job.run(*_LENS)
+        job.work(_note_shortage)
+        job.run(*(stage for stage in plan(spec) if stage not in _LENS))
+    return job.report
 
 
 def design(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
     """The lens and its light, no programs; programs of an earlier lens disappear with it."""
     job_files.require_usable_output(output, force=force)
-    with _workshop(output, spec, reporter) as shop:
-        _lens(shop, picture)
-        report_stage(shop)
-    return shop.report
+    with _job(output, spec, reporter, picture=picture) as job:
+        job.run(*_LENS, _LAST)
+    return job.report
 
 
 def cam(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
     """Programs for the lens in a job's folder."""
     require_post(spec)
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
-    with _workshop(output, spec, reporter, keep=kept) as shop:
-        heightfield = load_heightfield(output / job_files.HEIGHTFIELD)
-        require_fit_in_stock(shop, heightfield)
-        require_millable(shop, heightfield)
-        mill_stage(shop, heightfield)
-        toolpath_stage(shop)
-        solid_stage(shop, heightfield)  # the stock may have changed
-        report_stage(shop)
-    return shop.report
+    with _job(output, spec, reporter, keep=kept) as job:
+        lens = job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
+        job.work(lambda shop: require_fit_in_stock(shop, lens))
+        job.work(_note_shortage)
+        job.run(*(stage for stage in plan(spec) if stage not in (*_LENS, _LAST)))
+        job.work(lambda shop: solid_block(shop, lens))  # the stock may have changed
+        job.run(_LAST)
+    return job.report
 
 
 def caustic(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
     """The light behind the lens in a job's folder, simulated again."""
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]
-    with _workshop(output, spec, reporter, keep=kept) as shop:
-        heightfield = load_heightfield(output / job_files.HEIGHTFIELD)
-        caustic_stage(shop, heightfield, load_target(output))
-        report_stage(shop)
-    return shop.report
+    with _job(output, spec, reporter, keep=kept) as job:
+        job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
+        job.desk[job_files.MAP] = load_target(output / job_files.MAP)
+        job.run("caustic", _LAST)
+    return job.report
 
 
-def _lens(shop: Workshop, picture: Path) -> Heightfield:
-    target = read_target(shop, picture)
-    heightfield = design_stage(shop, target).heightfield
-    require_fit_in_stock(shop, heightfield)
-    caustic_stage(shop, heightfield, target)
-    solid_stage(shop, heightfield)
-    return heightfield
+def _note_shortage(shop: Workshop) -> None:
+    disk = f"the disk of {shop.folder.parent}"
+    if sentence := shortage(shop.folder, disk, cam_stock_of(shop.spec), cam_passes_of(shop.spec)):
+        shop.note("passes", sentence)
 
 
 @contextmanager
-def _workshop(output: Path, spec: JobSpec, reporter: Reporter, *, keep: Iterable[str] = ()) -> Iterator[Workshop]:
-    """A staging folder with the spec in it; the packages' own errors come out as the service's."""
+def _job(
+    output: Path, spec: JobSpec, reporter: Reporter, *, picture: Path = Path(), keep: Iterable[str] = ()
+) -> Iterator[Job]:
+    """A job in a staging folder."""
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
     with job_files.staging_folder(output, keep=kept) as folder:
-        shop = Workshop(spec=spec, folder=folder, watch=Stopwatch(reporter))
+        job = Job(spec=spec, folder=folder, reporter=reporter, picture=picture)
         if kept:
-            _take_over(shop, earlier, programs=any(job_files.is_program(name) for name in kept))
-        job_files.write_json(folder / job_files.SPEC, spec.plain())
-        try:
-            yield shop
-        except (OpticsError, CamError, SolidError) as error:
-            kind = InputError if isinstance(error, _INPUT_ERRORS) else FailedError
-            raise kind(" ".join(str(error).split())) from error
+            _take_over(job, earlier, programs=any(job_files.is_program(name) for name in kept))
+        yield job
 
 
-def _take_over(shop: Workshop, earlier: dict[str, Any], *, programs: bool) -> None:
+def _take_over(job: Job, earlier: dict[str, Any], *, programs: bool) -> None:
     """What an earlier report says of the parts that this command does not make anew."""
-    for key in ("source", "optics", *(("passes",) if programs else ())):
-        if key in earlier:
-            shop.report[key] = earlier[key]
-    shop.watch.timings_s.update(earlier.get("timings_s", {}))
+    keys = ("source", "optics", "timings_s", *(("passes",) if programs else ()))
+    job.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})
-    parts: tuple[Part, ...] = ("optics", "passes") if programs else ("optics",)
-    for part in parts:
-        for sentence in notes.get(part, []):
-            shop.note(part, sentence)
+    job.notes = {part: list(notes.get(part, ())) for part in ("optics", *(("passes",) if programs else ()))}

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from cam.check import PassCheck, check_program
 from cam.duration import Kinematics
-from cam.gcode import ProgramError, read_program
+from cam.gcode import ProgramError
 from cam.passes import PassSpec, Stock
 from cam.posts.grbl import GRBL
 from cam.posts.post import Post
@@ -16,15 +15,14 @@ from cam.program import generate_program
 from cam.stock_grid import StockGrid
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
-from service import figures_paths
 from service.errors import FailedError, SpecError
-from service.fitting import require_travel, shortage, unfit_ball
-from service.job_files import TOOLPATH, program_name, read_chunks, write_program
+from service.fitting import require_travel, unfit_ball
+from service.job_files import HEIGHTFIELD, WrittenProgram, program_name, read_chunks, write_program
 from service.lens_facts import measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of
-from service.path_sample import PathSample
 from service.spec import JobSpec
-from service.workshop import Workshop
+from service.stages import arrays
+from service.stages.workshop import Workshop
 
 _POSTS: dict[str, Post] = {"grbl": GRBL, "grblhal": GRBL, "fluidnc": GRBL}
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
@@ -46,48 +44,52 @@ def require_post(spec: JobSpec) -> None:
         )
 
 
+def one_pass(shop: Workshop) -> None:
+    """One program, written and then checked from its text; its row of report `passes`, and the stock it leaves.
+
+    FailedError with the faults where it does not pass; the folder, and the program with it, are then removed.
+    """
+    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
+    spec, stock = cam_passes_of(shop.spec)[shop.number - 1], cam_stock_of(shop.spec)
+    if shop.number == 1:
+        require_post(shop.spec)
+        require_millable(shop, heightfield)
+        stock_top = first_stock(stock)
+    else:
+        stock_top = shop.receive(stock_name(shop.number - 1), arrays.load_stock)
+    written = _write(shop, spec, heightfield, stock_top)
+    verdict = _check(shop, written.file, spec, heightfield, stock_top)
+    for sentence in verdict.notes if spec.finishes else ():
+        shop.note("passes", f"{written.file}: {sentence}")
+    row = {
+        "file": written.file,
+        "sha256": written.sha256,
+        **verdict.as_report(),
+        "lines": written.lines,
+        "bytes": written.bytes,
+        "settings": shop.spec.passes[shop.number - 1].model_dump(),
+    }
+    shop.report["passes"] = [row]
+    if shop.number < len(shop.spec.passes):
+        shop.hand_over(stock_name(shop.number), verdict.stock_top, arrays.stock_bytes)
+
+
+def stock_name(number: int) -> str:
+    """The file that holds what pass `number` has left."""
+    return f".stock-{number}.npz"
+
+
 def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
-    """Everything about balls, travel and disk that can be known before the first block."""
+    """Everything about the balls of all passes and the travel that can be known before the first block."""
     passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
     with shop.watch.stage("fit"):
         require_travel(heightfield, stock, passes, machine_of(shop.spec))
         unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.optics.min_radius_mm)
-        for sentence in (unfit, shortage(shop.folder, stock, passes)):
-            if sentence:
-                shop.note("passes", sentence)
+        if unfit:
+            shop.note("passes", unfit)
         if not passes[-1].finishes:
             left = passes[-1].stock_to_leave_mm
             shop.note("passes", f"the last pass leaves {left:g} mm of stock: no pass makes the optical surface")
-
-
-def mill_stage(shop: Workshop, heightfield: Heightfield) -> None:
-    """All programs, each written and then checked from its text; fills report `passes`.
-
-    FailedError with the faults at the first program that does not pass; the staging folder, and the program with it,
-    are then removed.
-    """
-    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
-    stock_top = first_stock(stock)
-    shop.report["passes"] = []
-    for number, spec in enumerate(cam_passes_of(shop.spec), 1):
-        path = shop.folder / program_name(number, spec.name, _POSTS[machine.dialect].suffix)
-        row, stock_top = _one_pass(shop, number, spec, path, heightfield, stock, stock_top, machine)
-        shop.report["passes"].append(row)
-
-
-def toolpath_stage(shop: Workshop) -> None:
-    """toolpath.png, drawn from the text of the programs."""
-    stock = cam_stock_of(shop.spec)
-    with shop.watch.stage("toolpath picture") as reached:
-        samples = []
-        for number, spec in enumerate(cam_passes_of(shop.spec), 1):
-            path = shop.folder / shop.report["passes"][number - 1]["file"]
-            samples.append(_sample(path, number, spec, stock))
-            reached(number / (len(shop.spec.passes) + 1))
-        picture = figures_paths.toolpath_png(
-            samples, width_mm=stock.width_mm, height_mm=stock.height_mm, margin_mm=stock.margin_mm
-        )
-        shop.save(TOOLPATH, picture)
 
 
 def first_stock(stock: Stock) -> StockGrid:
@@ -130,56 +132,29 @@ def kinematics_of(machine: MachineProfile) -> Kinematics:
     )
 
 
-def _one_pass(
-    shop: Workshop,
-    number: int,
-    spec: PassSpec,
-    path: Path,
-    heightfield: Heightfield,
-    stock: Stock,
-    stock_top: StockGrid,
-    machine: MachineProfile,
-) -> tuple[dict[str, Any], StockGrid]:
-    """Write and check one program; its row of report `passes` and the stock it leaves."""
-    with shop.watch.stage(f"write pass {number} {spec.name}") as reached:
+def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> WrittenProgram:
+    machine = machine_of(shop.spec)
+    post = _POSTS[machine.dialect]
+    with shop.watch.stage(f"write pass {shop.number} {spec.name}") as reached:
         chunks = generate_program(
             heightfield,
             spec,
-            stock,
+            cam_stock_of(shop.spec),
             stock_top=stock_top,
-            post=_POSTS[machine.dialect],
+            post=post,
             safe_z_mm=machine.safe_z_mm,
             on_progress=reached,
         )
-        written = write_program(path, chunks)
-    with shop.watch.stage(f"check pass {number} {spec.name}") as reached:
+        return write_program(shop.folder / program_name(shop.number, spec.name, post.suffix), chunks)
+
+
+def _check(shop: Workshop, file: str, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> PassCheck:
+    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    with shop.watch.stage(f"check pass {shop.number} {spec.name}") as reached:
         try:
-            verdict = simulate(path, spec, heightfield, stock, stock_top, machine, reached)
+            verdict = simulate(shop.folder / file, spec, heightfield, stock, stock_top, machine, reached)
         except ProgramError as error:
-            raise FailedError(f"{path.name}: {error}") from error
+            raise FailedError(f"{file}: {error}") from error
     if not verdict.ok:
-        raise FailedError(*(f"{path.name}: {fault}" for fault in verdict.faults))
-    for sentence in verdict.notes if spec.finishes else ():
-        shop.note("passes", f"{path.name}: {sentence}")
-    row = {
-        "file": written.file,
-        "sha256": written.sha256,
-        **verdict.as_report(),
-        "lines": written.lines,
-        "bytes": written.bytes,
-        "settings": shop.spec.passes[number - 1].model_dump(),
-    }
-    return row, verdict.stock_top
-
-
-def _sample(path: Path, number: int, spec: PassSpec, stock: Stock) -> PathSample:
-    sample = PathSample(
-        label=f"pass {number} {spec.name}",
-        pitch_mm=spec.pitch_mm,
-        radius_mm=spec.radius_mm,
-        width_mm=stock.width_mm,
-        height_mm=stock.height_mm,
-    )
-    for batch in read_program(read_chunks(path)):
-        sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
-    return sample
+        raise FailedError(*(f"{file}: {fault}" for fault in verdict.faults))
+    return verdict

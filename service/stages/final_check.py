@@ -1,0 +1,71 @@
+"""The last look at all programs together: each read as the mill's streamer will read it, and drawn from its text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from cam.gcode import read_program
+from cam.passes import PassSpec, Stock
+from machines.errors import ProgramRefusedError
+from machines.gcode.limits import MillLimits, limits_of
+from service import figures_paths
+from service.errors import FailedError
+from service.job_files import TOOLPATH, read_chunks
+from service.passes import cam_passes_of, cam_stock_of, machine_of
+from service.path_sample import PathSample
+from service.preflight_worker import examine
+from service.stages.workshop import Workshop
+
+
+def final_check(shop: Workshop) -> None:
+    """FailedError unless the job's mill may run every program, and each is the one that was simulated; toolpath.png."""
+    rows = shop.so_far["passes"]
+    limits = limits_of(machine_of(shop.spec))
+    with shop.watch.stage("pre-flight") as reached:
+        for number, row in enumerate(rows):
+            path = shop.folder / row["file"]
+            for warning in _warnings(path, row["sha256"], limits, _part(reached, number, len(rows))):
+                shop.note("passes", f"{path.name}: {warning}")
+    _draw(shop, [shop.folder / row["file"] for row in rows])
+
+
+def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:
+    try:
+        found = examine(path, limits, on_share)
+    except ProgramRefusedError as error:
+        raise FailedError(f"{path.name}: {error}") from error
+    if found.sha256 != sha256:
+        raise FailedError(f"{path.name}: is not the program that was checked; its content has changed since")
+    return found.warnings
+
+
+def _draw(shop: Workshop, programs: list[Path]) -> None:
+    """toolpath.png, drawn from the text of the programs."""
+    stock = cam_stock_of(shop.spec)
+    with shop.watch.stage("toolpath picture") as reached:
+        samples = []
+        for number, (path, spec) in enumerate(zip(programs, cam_passes_of(shop.spec), strict=True), 1):
+            samples.append(_sample(path, number, spec, stock))
+            reached(number / (len(programs) + 1))
+        picture = figures_paths.toolpath_png(
+            samples, width_mm=stock.width_mm, height_mm=stock.height_mm, margin_mm=stock.margin_mm
+        )
+        shop.save(TOOLPATH, picture)
+
+
+def _sample(path: Path, number: int, spec: PassSpec, stock: Stock) -> PathSample:
+    sample = PathSample(
+        label=f"pass {number} {spec.name}",
+        pitch_mm=spec.pitch_mm,
+        radius_mm=spec.radius_mm,
+        width_mm=stock.width_mm,
+        height_mm=stock.height_mm,
+    )
+    for batch in read_program(read_chunks(path)):
+        sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
+    return sample
+
+
+def _part(reached: Callable[[float], None], number: int, count: int) -> Callable[[float], None]:
+    return lambda share: reached((number + share) / count)

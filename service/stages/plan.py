@@ -1,0 +1,239 @@
+"""The table of stages: what each reads, which part of the spec it depends on, and the function that does its work.
+
+Theory of operation: the key of a stage is the hash of everything its outputs can depend on: our sources that it uses,
+the versions of the libraries, its part of the spec, and the content of the files it reads. Two jobs with an equal key
+have equal outputs, so that one of them need not be computed. Whatever a stage's function looks at must therefore stand
+in its row; a test runs each stage under specs that differ in everything else and wants the same bytes.
+
+Nothing here imports arrays: the API and the worker plan, only a stage's process computes.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import platform
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cache
+from importlib import import_module
+from importlib.metadata import version
+from typing import Any
+
+from service.passes import machine_of
+from service.spec import JobSpec, PassRow
+from service.stages.order import FileRef
+from service.stages.sources import state_of_sources
+
+_BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm")
+_KINEMATICS = tuple(
+    f"machine.{name}"
+    for name in (
+        "dialect", "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "junction_deviation_mm",
+        "planner_blocks", "lines_per_s", "safe_z_mm",
+    )
+)  # fmt: skip
+_LIBRARIES = (
+    "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "jinja2",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stage:
+    """A row of the table.
+
+    function : module:name, imported where the work is done
+    reads    : names of files of earlier stages, with * for any characters
+    spec     : dotted keys of `facts_of` that it depends on; "" is all of them
+    picture  : reads the person's picture itself
+    sheet    : states the names of all files and of the picture, and the hashes of the programs
+    parts    : what it times, by how the names begin, with the share of its time
+    number   : of the pass, from 1; 0 for all others
+    """
+
+    name: str
+    function: str
+    reads: tuple[str, ...] = ()
+    spec: tuple[str, ...] = ()
+    picture: bool = False
+    sheet: bool = False
+    parts: tuple[tuple[str, float], ...] = ()
+    number: int = 0
+
+    def load(self) -> Callable[..., None]:
+        """The function, taking a Workshop."""
+        module, _, name = self.function.partition(":")
+        found: Callable[..., None] = getattr(import_module(module), name)
+        return found
+
+
+_LENS, _LIGHT = "service.stages.lens", "service.stages.light"
+_BEFORE = (
+    Stage(
+        name="image", function=f"{_LENS}:image", picture=True, spec=("image", "screen_mm"), parts=(("picture", 1.0),)
+    ),
+    Stage(
+        name="irradiance",
+        function=f"{_LENS}:irradiance",
+        reads=(".picture.npz",),
+        spec=("optics.viewed_from",),
+        parts=(("target", 1.0),),
+    ),
+    Stage(
+        name="map",
+        function=f"{_LENS}:transport_map",
+        reads=(".target.npz",),
+        spec=("optics", "stock.skim_mm"),
+        parts=(("lens", 1.0),),
+    ),
+    Stage(
+        name="heightfield",
+        function=f"{_LENS}:heightfield",
+        reads=(".heights.npz",),
+        spec=("stock.thickness_mm", "stock.margin_mm"),
+        parts=(("facts", 0.4), ("solid", 0.6)),
+    ),
+    Stage(
+        name="caustic",
+        function=f"{_LIGHT}:caustic",
+        reads=("heightfield.npz", "map.npz"),
+        spec=(
+            "optics.width_mm",
+            "optics.height_mm",
+            "screen_mm",
+            "optics.throw_mm",
+            "optics.refractive_index",
+            "optics.viewed_from",
+        ),
+        parts=(("caustic", 1.0),),
+    ),
+)
+_PASS = Stage(
+    name="pass-*",
+    function="service.stages.programs:one_pass",
+    reads=("heightfield.npz",),
+    spec=(*_BLOCK, *_KINEMATICS),
+    parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
+)
+_AFTER = (
+    Stage(
+        name="check",
+        function="service.stages.final_check:final_check",
+        reads=("pass-*",),
+        spec=("passes", "machine", *_BLOCK),
+        parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
+    ),
+    Stage(name="report", function="service.stages.sheet:sheet", spec=("",), sheet=True),
+)
+_ROWS = {stage.name: stage for stage in (*_BEFORE, *_AFTER)}
+
+
+def plan(spec: JobSpec) -> tuple[str, ...]:
+    """Names of the stages of a job, in order."""
+    passes = (f"pass-{number}" for number in range(1, len(spec.passes) + 1))
+    return (*(stage.name for stage in _BEFORE), *passes, *(stage.name for stage in _AFTER))
+
+
+def stage_of(name: str) -> Stage:
+    """The row of a stage; KeyError where there is none."""
+    kind, _, number = name.partition("-")
+    if kind != "pass" or not number.isdecimal():
+        return _ROWS[name]
+    return _pass(int(number))
+
+
+def _pass(number: int) -> Stage:
+    """A pass cuts what the pass before has left. The first one also says whether all balls fit the lens."""
+    own = (*_PASS.spec, f"passes.{number - 1}")
+    if number == 1:
+        fit = ("passes.*.radius_mm", "passes.*.stock_to_leave_mm", "optics.min_radius_mm")
+        return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit))
+    reads = (*_PASS.reads, f".stock-{number - 1}.npz")
+    return replace(_PASS, name=f"pass-{number}", number=number, spec=own, reads=reads)
+
+
+def reads(stage: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Those of the files of earlier stages that a stage reads."""
+    patterns = stage_of(stage).reads
+    return tuple(name for name in names if any(fnmatchcase(name, pattern) for pattern in patterns))
+
+
+def shares(spec: JobSpec) -> dict[str, float]:
+    """The part of the whole job's time that each stage takes; they add up to 1.
+
+    The seconds were measured on two cores, on a 512 x 512 photograph; passes by the length of their rows.
+    """
+    pixels = spec.image.pixels * spec.pixel_rows / 512**2
+    method_s = 1.0 + 0.8 * spec.optics.corrections if spec.optics.method == "transport" else 30.0
+    seconds = {
+        "image": 0.1 + 0.1 * pixels,
+        "irradiance": 0.1,
+        "map": 0.1 + method_s * pixels,
+        "heightfield": 0.7 + 0.8 * pixels,
+        "caustic": 0.5 + 1.6 * pixels,
+        "check": 0.7,
+        "report": 0.1,
+    }
+    for number, row in enumerate(spec.passes, 1):
+        path_m = _path_m(spec, row)
+        finishes = row.stock_to_leave_mm == 0
+        seconds[f"pass-{number}"] = 1.0 + 0.035 * path_m if finishes else 3.0 + 0.01 * path_m
+        seconds["check"] += 0.008 * path_m if finishes else 0.0
+    whole = sum(seconds.values())
+    return {name: seconds[name] / whole for name in plan(spec)}
+
+
+def _path_m(spec: JobSpec, row: PassRow) -> float:
+    """Length of a pass's rows, one over the other."""
+    around_mm = 2 * row.radius_mm
+    return (spec.optics.width_mm + around_mm) * (spec.optics.height_mm + around_mm) / row.pitch_mm / 1000
+
+
+def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, outputs: Mapping[str, FileRef]) -> str:
+    """The hash of all that the outputs of a stage can depend on.
+
+    outputs : files of the job's earlier stages by name; of them only those that the stage reads count.
+    """
+    row = stage_of(stage)
+    facts = facts_of(spec)
+    names = outputs if row.sheet else reads(stage, outputs)
+    depends = {
+        "stage": stage,
+        "sources": state_of_sources(row.function.partition(":")[0]),
+        "libraries": libraries(),
+        "spec": {key: part_of(facts, key) for key in row.spec},
+        "files": {name: outputs[name].sha256 for name in names},
+        "picture": image_sha256 if row.picture else None,
+        "name": image_name if row.sheet else None,
+    }
+    return hashlib.sha256(json.dumps(depends, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def facts_of(spec: JobSpec) -> dict[str, Any]:
+    """The spec as data, with what follows from it: the screen size; the mill's figures, for a profile's file may change
+    under its name; and of each pass whether it is the last one, whose stock nobody asks for.
+    """
+    facts = spec.model_dump(mode="json")
+    facts["screen_mm"] = list(spec.optics.screen_size_mm)
+    facts["machine_as_given"] = facts["machine"]
+    facts["machine"] = asdict(machine_of(spec))
+    for row in facts["passes"]:
+        row["last"] = row is facts["passes"][-1]
+    return facts
+
+
+def part_of(facts: Any, key: str) -> Any:
+    """The value at a dotted key; * stands for each row of a list."""
+    step, _, rest = key.partition(".")
+    if not step:
+        return facts
+    if step == "*":
+        return [part_of(row, rest) for row in facts]
+    return part_of(facts[int(step) if isinstance(facts, list) else step], rest)
+
+
+@cache
+def libraries() -> dict[str, str]:
+    """Versions of what the numbers and pictures come from."""
+    return {"python": platform.python_version(), **{name: version(name) for name in _LIBRARIES}}

@@ -1,0 +1,25 @@
+"""The errors of the pure packages, as the service's own: what the person gave, or the job itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cam.errors import CamError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
+from optics.errors import OpticsError
+from service.errors import FailedError, InputError
+from service.solid import ReliefTooDeep, SolidError
+
+_INPUT_ERRORS = (
+    OpticsError, ReliefTooDeep, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError,
+)  # fmt: skip
+
+
+@contextmanager
+def in_the_services_words() -> Iterator[None]:
+    """InputError or FailedError, one line, in place of a package's own error."""
+    try:
+        yield
+    except (OpticsError, CamError, SolidError) as error:
+        kind = InputError if isinstance(error, _INPUT_ERRORS) else FailedError
+        raise kind(" ".join(str(error).split())) from error

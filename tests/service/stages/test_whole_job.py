@@ -1,0 +1,100 @@
+"""A job stage by stage through the artifact store is the same job as `causticmill make`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service import pipeline
+from service.progress import QuietReporter
+from service.stages.order import merge_notes, merge_reports
+from service.stages.plan import plan
+from tests.service.stages.jobs import StagedJob, hashes, save_picture, staged_job, tiny_spec
+
+OWN_OF_A_RUN = {"timings_s", "peak_rss_mb"}  # what a run says of itself, not of the job
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
+    return staged_job(tmp_path_factory.mktemp("staged"), preset="paper").run_all()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    picture = save_picture(folder / "blob.png")
+    pipeline.make(picture, folder / "out", tiny_spec(preset="paper"), reporter=QuietReporter())
+    return folder / "out"
+
+
+def test_the_stages_are_those_of_the_contract(job: StagedJob) -> None:
+    assert plan(job.spec) == (
+        "image", "irradiance", "map", "heightfield", "caustic", "pass-1", "pass-2", "pass-3", "check", "report",
+    )  # fmt: skip
+
+
+def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -> None:
+    offered = {name for name in job.outputs if not name.startswith(".")}
+    assert offered == {path.name for path in made.iterdir()}
+    for name in offered - {"report.json", "report.html"}:
+        assert job.bytes(name) == (made / name).read_bytes(), name
+
+
+def test_the_report_is_that_of_make_but_for_the_clock(job: StagedJob, made: Path) -> None:
+    ours, theirs = json.loads(job.bytes("report.json")), json.loads((made / "report.json").read_text())
+    assert set(ours) == set(theirs)
+    assert set(ours["timings_s"]) == set(theirs["timings_s"])
+    assert _settled(ours) == _settled(theirs)
+
+
+def test_the_parts_of_the_report_add_up_to_the_file(job: StagedJob) -> None:
+    parts = [job.results[stage].report for stage in plan(job.spec)]
+    merged = {key: value for key, value in merge_reports(parts).items() if key not in OWN_OF_A_RUN}
+    assert _plain(merged) == _settled(json.loads(job.bytes("report.json")))
+
+
+def test_outputs_are_recorded_as_they_are(job: StagedJob) -> None:
+    for name, ref in job.outputs.items():
+        data = job.bytes(name)
+        assert (hashlib.sha256(data).hexdigest(), len(data)) == (ref.sha256, ref.bytes), name
+
+
+def test_each_file_comes_from_one_stage_only(job: StagedJob) -> None:
+    names = [name for result in job.results.values() for name in result.outputs]
+    assert len(names) == len(set(names))
+
+
+def test_nothing_is_left_in_scratch(job: StagedJob) -> None:
+    assert list(job.scratch.iterdir()) == []
+
+
+def test_stages_say_what_they_cost(job: StagedJob) -> None:
+    for stage, result in job.results.items():
+        assert result.seconds > 0, stage
+        assert 20 < result.peak_rss_mb < 20_000, stage
+
+
+def test_a_second_run_makes_the_same_bytes_and_keys(job: StagedJob, tmp_path: Path) -> None:
+    again = staged_job(tmp_path, preset="paper").run_all()
+    own_of_a_run = {"report.json", "report.html"}
+    ours = {name: ref for name, ref in job.outputs.items() if name not in own_of_a_run}
+    theirs = {name: ref for name, ref in again.outputs.items() if name not in own_of_a_run}
+    assert hashes(ours) == hashes(theirs)
+    assert job.keys == again.keys
+
+
+def test_notes_keep_their_order_and_are_said_once() -> None:
+    parts: list[dict[str, list[str]]] = [{"optics": ["a", "b", "a"]}, {"passes": ["c"]}, {"optics": ["b", "d"]}]
+    assert merge_notes(parts) == {"optics": ["a", "b", "d"], "passes": ["c"]}
+
+
+def _settled(report: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in report.items() if key not in OWN_OF_A_RUN}
+
+
+def _plain(report: dict[str, Any]) -> Any:
+    return json.loads(json.dumps(report))

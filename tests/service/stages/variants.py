@@ -1,0 +1,82 @@
+"""A spec in which every figure is given, and another allowed value for each of its keys."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from service.spec import JobSpec
+from service.spec_files import resolve_spec
+
+_ROW = {
+    "strategy": "raster",
+    "link": "u-turn",
+    "plunge_mm_per_min": 300.0,
+    "spindle_rpm": 9000.0,
+}
+BASE: dict[str, Any] = {
+    "preset": "draft",
+    "image": {"pixels": 24, "tone": "linear", "fit": "crop", "invert": False},
+    "optics": {
+        "width_mm": 10.0, "height_mm": 10.0, "throw_mm": 40.0, "refractive_index": 1.49, "screen_width_mm": 10.0,
+        "screen_height_mm": 10.0, "min_radius_mm": 3.0, "method": "transport", "viewed_from": "lens", "corrections": 0,
+        "light": {"kind": "collimated"},
+    },
+    "stock": {"thickness_mm": 20.0, "margin_mm": 8.0, "skim_mm": 0.1, "material": "pmma"},
+    "passes": [
+        {**_ROW, "name": "rough", "radius_mm": 3.0, "pitch_mm": 1.0, "stock_to_leave_mm": 0.2, "step_down_mm": 1.5,
+         "feed_mm_per_min": 1200.0},
+        {**_ROW, "name": "finish", "radius_mm": 3.0, "pitch_mm": 0.25, "stock_to_leave_mm": 0.0, "step_down_mm": 0.4,
+         "feed_mm_per_min": 1000.0},
+    ],
+    "machine": {
+        "profile": "grbl", "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
+        "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "junction_deviation_mm": 0.01,
+        "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
+    },
+}  # fmt: skip
+OTHER: dict[str, Any] = {
+    "preset": "paper",
+    "image.pixels": 20, "image.tone": "srgb", "image.fit": "stretch", "image.invert": True,
+    "optics.width_mm": 10.5, "optics.height_mm": 9.5, "optics.throw_mm": 50.0, "optics.refractive_index": 1.52,
+    "optics.screen_width_mm": 11.0, "optics.screen_height_mm": 9.0, "optics.min_radius_mm": 2.5,
+    "optics.method": "paper", "optics.viewed_from": "behind", "optics.corrections": 1,
+    "stock.thickness_mm": 25.0, "stock.margin_mm": 9.0, "stock.skim_mm": 0.15,
+    "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
+    "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
+    "machine.step_mm": 0.01, "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
+    "machine.lines_per_s": 200.0, "machine.safe_z_mm": 6.0, "machine.spindle_rpm": [2000.0, 19000.0],
+    **{
+        f"passes.{number}.{key}": value
+        for number in range(2)
+        for key, value in {
+            "name": "other", "link": "retract", "radius_mm": 2.75, "pitch_mm": 0.7 - number / 2,
+            "stock_to_leave_mm": 0.1 + number / 20, "step_down_mm": 1.0 - number / 2, "feed_mm_per_min": 900.0,
+            "plunge_mm_per_min": 250.0, "spindle_rpm": 8000.0,
+        }.items()
+    },
+}  # fmt: skip
+ONLY_ONE_VALUE = {"optics.light.kind", "stock.material", "passes.0.strategy", "passes.1.strategy"}
+
+
+def spec_with(*keys: str) -> JobSpec:
+    """BASE, with the other value at each of these keys."""
+    return resolve_spec(base=_changed(BASE, "", set(keys)))
+
+
+def leaves(data: Any, place: str = "") -> list[str]:
+    """Dotted keys of all single values; a list of numbers is one."""
+    if isinstance(data, dict):
+        return [key for name, value in data.items() for key in leaves(value, f"{place}.{name}".lstrip("."))]
+    if isinstance(data, list | tuple) and data and isinstance(data[0], dict):
+        return [key for number, value in enumerate(data) for key in leaves(value, f"{place}.{number}")]
+    return [place]
+
+
+def _changed(data: Any, place: str, keys: set[str]) -> Any:
+    if place in keys:
+        return OTHER[place]
+    if isinstance(data, dict):
+        return {name: _changed(value, f"{place}.{name}".lstrip("."), keys) for name, value in data.items()}
+    if isinstance(data, list) and isinstance(data[0], dict):
+        return [_changed(value, f"{place}.{number}", keys) for number, value in enumerate(data)]
+    return data
