@@ -51,8 +51,8 @@ class Store(Protocol):
     def path(self, sha256: str) -> Path | None:
         """The object as a file of this computer, to be served by sendfile; None where it is none."""
 
-    def delete(self, sha256: str) -> None:
-        """Nothing happens where there is none."""
+    def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
+        """Nothing happens where there is none, or where it was stored (again) at or after `stored_before`."""
 
     def list(self) -> Iterator[StoredObject]:
         """Every object, in no order."""

@@ -1,0 +1,252 @@
+"""The artifact store in a folder: objects/ab/<sha256>, each a read-only file that appears whole or not at all.
+
+A file on the store's own file system is *linked* into it: nothing is copied, and its name in the scratch folder stays.
+It is made read-only before it is hashed and refused if it changed meanwhile; whoever opens it for writing later is
+refused by the file system (root is not: do not write to what was stored). Everything else is copied to `incoming`,
+synced and renamed. Data reaches the disk before the name, and the name before `put_file` returns.
+
+`incoming` holds a file only while its writer holds the file's lock, so what a killed writer left is known by its free
+lock and swept when the next process opens the store. `guard` is shared by writers and held alone by deletion: an
+object that was renewed just now is not deleted by someone who looked at it before.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import fcntl
+import hashlib
+import os
+import re
+import secrets
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO
+
+from service.errors import FailedError, sentence_of_os_error
+from service.store.store import MissingObjectError, StoredObject
+
+PIECE_BYTES = 1 << 20
+_HASH = re.compile(r"[0-9a-f]{64}")
+_CANNOT_LINK = {errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EACCES}
+
+
+class LocalStore:
+    """Objects below `root`; `shared`: the person's word that all hosts of the farm see the same folder."""
+
+    def __init__(self, root: Path, *, shared: bool = False) -> None:
+        self.root = root.absolute()
+        self.shared = shared
+        self._incoming = self.root / "incoming"
+        self._guard = self.root / "guard"
+        with _told(f"cannot use the artifact store {self.root}"):
+            self._incoming.mkdir(parents=True, exist_ok=True)
+            self._guard.touch()
+            self._sweep()
+
+    def put_file(self, path: Path) -> StoredObject:
+        """Link or copy a file into the store; FailedError, one line, where the disk refuses or the file changes."""
+        with _told("cannot store"), path.open("rb") as file:
+            facts = os.fstat(file.fileno())
+            if self._may_be_linked(facts):
+                os.fchmod(file.fileno(), 0o444)
+                sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+                os.fsync(file.fileno())
+                _require_unchanged(path, file, facts)
+                if self._link(path, sha256, facts.st_size):
+                    return self.head(sha256)
+                file.seek(0)
+            with self._arriving() as (part, copy):
+                sha256 = _copy(file, copy)
+                _require_unchanged(path, file, facts)
+                os.fchmod(copy.fileno(), 0o444)
+                os.fsync(copy.fileno())
+                self._rename(part, sha256, facts.st_size)
+        return self.head(sha256)
+
+    def head(self, sha256: str) -> StoredObject:
+        try:
+            facts = self._place(sha256).stat()
+        except OSError:
+            raise MissingObjectError(sha256) from None
+        return StoredObject(sha256=sha256, bytes=facts.st_size, stored_at=facts.st_mtime)
+
+    def open_range(self, sha256: str, start: int = 0, end: int | None = None) -> Iterator[bytes]:
+        try:
+            file = self._place(sha256).open("rb", buffering=0)
+        except OSError:
+            raise MissingObjectError(sha256) from None
+        return _pieces(file, start, end)
+
+    def fetch(self, sha256: str, target: Path) -> None:
+        source = self._place(sha256)
+        with _told("cannot fetch an artifact to"):
+            target.unlink(missing_ok=True)
+            try:
+                os.link(source, target)
+            except FileNotFoundError:
+                if not target.parent.is_dir():
+                    raise
+                raise MissingObjectError(sha256) from None
+            except OSError as error:
+                if error.errno not in _CANNOT_LINK:
+                    raise
+                write_verified(self.open_range(sha256), target, sha256)
+
+    def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
+        return None
+
+    def path(self, sha256: str) -> Path | None:
+        place = self._place(sha256)
+        return place if place.is_file() else None
+
+    def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
+        with contextlib.suppress(MissingObjectError), _told("cannot delete"), self._locked(fcntl.LOCK_EX):
+            if stored_before is None or self.head(sha256).stored_at < stored_before:
+                self._place(sha256).unlink(missing_ok=True)
+
+    def list(self) -> Iterator[StoredObject]:
+        for folder in self.root.iterdir():
+            if len(folder.name) == 2:
+                for name in os.listdir(folder):  # noqa: PTH208 - plain names, quickly
+                    with contextlib.suppress(MissingObjectError):  # deleted meanwhile
+                        yield self.head(name)
+
+    def check(self) -> None:
+        word = secrets.token_bytes(32)
+        with _told("cannot write to the artifact store"), self._arriving() as (part, file):
+            file.write(word)
+            os.fsync(file.fileno())
+            if part.read_bytes() != word:
+                raise FailedError(f"the artifact store {self.root} does not return what is written to it")
+
+    def _place(self, sha256: str) -> Path:
+        if not _HASH.fullmatch(sha256):
+            raise MissingObjectError(sha256)
+        return self.root / sha256[:2] / sha256
+
+    def _may_be_linked(self, facts: os.stat_result) -> bool:
+        return facts.st_dev == self.root.stat().st_dev and facts.st_uid == os.geteuid()
+
+    def _link(self, path: Path, sha256: str, size: int) -> bool:
+        """False where this file system does not link."""
+        target = self._ready_place(sha256)
+        with self._locked(fcntl.LOCK_SH):
+            if not _renewed(target, size):
+                try:
+                    os.link(path, target)
+                except FileExistsError:  # stored by another process just now
+                    pass
+                except OSError as error:
+                    if error.errno in _CANNOT_LINK:
+                        return False
+                    raise
+                os.utime(target)
+        _sync_folder(target.parent)
+        return True
+
+    def _rename(self, part: Path, sha256: str, size: int) -> None:
+        target = self._ready_place(sha256)
+        with self._locked(fcntl.LOCK_SH):
+            if not _renewed(target, size):
+                part.rename(target)
+        _sync_folder(target.parent)
+
+    def _ready_place(self, sha256: str) -> Path:
+        target = self._place(sha256)
+        if not target.parent.is_dir():
+            target.parent.mkdir(exist_ok=True)
+            _sync_folder(self.root)
+        return target
+
+    @contextlib.contextmanager
+    def _locked(self, kind: int) -> Iterator[None]:
+        with self._guard.open("rb") as guard:
+            fcntl.flock(guard, kind)
+            yield
+
+    @contextlib.contextmanager
+    def _arriving(self) -> Iterator[tuple[Path, IO[bytes]]]:
+        """A new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
+        while True:
+            part = self._incoming / f"{secrets.token_hex(8)}.part"
+            with part.open("xb", buffering=0) as file:
+                fcntl.flock(file, fcntl.LOCK_EX)
+                if not part.exists():  # swept before it was locked
+                    continue
+                try:
+                    yield part, file
+                finally:
+                    part.unlink(missing_ok=True)
+                return
+
+    def _sweep(self) -> None:
+        for part in self._incoming.iterdir():
+            with contextlib.suppress(OSError), part.open("rb") as file:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                part.unlink(missing_ok=True)
+
+
+def write_verified(pieces: Iterator[bytes], target: Path, sha256: str) -> None:
+    """Write an object's bytes as a read-only file; FailedError, and no file, where they are not what they should be."""
+    digest = hashlib.sha256()
+    try:
+        with target.open("xb", buffering=0) as file:
+            for piece in pieces:
+                digest.update(piece)
+                file.write(piece)
+            os.fchmod(file.fileno(), 0o444)
+        if digest.hexdigest() != sha256:
+            raise FailedError(f"the artifact store returned other bytes than were stored as {sha256}")
+    except BaseException:
+        target.unlink(missing_ok=True)
+        raise
+
+
+def _copy(source: IO[bytes], target: IO[bytes]) -> str:
+    digest = hashlib.sha256()
+    while piece := source.read(PIECE_BYTES):
+        digest.update(piece)
+        target.write(piece)
+    return digest.hexdigest()
+
+
+def _pieces(file: IO[bytes], start: int, end: int | None) -> Iterator[bytes]:
+    with file:
+        file.seek(start)
+        left = (1 << 62) if end is None else end - start
+        while left > 0 and (piece := file.read(min(left, PIECE_BYTES))):
+            left -= len(piece)
+            yield piece
+
+
+def _renewed(target: Path, size: int) -> bool:
+    """True where the object is there already; its time is now. One of another size (a damaged disk) is taken away."""
+    with contextlib.suppress(FileNotFoundError):
+        if target.stat().st_size == size:
+            os.utime(target)
+            return True
+        target.unlink()
+    return False
+
+
+def _require_unchanged(path: Path, file: IO[bytes], before: os.stat_result) -> None:
+    after = os.fstat(file.fileno())
+    if (before.st_size, before.st_mtime_ns) != (after.st_size, after.st_mtime_ns):
+        raise FailedError(f"cannot store {path}: it is still being written")
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.contextmanager
+def _told(doing: str) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing=doing)) from None
