@@ -1,0 +1,249 @@
+"""The job book: jobs as the API sees and changes them. Each change, and the event that tells of it, is one transaction.
+
+What workers change is in service/jobs/work_book.py. Both lock the job's row before they look at it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+from uuid import uuid4
+
+import sqlalchemy as sa
+
+from service.errors import printable
+from service.jobs.database import clock, insert_new, reading, writing
+from service.jobs.events import BATCH, read_events, read_news, write_event
+from service.jobs.files import offered_artifacts
+from service.jobs.records import (
+    Artifact,
+    Event,
+    Job,
+    KeyReusedError,
+    NewJob,
+    News,
+    StageRun,
+    UnknownArtifactError,
+    UnknownJobError,
+)
+from service.jobs.states import RETRYABLE, TRANSITIONS, JobState, JobStateError
+from service.jobs.tables import artifacts, idempotency_keys, jobs, progress, stage_runs
+from service.store.store import Store
+
+NAME_CHARS = 255
+
+
+class JobBook:
+    """Jobs of one database. `store`, where given, is asked whether it (still) has the picture of a new job."""
+
+    def __init__(self, database: sa.Engine, store: Store | None = None) -> None:
+        self.database = database
+        self._store = store
+
+    # ------------------------------------------------------------------ making and changing
+
+    def create(self, new: NewJob) -> tuple[Job, bool]:
+        """A new queued job; False where the same request with the same key made it before. KeyReusedError."""
+        if self._store is not None:
+            self._store.head(new.image_sha256)
+        with writing(self.database) as connection:
+            at, job_id = clock(connection), str(uuid4())
+            if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
+                return _made_before(connection, new, new.key), False
+            connection.execute(jobs.insert().values(**_first_row(new, job_id, at)))
+            write_event(connection, job_id, "queued", {"attempt": 1, "by": new.created_by}, at=at)
+            return _job(connection, job_id), True
+
+    def request_cancel(self, job_id: str, by: str) -> Job:
+        """Cancel: a queued job at once, a running one as soon as its worker sees it. Asking again changes nothing."""
+        with writing(self.database) as connection:
+            job, at = locked_job(connection, job_id), clock(connection)
+            if job.state == JobState.CANCELLED or (job.state == JobState.RUNNING and job.cancel_requested):
+                return job
+            if JobState.CANCELLED not in TRANSITIONS[job.state]:
+                raise JobStateError(job.state, "cancelling", frozenset({JobState.QUEUED, JobState.RUNNING}))
+            write_event(connection, job_id, "cancel.requested", {"by": by}, at=at)
+            if job.state == JobState.QUEUED:
+                end_job(connection, job, JobState.CANCELLED, at=at, cancel_requested=True)
+            else:
+                change_job(connection, job, cancel_requested=True)
+            return _job(connection, job_id)
+
+    def retry(self, job_id: str, by: str) -> Job:
+        """Queue an ended job once more. What its stages had finished stands; its files appear again on the way."""
+        with writing(self.database) as connection:
+            job, at = locked_job(connection, job_id), clock(connection)
+            if job.state not in RETRYABLE:
+                raise JobStateError(job.state, "retrying", RETRYABLE)
+            is_log = artifacts.c.name.like("%.log")
+            connection.execute(artifacts.delete().where(artifacts.c.job_id == job_id, ~is_log))
+            change_job(connection, job, **_fresh(job.attempt + 1, at), fence=job.fence + 1)
+            write_event(connection, job_id, "retried", {"attempt": job.attempt + 1, "by": by}, at=at)
+            return _job(connection, job_id)
+
+    def delete(self, job_id: str) -> Job:
+        """Forget a job that is not running, its idempotency key included. Returns what it was."""
+        with writing(self.database) as connection:
+            job = locked_job(connection, job_id)
+            if job.state == JobState.RUNNING:
+                raise JobStateError(job.state, "deleting", frozenset(JobState) - {JobState.RUNNING})
+            drop_job(connection, job_id)
+            return job
+
+    # ------------------------------------------------------------------ reading
+
+    def get(self, job_id: str) -> Job:
+        with reading(self.database) as connection:
+            return _job(connection, job_id)
+
+    def listed(self, *, states: Sequence[JobState] = (), limit: int = 50, before: str | None = None) -> list[Job]:
+        """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone)."""
+        query = sa.select(jobs).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
+        if states:
+            query = query.where(jobs.c.state.in_([str(state) for state in states]))
+        with reading(self.database) as connection:
+            if before is not None:
+                at = _job(connection, before).created_at
+                older = sa.and_(jobs.c.created_at == at, jobs.c.id < before)
+                query = query.where(sa.or_(jobs.c.created_at < at, older))
+            return [Job.of(row) for row in connection.execute(query).mappings()]
+
+    def stages(self, job_id: str) -> list[StageRun]:
+        """Every try of every stage, in the order in which they began."""
+        query = sa.select(stage_runs).where(stage_runs.c.job_id == job_id).order_by(stage_runs.c.id)
+        with reading(self.database) as connection:
+            return [StageRun.of(row) for row in connection.execute(query).mappings()]
+
+    def artifacts(self, job_id: str) -> list[Artifact]:
+        """The files that the job offers, by name; programs only once they have been checked."""
+        with reading(self.database) as connection:
+            _job(connection, job_id)
+            return offered_artifacts(connection, job_id)
+
+    def artifact(self, job_id: str, name: str) -> Artifact:
+        for artifact in self.artifacts(job_id):
+            if artifact.name == name:
+                return artifact
+        raise UnknownArtifactError(job_id, name)
+
+    def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[Event]:
+        """Events after the one numbered `after`, at most 500 of them."""
+        with reading(self.database) as connection:
+            return read_events(connection, job_id, after, limit)
+
+    def latest(self, after: Mapping[str, int]) -> News:
+        """Events of many jobs, each after the seq given for it, and the progress of those that run."""
+        with reading(self.database) as connection:
+            return read_news(connection, after)
+
+    def queue_position(self, job_id: str) -> int | None:
+        """1 for the job that starts next; None for one that does not wait."""
+        return self.queue_positions().get(job_id)
+
+    def queue_positions(self) -> dict[str, int]:
+        """The place of every waiting job."""
+        query = (
+            sa.select(jobs.c.id)
+            .where(jobs.c.state == JobState.QUEUED)
+            .order_by(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+        )
+        with reading(self.database) as connection:
+            return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
+
+    def counts(self) -> dict[JobState, int]:
+        """How many jobs are in each state."""
+        query = sa.select(jobs.c.state, sa.func.count()).group_by(jobs.c.state)
+        with reading(self.database) as connection:
+            found = {JobState(state): count for state, count in connection.execute(query)}
+        return {state: found.get(state, 0) for state in JobState}
+
+    def oldest_queued_at(self) -> float | None:
+        query = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == JobState.QUEUED)
+        with reading(self.database) as connection:
+            return connection.execute(query).scalar()
+
+
+# ---------------------------------------------------------------------- steps inside a transaction
+
+
+def locked_job(connection: sa.Connection, job_id: str) -> Job:
+    """The job, its row locked until the transaction ends. UnknownJobError."""
+    row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id).with_for_update()).mappings().first()
+    if row is None:
+        raise UnknownJobError(job_id)
+    return Job.of(row)
+
+
+def change_job(connection: sa.Connection, job: Job, **values: Any) -> None:
+    """Write columns of a locked job, and count its version."""
+    connection.execute(jobs.update().where(jobs.c.id == job.id).values(version=jobs.c.version + 1, **values))
+
+
+def end_job(connection: sa.Connection, job: Job, state: JobState, *, at: float, **values: Any) -> None:
+    """A locked job has ended: its state and the last event. Raises the fence, so that no one writes after it."""
+    error = values.get("error")
+    row = {"state": str(state), "ended_at": at, "owner": None, "fence": job.fence + 1} | values
+    connection.execute(progress.delete().where(progress.c.job_id == job.id))
+    change_job(connection, job, **row)
+    write_event(connection, job.id, "ended", {"state": str(state), "attempt": job.attempt, "error": error}, at=at)
+
+
+def drop_job(connection: sa.Connection, job_id: str) -> None:
+    """Everything about a job but its place in the engine."""
+    connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job_id))
+    connection.execute(jobs.delete().where(jobs.c.id == job_id))
+
+
+def _job(connection: sa.Connection, job_id: str) -> Job:
+    row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id)).mappings().first()
+    if row is None:
+        raise UnknownJobError(job_id)
+    return Job.of(row)
+
+
+def _first_row(new: NewJob, job_id: str, at: float) -> dict[str, Any]:
+    return {
+        "id": job_id,
+        "name": printable(new.name)[:NAME_CHARS],
+        "priority": new.priority,
+        "spec": new.spec,
+        "image_sha256": new.image_sha256,
+        "image_bytes": new.image_bytes,
+        "created_by": new.created_by,
+        "created_at": at,
+        "fence": 0,
+        "version": 1,
+        **_fresh(1, at),
+    }
+
+
+def _fresh(attempt: int, at: float) -> dict[str, Any]:
+    """The columns of a job that waits to be started."""
+    return {
+        "state": str(JobState.QUEUED),
+        "attempt": attempt,
+        "queued_at": at,
+        "started_at": None,
+        "ended_at": None,
+        "stage": None,
+        "progress": 0.0,
+        "error": None,
+        "report": None,
+        "cancel_requested": False,
+        "owner": None,
+    }
+
+
+def _claim_key(connection: sa.Connection, new: NewJob, key: str, job_id: str, at: float) -> bool:
+    row = {"principal": new.created_by, "kind": "job", "key": key}
+    row |= {"request_sha256": new.request_sha256, "resource_id": job_id}
+    return insert_new(connection, idempotency_keys, row | {"created_at": at})
+
+
+def _made_before(connection: sa.Connection, new: NewJob, key: str) -> Job:
+    table = idempotency_keys.c
+    query = sa.select(idempotency_keys).where(table.principal == new.created_by, table.kind == "job", table.key == key)
+    row = connection.execute(query).mappings().one()
+    if row["request_sha256"] != new.request_sha256:
+        raise KeyReusedError(key)
+    return _job(connection, row["resource_id"])

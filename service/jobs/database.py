@@ -1,0 +1,111 @@
+"""The connection to the database, and the few words in which SQLite and PostgreSQL differ.
+
+All access is SQLAlchemy Core, the same code for both. Every change is made in `writing`: on SQLite that takes the write
+lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL the changes lock the
+rows they are about.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
+
+from service.settings import ServerSettings
+
+BUSY_TIMEOUT_S = 30
+CONNECT_TIMEOUT_S = 5
+
+
+def open_database(settings: ServerSettings, *, migrate: bool = False) -> sa.Engine:
+    """The database of these settings; `migrate` brings its tables up to date first (workers do, the API never)."""
+    if settings.embedded:
+        settings.data.mkdir(parents=True, exist_ok=True)
+    database = connect(settings.sqlalchemy_url)
+    if migrate:
+        from service.jobs.schema import upgrade_schema
+
+        upgrade_schema(database)
+    return database
+
+
+def connect(url: str) -> sa.Engine:
+    """An engine of SQLAlchemy for a database of ours, SQLite or PostgreSQL."""
+    if url.startswith("sqlite"):
+        engine = sa.create_engine(url, json_serializer=_as_json, connect_args={"timeout": BUSY_TIMEOUT_S})
+        sa.event.listen(engine, "connect", _prepare_sqlite)
+        sa.event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    # Keepalives: a host that is gone is noticed in about 25 s rather than in hours.
+    patience = {"connect_timeout": CONNECT_TIMEOUT_S, "keepalives_idle": 10, "keepalives_interval": 5}
+    return sa.create_engine(
+        url, json_serializer=_as_json, pool_pre_ping=True, pool_timeout=BUSY_TIMEOUT_S, connect_args=patience
+    )
+
+
+def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:
+    return bind.dialect.name == "sqlite"
+
+
+@contextmanager
+def reading(database: sa.Engine) -> Iterator[sa.Connection]:
+    """A transaction that changes nothing."""
+    with database.connect() as connection, connection.begin():
+        yield connection
+
+
+@contextmanager
+def writing(database: sa.Engine) -> Iterator[sa.Connection]:
+    """A transaction that changes things: all of them, on disk, when it ends without an exception; else none."""
+    with database.connect().execution_options(writes=True) as connection, connection.begin():
+        yield connection
+
+
+def clock(connection: sa.Connection) -> float:
+    """Seconds since 1970 by the database's clock, the only one that hosts of a farm share."""
+    if is_sqlite(connection):
+        return time.time()
+    return float(connection.execute(sa.text("SELECT extract(epoch FROM clock_timestamp())")).scalar_one())
+
+
+def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, Any]) -> bool:
+    """Insert a row; False, and nothing done, where its key is there already."""
+    insert = sqlite.insert if is_sqlite(connection) else postgresql.insert
+    new = insert(table).values(**values).on_conflict_do_nothing().returning(sa.literal(1))
+    return connection.execute(new).first() is not None
+
+
+def put_rows(connection: sa.Connection, table: sa.Table, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows; one whose primary key is there already replaces it."""
+    keys = [column.name for column in table.primary_key.columns]
+    for row in rows:
+        insert = (sqlite.insert if is_sqlite(connection) else postgresql.insert)(table).values(**row)
+        others = {name: value for name, value in row.items() if name not in keys}
+        connection.execute(insert.on_conflict_do_update(index_elements=keys, set_=others))
+
+
+def _as_json(value: object) -> str:
+    """Strict JSON: PostgreSQL takes no NaN, and neither do clients."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _prepare_sqlite(connection: Any, _record: object) -> None:
+    # No implicit transactions by the driver: `_begin_sqlite` begins them.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_S * 1000}")
+    if cursor.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        cursor.execute("PRAGMA journal_mode = WAL")
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.execute("PRAGMA foreign_keys = ON")
+    cursor.close()
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    writes = connection.get_execution_options().get("writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")

@@ -1,0 +1,49 @@
+"""What happened to jobs, in order. An event is written in the same transaction as the change it tells of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.jobs.records import Event, News, Progress
+from service.jobs.tables import events, jobs, progress
+
+BATCH = 500
+
+
+def write_event(connection: sa.Connection, job_id: str, kind: str, data: Mapping[str, Any], *, at: float) -> None:
+    """The next event of a job. The caller holds the job's row, so seq has no gaps and no doubles."""
+    last = sa.select(sa.func.coalesce(sa.func.max(events.c.seq), 0)).where(events.c.job_id == job_id)
+    seq = connection.execute(last).scalar_one() + 1
+    connection.execute(events.insert().values(job_id=job_id, seq=seq, at=at, kind=kind, data=dict(data)))
+
+
+def read_events(connection: sa.Connection, job_id: str, after: int, limit: int) -> list[Event]:
+    query = (
+        sa.select(events)
+        .where(events.c.job_id == job_id, events.c.seq > after)
+        .order_by(events.c.seq)
+        .limit(min(limit, BATCH))
+    )
+    return [Event.of(row) for row in connection.execute(query).mappings()]
+
+
+def read_news(connection: sa.Connection, after: Mapping[str, int]) -> News:
+    """Events of many jobs after the given ones, and how far their running stages are: two queries in all."""
+    if not after:
+        return News(events=[], progress={})
+    newer = sa.or_(*(sa.and_(events.c.job_id == job_id, events.c.seq > seq) for job_id, seq in after.items()))
+    query = sa.select(events).where(newer).order_by(events.c.job_id, events.c.seq).limit(10 * BATCH)
+    found = [Event.of(row) for row in connection.execute(query).mappings()]
+    return News(events=found, progress=read_progress(connection, list(after)))
+
+
+def read_progress(connection: sa.Connection, job_ids: Sequence[str]) -> dict[str, Progress]:
+    query = (
+        sa.select(progress, jobs.c.progress)
+        .join(jobs, jobs.c.id == progress.c.job_id)
+        .where(progress.c.job_id.in_(job_ids), jobs.c.state == "running", jobs.c.stage == progress.c.stage)
+    )
+    return {row["job_id"]: Progress.of(row) for row in connection.execute(query).mappings()}

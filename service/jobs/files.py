@@ -1,0 +1,35 @@
+"""The files that a job offers: those of its committed stages, programs only once all of them have been checked."""
+
+from __future__ import annotations
+
+import sqlalchemy as sa
+
+from service.jobs.records import Artifact
+from service.jobs.states import StageState
+from service.jobs.tables import artifacts, jobs, stage_runs
+
+CHECK = "check"
+PASS = "pass-"
+LOG = ".log"
+DONE = (str(StageState.COMMITTED), str(StageState.REUSED))
+
+
+def offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artifact]:
+    """By name. Names that begin with a dot are between stages only; a program must have passed this attempt's check."""
+    query = sa.select(artifacts).where(artifacts.c.job_id == job_id).order_by(artifacts.c.name)
+    found = [Artifact.of(row) for row in connection.execute(query).mappings()]
+    checked = _is_checked(connection, job_id)
+    return [one for one in found if not one.name.startswith(".") and (checked or not _is_program(one))]
+
+
+def _is_program(artifact: Artifact) -> bool:
+    return artifact.stage.startswith(PASS) and not artifact.name.endswith(LOG)
+
+
+def _is_checked(connection: sa.Connection, job_id: str) -> bool:
+    query = (
+        sa.select(stage_runs.c.id)
+        .join(jobs, sa.and_(jobs.c.id == stage_runs.c.job_id, jobs.c.attempt == stage_runs.c.attempt))
+        .where(stage_runs.c.job_id == job_id, stage_runs.c.stage == CHECK, stage_runs.c.state.in_(DONE))
+    )
+    return connection.execute(query).first() is not None
