@@ -27,8 +27,18 @@ class Ticket:
         return cls(job_id, int(attempt))
 
 
+class Fenced(Exception):
+    """Raised by a body that may not go on: another worker owns the job, or this one may have lost its lease.
+
+    The ticket has not ended. As long as it is still this executor's, the body is called again a little later.
+    """
+
+
 class JobEngine(Protocol):
     """The client's side may be used in any process; `serve` only in a worker."""
+
+    def prepare(self) -> None:
+        """Make what the engine needs in the database, or bring it up to date. Workers only."""
 
     def submit(self, ticket: Ticket, *, priority: int) -> None:
         """Durable when it returns. A ticket that is known already is left as it is. Smaller priority runs earlier."""
@@ -41,6 +51,9 @@ class JobEngine(Protocol):
 
     def owners(self) -> dict[Ticket, str]:
         """Executor of each ticket that has begun and not ended."""
+
+    def ended(self, tickets: list[Ticket]) -> set[Ticket]:
+        """Those of the tickets that the engine will not run (again)."""
 
     def forget(self, tickets: list[Ticket]) -> None:
         """Drop the history of tickets that have ended."""

@@ -1,0 +1,80 @@
+"""What the standard library lacks of Linux: signals when a parent dies, adoption of orphans, who is in a group."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import signal
+from pathlib import Path
+
+_SET_PDEATHSIG = 1
+_SET_CHILD_SUBREAPER = 36
+_LIBC = ctypes.CDLL(None, use_errno=True)  # looked up here, so that nothing needs loading between a fork and its use
+
+
+def die_with_parent(parent: int, number: int = signal.SIGKILL) -> None:
+    """Get this signal when the *thread* that started this process ends; end at once if `parent` is gone already."""
+    if _LIBC.prctl(_SET_PDEATHSIG, number, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
+    if os.getppid() != parent:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def adopt_orphans() -> None:
+    """From now on, descendants whose parent dies become children of this process."""
+    if _LIBC.prctl(_SET_CHILD_SUBREAPER, 1, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_CHILD_SUBREAPER)")
+
+
+def own_children() -> list[int]:
+    """Children of this process, dead ones that nobody waited for included."""
+    found: list[int] = []
+    for task in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # a thread that has just ended; or a kernel without this list
+            found += map(int, (task / "children").read_text(encoding="ascii").split())
+    return found
+
+
+def signal_group(leader: int, number: int) -> bool:
+    """Send a signal to every process of a group. False: nobody is left, not even a dead one not yet waited for."""
+    try:
+        os.killpg(leader, number)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def signal_stage(leader: int, number: int) -> None:
+    """Send a signal to the group of `leader`, or to it alone as long as it has made no group yet."""
+    with contextlib.suppress(ProcessLookupError):
+        if not signal_group(leader, number):
+            os.kill(leader, number)
+
+
+def living_members(group: int) -> list[int]:
+    """Processes of a group that still run; a dead one that nobody has waited for does not."""
+    found = ((pid, _state_and_group(pid)) for pid in _all_processes())
+    return [pid for pid, (state, its_group) in found if its_group == group and state not in "ZX"]
+
+
+def thread_count() -> int:
+    """Threads of this process."""
+    return len(list(Path("/proc/self/task").iterdir()))
+
+
+def address_space_bytes() -> int:
+    """Address space of this process."""
+    return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _all_processes() -> list[int]:
+    return [int(name) for name in os.listdir("/proc") if name.isdigit()]  # noqa: PTH208 - plain names, quickly
+
+
+def _state_and_group(pid: int) -> tuple[str, int]:
+    try:
+        after_name = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+    except OSError:
+        return "X", -1
+    return after_name[0], int(after_name[2])

@@ -1,0 +1,160 @@
+"""Makes what the engine does agree with what the jobs' table says: every few seconds, in every worker.
+
+Level-triggered: each turn looks at how things are and not at what has changed, so a turn that fails or a worker that
+dies between two steps leaves nothing lying. Every step may be repeated, and raced by other workers.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from itertools import islice
+
+import sqlalchemy as sa
+import structlog
+
+from service.jobs.book import end_job, locked_job
+from service.jobs.database import clock, reading, writing
+from service.jobs.records import Job, Json, UnknownJobError
+from service.jobs.states import JobState
+from service.jobs.tables import jobs
+from service.jobs.work_book import interrupt_tries
+from service.worker.engine import JobEngine, Ticket
+from service.worker.leases import live_executors
+
+CHUNK = 500
+GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
+GIVEN_UP = "the job engine has given it up without a result; the server's log may tell why. It can be retried"
+log = structlog.get_logger()
+
+
+class Reconciler:
+    """`running` tells which jobs this worker has in hand."""
+
+    def __init__(
+        self,
+        database: sa.Engine,
+        engine: JobEngine,
+        *,
+        executor: str,
+        lease_s: float,
+        running: Callable[[], set[str]],
+    ) -> None:
+        self._database = database
+        self._engine = engine
+        self._executor = executor
+        self._lease_s = lease_s
+        self._running = running
+        self._known: set[Ticket] = set()
+
+    def turn(self) -> None:
+        """Look once at everything."""
+        self._submit_unknown()
+        live = self._take_over_dead()
+        self._end_cancelled(live)
+        self._end_given_up(live)
+
+    def _submit_unknown(self) -> None:
+        """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
+        queued = dict(self._queued())
+        self._known &= set(queued)
+        for tickets in _chunks(ticket for ticket in queued if ticket not in self._known):
+            known = self._engine.known(tickets)
+            self._known |= known
+            for ticket in tickets:
+                if ticket not in known:
+                    log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
+                    self._engine.submit(ticket, priority=queued[ticket])
+
+    def _queued(self) -> list[tuple[Ticket, int]]:
+        with reading(self._database) as connection:
+            old = jobs.c.queued_at < clock(connection) - GRACE_S
+            query = sa.select(jobs.c.id, jobs.c.attempt, jobs.c.priority).where(jobs.c.state == "queued", old)
+            return [(Ticket(row.id, row.attempt), row.priority) for row in connection.execute(query)]
+
+    def _take_over_dead(self) -> set[str]:
+        """Tickets begun by workers that are not heard of any more run elsewhere. Returns the live workers."""
+        owners = set(self._engine.owners().values())
+        with reading(self._database) as connection:
+            live = live_executors(connection, self._lease_s) | {self._executor}
+        if dead := sorted(owners - live):
+            log.info("taking over", executors=dead)
+            self._engine.take_over(dead)
+        return live
+
+    def _end_cancelled(self, live: set[str]) -> None:
+        """Running jobs that were to be cancelled when their worker died."""
+        query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.cancel_requested)
+        with reading(self._database) as connection:
+            found = list(connection.execute(query).scalars())
+        for job_id in found:
+            self._end(job_id, live, JobState.CANCELLED, None)
+
+    def _end_given_up(self, live: set[str]) -> None:
+        """Jobs that wait or run although the engine is done with their ticket.
+
+        The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
+        """
+        for tickets in _chunks(self._open_tickets()):
+            for ticket in self._engine.ended(tickets):
+                error = {"stage": None, "detail": GIVEN_UP, "field": None}
+                self._end(ticket.job_id, live, JobState.FAILED, error, attempt=ticket.attempt)
+
+    def _open_tickets(self) -> list[Ticket]:
+        query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state.in_(("queued", "running")))
+        with reading(self._database) as connection:
+            return [Ticket(row.id, row.attempt) for row in connection.execute(query)]
+
+    def _end(
+        self, job_id: str, live: set[str], state: JobState, error: Json | None, *, attempt: int | None = None
+    ) -> None:
+        """End a job in the name of its owner, unless somebody has it in hand."""
+        with writing(self._database) as connection:
+            try:
+                job, at = locked_job(connection, job_id), clock(connection)
+            except UnknownJobError:
+                return
+            if job.ended or attempt not in (None, job.attempt) or self._is_in_hand(job, live):
+                return
+            interrupt_tries(connection, job, at=at)
+            if job.cancel_requested:
+                state, error = JobState.CANCELLED, None
+            log.info("ended for its owner", job=job_id, owner=job.owner, state=str(state))
+            end_job(connection, job, state, at=at, error=error)
+
+    def _is_in_hand(self, job: Job, live: set[str]) -> bool:
+        if job.owner == self._executor or job.id in self._running():
+            return job.id in self._running()
+        return job.owner in live
+
+
+class Rounds:
+    """Calls something again and again from a thread of its own; an error is logged, and the next round tries again."""
+
+    def __init__(self, name: str, work: Callable[[], None], *, every_s: float) -> None:
+        self._name = name
+        self._work = work
+        self._every_s = every_s
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._every_s):
+            try:
+                self._work()
+            except Exception as error:
+                log.warning(
+                    f"{self._name}: this round failed", error=str(error).splitlines()[:1], kind=type(error).__name__
+                )
+
+
+def _chunks(tickets: Iterable[Ticket]) -> Iterator[list[Ticket]]:
+    rest = iter(tickets)
+    while chunk := list(islice(rest, CHUNK)):
+        yield chunk

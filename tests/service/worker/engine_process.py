@@ -1,0 +1,43 @@
+"""A process that serves tickets, to be killed. Arguments: executor, folder for its notes, executors to take over.
+
+A ticket's body notes that it begins; one called "slow..." waits for the file "release" before it notes that it ends;
+one called "fenced..." is fenced the first time.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from pathlib import Path
+
+from service.settings import ServerSettings
+from service.worker.dbos_engine import DbosEngine
+from service.worker.engine import Fenced, Ticket
+
+executor, folder, dead = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
+
+
+def note(word: str, ticket: Ticket) -> None:
+    with (folder / "notes").open("a") as file:
+        file.write(f"{word} {ticket.text} {executor}\n")
+
+
+def body(ticket: Ticket) -> None:
+    note("begin", ticket)
+    if ticket.job_id.startswith("fenced") and not (folder / "fenced").exists():
+        (folder / "fenced").touch()
+        raise Fenced("not now")
+    while ticket.job_id.startswith("slow") and not (folder / "release").exists():
+        time.sleep(0.02)
+    note("end", ticket)
+
+
+engine = DbosEngine(ServerSettings.load())
+engine.serve(body, executor=executor, slots=1)
+print("ready", flush=True)
+while dead and os.getppid() != 1:
+    engine.take_over(dead)
+    time.sleep(0.05)
+threading.Event().wait()

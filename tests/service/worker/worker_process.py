@@ -1,0 +1,17 @@
+"""A worker to be killed: runs one odd stage and prints how it ended. Arguments: data folder, order as JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from service.settings import ServerSettings
+from service.worker.processes import StageProcesses
+
+settings = ServerSettings.load(data=Path(sys.argv[1]), lease_s=float(sys.argv[3]))
+processes = StageProcesses(settings, entry="odd_stages:run")
+end = processes.run(
+    json.loads(sys.argv[2]), log=settings.data / "stage.log", on_progress=lambda _: None, stop=lambda: None
+)
+print(end, flush=True)
