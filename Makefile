@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
 MILL := out/demo-mill.txt
 
-.PHONY: demo test lint bench soak format lock clean
+.PHONY: demo serve test lint bench soak format lock clean
 
 # The locked environment, made anew whenever a lock or the project file changes.
 $(READY): requirements-dev.lock pyproject.toml
@@ -24,6 +24,12 @@ demo: $(READY)
 	mill=$$!; trap 'kill $$mill; wait $$mill; tail -n 1 $(MILL)' EXIT; \
 	until port=$$(grep -o -s 'socket://[^ ]*' $(MILL)); do kill -0 $$mill || exit 1; sleep 0.1; done; \
 	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $$port --yes
+
+# The job server with everything in $(DATA); Ctrl-C stops it. make serve DATA=... PORT=...
+DATA ?= out/server
+PORT ?= 8000
+serve: $(READY)
+	@exec $(BIN)/causticmill serve --data $(DATA) --port $(PORT)
 
 test: $(READY)
 	$(BIN)/python -m pytest
@@ -45,6 +51,7 @@ bench: $(READY)
 lock:
 	uv pip compile pyproject.toml --generate-hashes --no-header --universal --python-version 3.11 -o requirements.lock
 	uv pip compile pyproject.toml --extra dev --generate-hashes --no-header --universal --python-version 3.11 -o requirements-dev.lock
+	uv pip compile pyproject.toml docker/build.in --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock --generate-hashes --no-header --universal --python-version 3.11 -o docker/requirements.lock
 
 # Long trials of the streamer against the simulated mill (an hour and more): out/soak.json and out/soak.md.
 soak: $(READY)

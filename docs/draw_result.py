@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from service.figures_lens import raking_light
-from service.workshop import load_heightfield
+from service.stages.arrays import load_heightfield
 
 SIDE = 420
 GAP = 12

@@ -17,9 +17,9 @@ from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.spec_files import resolve_spec, stored_spec
-from service.stages_cam import first_stock, simulate
+from service.stages.arrays import load_heightfield
+from service.stages.programs import first_stock, simulate
 from service.summary import duration
-from service.workshop import load_heightfield
 
 T = TypeVar("T")
 

@@ -45,6 +45,8 @@ def run(arguments: Sequence[str]) -> int:
         except KeyboardInterrupt:
             interrupted = True
         signals.over = True  # from here on nothing is raised: the last words are not cut short
+        if isinstance(error, JobError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
+            return _told(error)
         if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.came):
             # whatever an import or a library made of it; typer catches Ctrl-C itself, too, and says nothing
             return _fail("interrupted; nothing half-written is left", EXIT_INTERRUPTED)

@@ -15,7 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from service import mill_commands
+from service.client import commands as client_commands
 from service.errors import EXIT_FAILURE
+from service.host import commands as host_commands
+from service.jobs import token_commands
 
 if TYPE_CHECKING:
     from service.progress import Reporter
@@ -182,3 +185,6 @@ def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
 
 
 mill_commands.register(app)
+token_commands.register(app)
+client_commands.register(app)
+host_commands.register(app)

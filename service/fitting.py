@@ -65,11 +65,14 @@ def expected_bytes(stock: Stock, spec: PassSpec) -> float:
     return length_mm * (_FINISH_BYTES_PER_MM if spec.finishes else _ROUGH_BYTES_PER_MM)
 
 
-def shortage(folder: Path, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
-    """A warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them."""
+def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
+    """A warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
+
+    disk : what the disk of the folder is called
+    """
     wanted_mb = sum(expected_bytes(stock, spec) for spec in passes) / 1e6
     free_mb = shutil.disk_usage(folder).free / 1e6
-    sentence = f"the programs need about {wanted_mb:.0f} MB, the disk of {folder.parent} has {free_mb:.0f} MB free"
+    sentence = f"the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free"
     if free_mb < wanted_mb / 4:
         raise FailedError(sentence)
     return sentence if free_mb < wanted_mb else None

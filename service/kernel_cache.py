@@ -1,7 +1,10 @@
-"""Where numba keeps compiled kernels: one folder for each state of the sources.
+"""Where numba keeps compiled kernels, one folder for each state of the sources; and one thread for the linear algebra.
 
 numba's file cache notices a change in a kernel's own file, but not in a kernel of another file that it calls; after an
 update it would go on with the old one, and on a mill an old kernel is a wrong cut.
+
+Linear algebra libraries add up in another order when they use another number of threads, so that the same job would
+have other last digits, and other hashes, on another computer. Our own kernels use threads where that gains time.
 """
 
 from __future__ import annotations
@@ -12,13 +15,15 @@ import shutil
 from pathlib import Path
 
 _KEPT = 3  # states of the sources
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
 
 def use_current_kernels() -> None:
-    """Point numba's cache at this source state's folder; to be called before numba is imported.
+    """Point numba's cache at this source state's folder; to be called before numpy and numba are imported.
 
     A NUMBA_CACHE_DIR set by the user stays.
     """
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     if "NUMBA_CACHE_DIR" in os.environ:
         return
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill"

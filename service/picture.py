@@ -7,24 +7,22 @@ target pixel is the mean over the exact area it covers (Catmull-Rom only where t
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image
 
-from service.errors import PictureError, sentence_of_os_error
+from service.decoding import decoded, one_line
+from service.errors import PictureError
+from service.picture_limits import OWN_PICTURE, PictureLimits
 from service.resampling import Span, resampling_weights
 from service.spec import ImageSpec
 from service.tone import invert_tones, linear_strip, value_scale
 
 Array = npt.NDArray[np.float64]
 
-MAX_PIXELS = 100_000_000
-MIN_SIDE = 8
-_NEEDS_A_PROGRAM = {"EPS", "WMF"}  # Pillow hands these to Ghostscript or to Windows
 _STRIP_PIXELS = 4_000_000
 _BLACK = 1e-7  # far below the first step of 16 bits, above rounding
 _ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
@@ -32,10 +30,12 @@ _ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Picture:
-    """linear (ny, nx) in [0, 1], row 0 on top; what the file was; what the person should know about it."""
+    """linear (ny, nx) in [0, 1], row 0 on top; what the file was; what the person should know about it.
+
+    warnings : sentences without their subject, the picture: its name is for the caller to say
+    """
 
     linear: Array
-    file_name: str
     width: int
     height: int
     mode: str
@@ -46,88 +46,49 @@ class Picture:
         return bool(np.ptp(self.linear) <= _ONE_TONE * self.linear.max())
 
 
-def read_picture(path: Path, settings: ImageSpec, *, rows: int, aspect: float) -> Picture:
+def read_picture(
+    path: Path,
+    settings: ImageSpec,
+    *,
+    rows: int,
+    aspect: float,
+    limits: PictureLimits = OWN_PICTURE,
+    name: str | None = None,
+) -> Picture:
     """The picture at `path` as (rows, settings.pixels) linear light for a screen of aspect = width / height.
 
     Transparent parts lie over white (mixed in linear light). `pad` adds black: light goes to the picture alone.
-    `invert` is a negative in the picture's own tones. Raises PictureError, one line, and nothing else.
+    `invert` is a negative in the picture's own tones. Raises PictureError, one line, and nothing else; it
+    calls the picture by `name`, by default its path.
     """
-    image = _decoded(path)
+    name = name or str(path)
+    image = decoded(path, limits, name)
     width, height = image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:
         linear = _resampled(image, settings, rows, across, down)
     except MemoryError:
-        raise PictureError(f"{path}: {width} x {height} pixels do not fit in memory") from None
+        raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
-        raise PictureError(f"{path}: cannot read its pixels ({_one_line(error)})") from None
+        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
     if not linear.max() > _BLACK:
         inverted = " after inversion" if settings.invert else ""
-        raise PictureError(f"{path}: the picture is black everywhere{inverted}, there is no light to aim")
-    picture = Picture(linear=linear, file_name=path.name, width=width, height=height, mode=image.mode, warnings=())
+        raise PictureError(f"{name}: the picture is black everywhere{inverted}, there is no light to aim")
+    picture = Picture(linear=linear, width=width, height=height, mode=image.mode, warnings=())
     return _with_warnings(picture, settings)
 
 
 def _with_warnings(picture: Picture, settings: ImageSpec) -> Picture:
     notes = []
     if picture.is_one_tone:
-        notes.append(f"{picture.file_name} is one tone all over: the lens will be flat")
+        notes.append("is one tone all over: the lens will be flat")
     if picture.width < settings.pixels // 2 or picture.height < picture.linear.shape[0] // 2:
         ny, nx = picture.linear.shape
-        notes.append(f"{picture.file_name} has {picture.width} x {picture.height} pixels, enlarged to {nx} x {ny}")
+        notes.append(f"has {picture.width} x {picture.height} pixels, enlarged to {nx} x {ny}")
     return Picture(
-        linear=picture.linear, file_name=picture.file_name, width=picture.width, height=picture.height,
+        linear=picture.linear, width=picture.width, height=picture.height,
         mode=picture.mode, warnings=tuple(notes),
     )  # fmt: skip
-
-
-def _decoded(path: Path) -> Image.Image:
-    """The first frame, decoded and upright; every refusal that the header allows comes before decoding."""
-    try:
-        if path.stat().st_size == 0:
-            raise PictureError(f"{path}: the file is empty")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files
-            with Image.open(path, formats=_formats()) as opened:
-                _require_size(path, *opened.size)
-                opened.load()
-                upright = ImageOps.exif_transpose(opened)
-                return upright.copy() if upright is opened else upright
-    except PictureError:
-        raise
-    except Image.DecompressionBombError as error:
-        raise PictureError(f"{path}: {_bomb_pixels(error)} pixels; allowed: at most {MAX_PIXELS}") from None
-    except UnidentifiedImageError:
-        raise PictureError(f"{path}: not a picture that can be read (PNG, JPEG, TIFF, WebP, GIF ... can)") from None
-    except MemoryError:
-        raise PictureError(f"{path}: does not fit in memory") from None
-    except OSError as error:
-        if error.errno is None:  # Pillow's own: truncated, broken data stream ...
-            raise PictureError(f"{path}: the picture is damaged ({_one_line(error)})") from None
-        raise PictureError(sentence_of_os_error(error, doing="cannot read the picture")) from None
-    except Exception as error:  # decoders raise anything on damaged data: struct.error, IndexError, SyntaxError ...
-        raise PictureError(f"{path}: the picture is damaged ({_one_line(error)})") from None
-
-
-def _formats() -> list[str]:
-    Image.init()
-    return [name for name in Image.ID if name not in _NEEDS_A_PROGRAM]
-
-
-def _require_size(path: Path, width: int, height: int) -> None:
-    if width * height > MAX_PIXELS:
-        raise PictureError(f"{path}: {width} x {height} pixels are {width * height}; allowed: at most {MAX_PIXELS}")
-    if min(width, height) < MIN_SIDE:
-        raise PictureError(f"{path}: {width} x {height} pixels; allowed: at least {MIN_SIDE} x {MIN_SIDE}")
-
-
-def _bomb_pixels(error: Exception) -> str:
-    numbers = [word.strip("()") for word in str(error).split() if word.strip("()").isdigit()]
-    return numbers[0] if numbers else "too many"
-
-
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split())[:120] or type(error).__name__
 
 
 def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span]:

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -30,9 +30,11 @@ def main() -> int:
     use_current_kernels()
     os.nice(5)  # the stream of another program goes first
     from machines.errors import ProgramRefusedError
+    from machines.gcode.limits import MillLimits
 
     try:
-        found = _read(request)
+        limits = MillLimits.from_dict(request["limits"])
+        found = examine(Path(request["path"]), limits, lambda share: _answer({"share": share}))
         _write(Path(request["result"]), found)
         _answer({"done": True})
     except ProgramRefusedError as error:
@@ -42,16 +44,14 @@ def main() -> int:
     return 0
 
 
-def _read(request: dict[str, Any]) -> Preflight:
-    from machines.gcode.limits import MillLimits
-
-    path, limits = Path(request["path"]), MillLimits.from_dict(request["limits"])
+def examine(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
+    """Read a whole program in this process; ProgramRefusedError where the mill may not run it."""
     if limits.dialect == "rml-1":
-        return _read_rml(path, limits)
-    return _read_gcode(path, limits)
+        return _read_rml(path, limits, on_share)
+    return _read_gcode(path, limits, on_share)
 
 
-def _read_gcode(path: Path, limits: MillLimits) -> Preflight:
+def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
     from cam.duration import DurationModel, Kinematics
     from machines.gcode import rules, tally
     from machines.gcode.preflight import Preflight
@@ -71,7 +71,7 @@ def _read_gcode(path: Path, limits: MillLimits) -> Preflight:
     digest = hashlib.sha256()
     with ThreadPoolExecutor(1) as helper:  # one batch's time is planned while the next is read
         busy: Future[None] | None = None
-        for batch in scan.batches(_chunks(path, digest)):
+        for batch in scan.batches(_chunks(path, digest, on_share)):
             if busy is not None:
                 busy.result()
             busy = helper.submit(model.add, batch)
@@ -107,7 +107,7 @@ def _read_gcode(path: Path, limits: MillLimits) -> Preflight:
     )
 
 
-def _read_rml(path: Path, limits: MillLimits) -> Preflight:
+def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
     from machines.gcode.preflight import Bounds, Preflight
     from machines.gcode.text_index import TextIndex
     from machines.profiles import MachineProfile
@@ -127,7 +127,7 @@ def _read_rml(path: Path, limits: MillLimits) -> Preflight:
         spindle_rpm=limits.spindle_rpm,
         safe_z_mm=0.0,
     )
-    facts = check_rml(index.passing(_chunks(path, digest)), profile)
+    facts = check_rml(index.passing(_chunks(path, digest, on_share)), profile)
     box = Bounds(*facts.bounds_mm) if facts.bounds_mm else None
     return Preflight(
         sha256=digest.hexdigest(),
@@ -148,7 +148,7 @@ def _read_rml(path: Path, limits: MillLimits) -> Preflight:
     )
 
 
-def _chunks(path: Path, digest: hashlib._Hash) -> Iterator[bytes]:
+def _chunks(path: Path, digest: hashlib._Hash, on_share: Callable[[float], None]) -> Iterator[bytes]:
     """The file in pieces, hashed on the way, with its share told."""
     with path.open("rb", buffering=0) as file:
         size, done = max(1, os.fstat(file.fileno()).st_size), 0
@@ -156,7 +156,7 @@ def _chunks(path: Path, digest: hashlib._Hash) -> Iterator[bytes]:
             digest.update(chunk)
             done += len(chunk)
             yield chunk
-            _answer({"share": min(1.0, done / size)})
+            on_share(min(1.0, done / size))
 
 
 def _write(target: Path, found: Preflight) -> None:

@@ -103,9 +103,16 @@ class ServerSettings(BaseSettings):
 
     @classmethod
     def load(cls, **given: object) -> Self:
-        """From the environment, `given` (those not None) on top. InputError names the variable at fault."""
+        """From the environment, `given` (those not None) on top. InputError names the variable at fault.
+
+        What should not be in the environment may be in files: $CAUSTICMILL_SECRETS/causticmill_<name>.
+        """
+        secrets = os.environ.get(f"{PREFIX}SECRETS") or None
+        if secrets is not None and not Path(secrets).is_dir():
+            raise InputError(f"{PREFIX}SECRETS: there is no folder {secrets!r}")
+        values = {key: value for key, value in given.items() if value is not None}
         try:
-            return cls(**{key: value for key, value in given.items() if value is not None})  # type: ignore[arg-type]
+            return cls(_secrets_dir=secrets, **values)  # type: ignore[arg-type, call-arg]
         except ValidationError as error:
             raise InputError(*(_sentence(dict(problem)) for problem in error.errors())) from None
 

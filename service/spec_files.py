@@ -32,6 +32,17 @@ def resolve_spec(
 
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
     """
+    return with_feeds(validated(spec_data(file=file, preset=preset, overrides=overrides, base=base)))
+
+
+def spec_data(
+    *,
+    file: Path | None = None,
+    preset: str | None = None,
+    overrides: Sequence[str] = (),
+    base: Mapping[str, Any] | None = None,
+) -> dict[str, Any]:
+    """What resolve_spec validates: plain data, put together from all that was given."""
     data = _merged(base or {}, read_spec_file(file) if file else {})
     if preset is not None:
         data = {**data, "preset": preset}
@@ -44,7 +55,7 @@ def resolve_spec(
     for text in overrides:
         if text not in chosen:
             _override(data, text)
-    return with_feeds(validated(data))
+    return data
 
 
 def validated(data: Mapping[str, Any]) -> JobSpec:

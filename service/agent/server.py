@@ -27,6 +27,7 @@ from machines.runs import RunState
 from service.agent.access import MillAccess
 from service.agent.agent import Agent
 from service.agent.app import make_app
+from service.agent.card import announced
 from service.agent.keys import ClientKeys
 from service.agent.programs import ProgramStore
 from service.agent.settings import AgentSettings, usable
@@ -119,9 +120,8 @@ async def _serve(
     )
     watch.start()
     try:
-        with _told_to_stop() as stop:
+        with _told_to_stop() as stop, _announced(settings, listener):
             serving = asyncio.ensure_future(server.serve(sockets=[listener]))
-            _announce(settings, listener)
             stopping = asyncio.ensure_future(stop.wait())
             await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
             if stop.is_set():
@@ -183,10 +183,16 @@ def _moves(access: MillAccess) -> bool:
     return state in _MOVING or (run is not None and run.state in _GOING)
 
 
-def _announce(settings: AgentSettings, listener: socket.socket) -> None:
-    host, port = listener.getsockname()[:2]
-    shown = f"[{host}]" if ":" in host else host
-    print(f"agent of {printable(settings.machine)} on http://{shown}:{port}", flush=True)
-    if settings.token_path is not None:
-        print(f"token: {settings.token_path}", flush=True)
-    print(f"journal and programs: {settings.folder}", flush=True)
+@contextlib.contextmanager
+def _announced(settings: AgentSettings, listener: socket.socket) -> Iterator[None]:
+    """To the person at the terminal, and to the job server on this computer."""
+    address = listener.getsockname()[:2]
+    card = announced(settings.folder, machine=settings.machine, address=address, token_file=settings.token_file)
+    with card:
+        host, port = address
+        shown = f"[{host}]" if ":" in host else host
+        print(f"agent of {printable(settings.machine)} on http://{shown}:{port}", flush=True)
+        if settings.token_path is not None:
+            print(f"token: {settings.token_path}", flush=True)
+        print(f"journal and programs: {settings.folder}", flush=True)
+        yield

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from machines.port import stable_name
-from service.agent.auth import made_token, read_token
+from service.agent.auth import TOKEN_FILE, made_token, read_token
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.web.hosts import is_loopback
 
@@ -22,6 +22,7 @@ class AgentSettings:
     """machine is the profile's name; port_url overrules the profile's own port (None: as the profile says).
 
     token_path : where the token lies, for the person to read; None when it was given by --token-file
+    token_file : where the token lies in any case
     """
 
     machine: str
@@ -31,6 +32,7 @@ class AgentSettings:
     folder: Path
     token: str
     token_path: Path | None
+    token_file: Path
     max_program_bytes: int = 4 << 30
     ring_events: int = 1000
     heartbeat_s: float = 15.0
@@ -103,4 +105,5 @@ def agent_settings(
         folder=folder,
         token=token,
         token_path=path,
+        token_file=path or token_file or folder / TOKEN_FILE,
     )

@@ -1,1 +1,1 @@
-"""Commands that talk to a job server."""
+"""The commands `submit`, `jobs`, `get` and `runs`: they know the job server's REST interface and nothing else of it."""

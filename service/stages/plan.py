@@ -178,7 +178,8 @@ def shares(spec: JobSpec) -> dict[str, float]:
     for number, row in enumerate(spec.passes, 1):
         path_m = _path_m(spec, row)
         finishes = row.stock_to_leave_mm == 0
-        seconds[f"pass-{number}"] = 1.0 + 0.035 * path_m if finishes else 3.0 + 0.01 * path_m
+        layers_s = 5.0 if number == 1 else 1.5  # the first one takes off most
+        seconds[f"pass-{number}"] = layers_s + (0.035 if finishes else 0.01) * path_m
         seconds["check"] += 0.008 * path_m if finishes else 0.0
     whole = sum(seconds.values())
     return {name: seconds[name] / whole for name in plan(spec)}

@@ -1,8 +1,10 @@
-"""What the agent answers when it refuses: application/problem+json, with the field at fault."""
+"""What an HTTP interface of ours answers when it refuses: application/problem+json, with the field at fault."""
 
 from __future__ import annotations
 
 import errno
+from collections.abc import Mapping
+from enum import StrEnum
 
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -23,25 +25,100 @@ _TITLES = {
     403: "Forbidden",
     404: "Not found",
     405: "Method not allowed",
+    408: "Too slow",
     409: "Not allowed in this state",
+    412: "Changed meanwhile",
     413: "Too large",
     415: "Unsupported media type",
+    416: "No such range",
+    421: "Not for this server",
     422: "Unusable value",
-    500: "Fault of the agent",
+    429: "Too many requests",
+    431: "Headers too large",
+    500: "Fault inside",
     502: "Could not fetch",
-    503: "Mill not reachable",
+    503: "Not reachable",
+    504: "No answer in time",
     507: "No space left",
 }
 
 
-class Problem(Exception):
-    """A refusal: HTTP status, one line, and the field of the request it is about (empty if none)."""
+class Kind(StrEnum):
+    """The closed list of problem types, as a client may tell them apart: `urn:causticmill:problem:<kind>`."""
 
-    def __init__(self, status: int, detail: str, *, field: str = "") -> None:
+    BAD_REQUEST = "bad-request"
+    NOT_AUTHORISED = "not-authorised"
+    FORBIDDEN = "forbidden"
+    NOT_FOUND = "not-found"
+    METHOD_NOT_ALLOWED = "method-not-allowed"
+    TOO_SLOW = "too-slow"
+    WRONG_STATE = "wrong-state"
+    CHANGED = "changed"
+    TOO_LARGE = "too-large"
+    MEDIA_TYPE = "media-type"
+    RANGE = "range"
+    WRONG_HOST = "wrong-host"
+    UNUSABLE = "unusable"
+    SPEC = "spec"
+    PICTURE = "picture"
+    KEY_REUSED = "key-reused"
+    TOO_MANY = "too-many"
+    FAULT = "fault"
+    NOT_FETCHED = "not-fetched"
+    UNAVAILABLE = "unavailable"
+    NOT_READY = "not-ready"
+    MACHINE = "machine"
+    NO_ANSWER = "no-answer"
+    NO_SPACE = "no-space"
+
+
+_KINDS = {
+    400: Kind.BAD_REQUEST,
+    401: Kind.NOT_AUTHORISED,
+    403: Kind.FORBIDDEN,
+    404: Kind.NOT_FOUND,
+    405: Kind.METHOD_NOT_ALLOWED,
+    408: Kind.TOO_SLOW,
+    409: Kind.WRONG_STATE,
+    412: Kind.CHANGED,
+    413: Kind.TOO_LARGE,
+    415: Kind.MEDIA_TYPE,
+    416: Kind.RANGE,
+    421: Kind.WRONG_HOST,
+    422: Kind.UNUSABLE,
+    429: Kind.TOO_MANY,
+    431: Kind.TOO_LARGE,
+    500: Kind.FAULT,
+    502: Kind.NOT_FETCHED,
+    503: Kind.UNAVAILABLE,
+    504: Kind.NO_ANSWER,
+    507: Kind.NO_SPACE,
+}
+
+
+class Problem(Exception):
+    """A refusal: HTTP status, one line, and the field of the request it is about (empty if none).
+
+    kind : where several reasons share a status. headers : of the answer. more : further members of the problem.
+    """
+
+    def __init__(
+        self,
+        status: int,
+        detail: str,
+        *,
+        field: str = "",
+        kind: Kind | None = None,
+        headers: Mapping[str, str] | None = None,
+        more: Mapping[str, object] | None = None,
+    ) -> None:
         super().__init__(detail)
         self.status = status
         self.detail = printable(detail)
-        self.field = field
+        self.field = printable(field)
+        self.kind = kind or _KINDS.get(status, Kind.BAD_REQUEST if status < 500 else Kind.FAULT)
+        self.headers = dict(headers or {})
+        self.more = dict(more or {})
 
 
 def problem_of(error: Exception) -> Problem:
@@ -67,16 +144,24 @@ def problem_of(error: Exception) -> Problem:
 
 
 def problem_response(problem: Problem) -> Response:
+    headers = {"WWW-Authenticate": "Bearer"} if problem.status == 401 else {}
+    return JSONResponse(
+        problem_body(problem),
+        status_code=problem.status,
+        headers=headers | problem.headers,
+        media_type="application/problem+json",
+    )
+
+
+def problem_body(problem: Problem) -> dict[str, object]:
+    """The members of RFC 9457, and `field`."""
     body: dict[str, object] = {
-        "type": "about:blank",
+        "type": f"urn:causticmill:problem:{problem.kind}",
         "title": _TITLES.get(problem.status, "Refused"),
         "status": problem.status,
         "detail": problem.detail,
     }
-    if problem.field:
-        body["field"] = problem.field
-    headers = {"WWW-Authenticate": "Bearer"} if problem.status == 401 else None
-    return JSONResponse(body, status_code=problem.status, headers=headers, media_type="application/problem+json")
+    return body | ({"field": problem.field} if problem.field else {}) | problem.more
 
 
 async def on_error(_request: Request, error: Exception) -> Response:

@@ -25,7 +25,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from service.errors import InputError, JobError, PictureError, SpecError, printable, sentence_of_os_error
-from service.worker.linux import address_space_bytes, die_with_parent
+from service.worker.linux import address_space_bytes, die_with_parent, name_process
 
 Entry = Callable[[dict[str, Any], Callable[[float], None]], dict[str, Any]]
 
@@ -61,7 +61,7 @@ def run_child(given: ChildOrder) -> NoReturn:
     code = 70
     try:
         _become_a_stage(given)
-        words = _Words(given.words)
+        words = PipeOfWords(given.words)
         threading.Thread(target=_watch, args=(given.beats, given.silence_s), name="beats", daemon=True).start()
         words.last(_work(given, words))
         code = 0
@@ -78,6 +78,7 @@ def _become_a_stage(given: ChildOrder) -> None:
     for kind in (signal.SIGTERM, signal.SIGCHLD, signal.SIGINT, signal.SIGHUP):
         signal.signal(kind, signal.SIG_DFL)  # the plain end of a process needs no interpreter to be reached
     die_with_parent(given.parent)
+    name_process("cm-stage")
     os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     os.dup2(given.log, 1)
     os.dup2(given.log, 2)
@@ -115,7 +116,7 @@ def _watch(beats: int, silence_s: float) -> None:
             os.killpg(0, signal.SIGKILL)
 
 
-class _Words:
+class PipeOfWords:
     """The pipe to the worker. Progress is dropped while the pipe is full: nothing waits, nothing piles up."""
 
     def __init__(self, pipe: int) -> None:
@@ -147,7 +148,7 @@ def _line(word: dict[str, Any]) -> bytes:
     return json.dumps(word).encode() + b"\n"
 
 
-def _work(given: ChildOrder, words: _Words) -> dict[str, Any]:
+def _work(given: ChildOrder, words: PipeOfWords) -> dict[str, Any]:
     """Do the work; whatever becomes of it is one word."""
     try:
         with os.fdopen(given.order, "rb") as file:

@@ -10,6 +10,8 @@ from __future__ import annotations
 import logging
 import sqlite3
 import threading
+import time
+from collections import Counter
 from collections.abc import Callable
 from typing import Any
 
@@ -25,6 +27,7 @@ WORKFLOW = "job"
 SCHEMA_VERSION = "1"
 POLL_S = 0.2
 FENCED_PAUSE_S = 0.5
+STRAY_S = 5.0
 # A job may be begun so often before it counts as one that kills its workers.
 MAX_STARTS = 1000
 POOL = {"pool_size": 4, "max_overflow": 6, "pool_pre_ping": True}
@@ -41,6 +44,7 @@ class DbosEngine:
         self._client: DBOSClient | None = None
         self._lock = threading.Lock()
         self._serving = False
+        self._runner: _Runner | None = None
 
     def prepare(self) -> None:
         if self._path is not None:
@@ -77,7 +81,7 @@ class DbosEngine:
             self._clients().delete_workflows([ticket.text for ticket in ended])
 
     def serve(self, body: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
-        runner = _Runner(body, self, executor)
+        runner = self._runner = _Runner(body, self, executor)
         DBOS(config=self._config(executor))
 
         @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=MAX_STARTS)
@@ -92,6 +96,12 @@ class DbosEngine:
     def take_over(self, executors: list[str]) -> None:
         if executors:
             DBOS._recover_pending_workflows(executors)
+
+    def pick_up(self) -> None:
+        if self._runner is None:
+            return
+        for ticket in self._runner.strays(self.owners()):
+            self._clients().resume_workflow(ticket.text, queue_name=QUEUE)
 
     def close(self) -> None:
         if self._serving:
@@ -148,9 +158,25 @@ class _Runner:
         self._engine = engine
         self._executor = executor
         self._pause = threading.Event()
+        self._in_hand: Counter[Ticket] = Counter()
+        self._strays: dict[Ticket, float] = {}
 
     def run(self, text: str) -> None:
         ticket = Ticket.of(text)
+        self._in_hand[ticket] += 1
+        try:
+            self._go_on(ticket)
+        finally:
+            self._in_hand[ticket] -= 1
+
+    def strays(self, owners: dict[Ticket, str]) -> list[Ticket]:
+        """Tickets that have been ours for a while, and are not in hand: DBOS may just be about to call us."""
+        now = time.monotonic()
+        mine = {t for t, owner in owners.items() if owner == self._executor and not self._in_hand[t]}
+        self._strays = {ticket: self._strays.get(ticket, now) for ticket in mine}
+        return [ticket for ticket, since in self._strays.items() if now - since > STRAY_S]
+
+    def _go_on(self, ticket: Ticket) -> None:
         while True:
             try:
                 return self._body(ticket)
@@ -167,9 +193,16 @@ class _Runner:
             return False
 
 
+def _first_line(record: logging.LogRecord) -> bool:
+    """It puts whole tracebacks into messages about a database that is away for a moment."""
+    record.msg, record.args = record.getMessage().partition("\n")[0], None
+    return True
+
+
 def _quiet() -> None:
     """DBOS's words go where all of the program's go, warnings and worse; it would write to stderr itself."""
     logger = logging.getLogger("dbos")
     logger.handlers[:] = [logging.NullHandler()]
+    logger.filters[:] = [_first_line]
     logger.propagate = True
     logger.setLevel(logging.WARNING)

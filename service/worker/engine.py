@@ -64,4 +64,7 @@ class JobEngine(Protocol):
     def take_over(self, executors: list[str]) -> None:
         """Run here what these executors, which are dead, had begun. Safe to repeat and to race."""
 
+    def pick_up(self) -> None:
+        """Run what the engine says this executor has begun, but has not: the answer to its beginning was lost."""
+
     def close(self) -> None: ...

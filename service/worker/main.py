@@ -45,7 +45,7 @@ log = structlog.get_logger()
 
 
 def main(*, entry: str = STAGE_ENTRY) -> int:
-    """Run until told to stop; one line on stderr and a code where that cannot be. entry: what a stage's process runs."""
+    """Run until told to stop; one line on stderr and a code where that cannot be. entry: what stages run."""
     end = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: end.set())
@@ -146,6 +146,8 @@ class Worker:
             rounds.stop()
         if not self.bench.watch.is_idle_within(DRAIN_S):
             log.warning("jobs did not stop in time")
+        else:
+            shutil.rmtree(self.bench.scratch, ignore_errors=True)
         self._heart.stop()
         try:
             self.bench.lease.give_back()

@@ -25,7 +25,15 @@ from typing import Any, NoReturn
 
 from service.kernel_cache import use_current_kernels
 from service.worker.child import ChildOrder, find_entry, run_child
-from service.worker.linux import adopt_orphans, die_with_parent, own_children, signal_group, signal_stage, thread_count
+from service.worker.linux import (
+    adopt_orphans,
+    die_with_parent,
+    name_process,
+    own_children,
+    signal_group,
+    signal_stage,
+    thread_count,
+)
 
 MESSAGE_BYTES = 65536
 FILES = 3  # that come with an order: the order itself, the pipe of words, the log
@@ -206,6 +214,7 @@ def _group(pid: int) -> int:
 def main() -> None:
     """Arguments: the socket, the worker's process id, the function that does a stage's work."""
     line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    name_process("cm-nursery")
     die_with_parent(worker)  # whatever an import may be waiting for
     use_current_kernels()
     gc.disable()  # importing makes nothing but what stays

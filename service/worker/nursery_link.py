@@ -52,10 +52,10 @@ class _Life:
         self.ready = threading.Event()
         self.over = threading.Event()
         self.words = ""
-        self.pid = 0
         self.idle_since = time.monotonic()
         self.lock = threading.Lock()
         self._settings, self._entry = settings, entry
+        self._process: subprocess.Popen[bytes] | None = None
         self._children: dict[int, Child] = {}
         self.closing = False
         self._line, self._its_line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -94,23 +94,21 @@ class _Life:
     def kill(self) -> None:
         """It does not answer: the kernel ends its children with it."""
         with self.lock:
-            if not self.over.is_set() and self.pid:
-                os.kill(self.pid, 9)
+            if self._process is not None:
+                self._process.kill()
 
     def join(self) -> None:
         self._keeper.join()
 
     def _keep(self) -> None:
-        process = None
         try:
-            process = self._started()
-            self.pid = process.pid
+            self._process = self._started()
             self._its_line.close()
             self._listen()
         except OSError as error:
             self.words = f"cannot start the stages' process: {error.strerror or error}"
         finally:
-            self._end(process)
+            self._end()
 
     def _started(self) -> subprocess.Popen[bytes]:
         places = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
@@ -175,11 +173,12 @@ class _Life:
             self.idle_since = time.monotonic()
             return self._children.pop(number)
 
-    def _end(self, process: subprocess.Popen[bytes] | None) -> None:
+    def _end(self) -> None:
         """Whatever ended it: no process of it is left, and who waits for a child hears that it is orphaned."""
         self._line.close()
-        if process is not None:
-            code = _waited_for(process)
+        self._its_line.close()
+        if self._process is not None:
+            code = _waited_for(self._process)
             self.words = self.words or f"the stages' process ended (code {code})"
         with self.lock:
             self.over.set()

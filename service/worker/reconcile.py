@@ -50,6 +50,7 @@ class Reconciler:
     def turn(self) -> None:
         """Look once at everything."""
         self._submit_unknown()
+        self._engine.pick_up()
         live = self._take_over_dead()
         self._end_cancelled(live)
         self._end_given_up(live)

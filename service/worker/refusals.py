@@ -121,8 +121,8 @@ class NameLock:
         """Lock it again where the connection was lost. Who took it meanwhile has written his name over our lease."""
         try:
             self._connection.execute(sa.text("SELECT 1"))
-        except sa.exc.DBAPIError:
-            self._connection.close()
+        except sa.exc.SQLAlchemyError:
+            self._connection.close()  # closed it stays, and fails the next time, until there is a new one
             self._connection = self._connect()
             self._take()
 

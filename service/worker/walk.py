@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -111,8 +112,11 @@ class Walk:
         def on_progress(share: float) -> None:
             self._watched.news = (begun.stage, share, self._whole(begun.stage, share))
 
-        end = self._bench.processes.run(order, log=path, on_progress=on_progress, stop=self._watched.reason)
-        self._watched.news = None
+        try:
+            end = self._bench.processes.run(order, log=path, on_progress=on_progress, stop=self._watched.reason)
+        finally:
+            self._watched.news = None
+            shutil.rmtree(order.scratch, ignore_errors=True)  # a process that was killed could not
         log.info("stage ends", number=begun.number, end=type(end).__name__)
         return end
 

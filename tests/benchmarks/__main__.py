@@ -1,7 +1,7 @@
 """`make bench`: figures with machine and date beside them, in out/bench.md and out/bench.json.
 
 Figures are ratios within this run or best-of-several times on this machine; none of them is asserted.
-Name sections to run only those: python -m tests.benchmarks transport contact programs make
+Name sections to run only those: python -m tests.benchmarks transport contact programs make server
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from service.kernel_cache import use_current_kernels
 
 use_current_kernels()  # before numba
 
-from tests.benchmarks import contact, programs, transport, whole  # noqa: E402
+from tests.benchmarks import contact, programs, server, transport, whole  # noqa: E402
 from tests.benchmarks.reporting import run_sections  # noqa: E402
 
 SECTIONS = {
@@ -20,6 +20,7 @@ SECTIONS = {
     "contact": contact.figures,
     "programs": programs.figures,
     "make": whole.figures,
+    "server": server.figures,
 }
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ def test_a_faulty_program_fails_the_job(
 ) -> None:
     ramp = np.linspace(50, 127, 32)
     Image.fromarray(np.add.outer(ramp, ramp).astype(np.uint8)).save(tmp_path / "p.png")
-    monkeypatch.setattr("service.stages_cam.generate_program", spoiled(how))
+    monkeypatch.setattr("service.stages.programs.generate_program", spoiled(how))
     paths = [str(tmp_path / "p.png"), "-o", str(tmp_path / "out")]
     code = run(["make", *paths, "--quiet", "--preset", "draft", *SETTINGS])
     told = capsys.readouterr()

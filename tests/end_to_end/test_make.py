@@ -21,7 +21,7 @@ from PIL import Image
 from pygcode import Line, Machine
 
 from optics.heightfield import Heightfield
-from service.workshop import load_heightfield
+from service.stages.arrays import load_heightfield
 
 SIDE_MM = 10.0
 COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]

@@ -11,7 +11,7 @@ from service.errors import InputError, SpecError
 from service.machines_list import list_machines, run_machines
 from service.passes import machine_of
 from service.spec_files import resolve_spec
-from service.stages_cam import require_post
+from service.stages.programs import require_post
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from PIL import Image
 
 from optics.heightfield import Heightfield
 from service.cli import run
-from service.workshop import load_heightfield
+from service.stages.arrays import load_heightfield
 
 SIDE_MM, THROW_MM, INDEX = 20.0, 40.0, 1.49
 

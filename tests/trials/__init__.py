@@ -1,1 +1,1 @@
-"""Long trials of the streamer against the simulated mill; `make soak` runs them, `pytest` does not."""
+"""Long trials of the streamer against the simulated mill, and of the job server (`server`); `make soak` runs them."""

@@ -79,7 +79,7 @@ def test_a_damaged_and_a_black_picture_are_refused_by_their_name(job: StagedJob,
 
 def test_the_limits_of_the_order_hold(job: StagedJob, tmp_path: Path) -> None:
     order = replace(job.order("image"), limits=PictureLimits(max_pixels=1000))
-    assert refused(job, order, PictureError) == "blob.png: 40 x 40 pixels are 1600; allowed: at most 1000"
+    assert refused(job, order, PictureError) == "blob.png: 48 x 40 pixels are 1920; allowed: at most 1000"
     Image.new("L", (20, 20), 9).save(tmp_path / "p.pcx")
     assert "not a picture" in refused(job, with_picture(job, tmp_path / "p.pcx"), PictureError)
 

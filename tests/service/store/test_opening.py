@@ -51,7 +51,7 @@ def test_what_is_no_store_is_refused_by_name(tmp_path: Path, url: str) -> None:
 def test_a_bucket_is_shared_and_a_missing_one_is_told(tmp_path: Path, s3_address: str) -> None:
     store = open_store(ServerSettings(data=tmp_path, store_url="s3://no-such-bucket/here", database_url=POSTGRES))
     assert isinstance(store, S3Store) and store.shared
-    with pytest.raises(FailedError, match="s3://no-such-bucket") as error:
+    with pytest.raises(FailedError, match=r"s3://no-such-bucket") as error:
         store.check()
     assert "\n" not in str(error.value)
 
@@ -66,7 +66,7 @@ def test_an_unreachable_server_is_one_line(tmp_path: Path, s3_address: str, monk
 
 def test_plain_http_is_for_loopback_only(tmp_path: Path, s3_address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://192.0.2.1:9000")
-    with pytest.raises((InputError, FailedError), match="(?i)http"):
+    with pytest.raises((InputError, FailedError), match=r"(?i)http"):
         open_store(ServerSettings(data=tmp_path, store_url="s3://bucket")).check()
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -37,7 +36,7 @@ def body(ticket: Ticket) -> None:
 engine = DbosEngine(ServerSettings.load())
 engine.serve(body, executor=executor, slots=1)
 print("ready", flush=True)
-while dead and os.getppid() != 1:
+while os.getppid() != 1:
     engine.take_over(dead)
+    engine.pick_up()
     time.sleep(0.05)
-threading.Event().wait()

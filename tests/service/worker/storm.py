@@ -110,6 +110,7 @@ class Storm:
     def submit(self, count: int, *, first: int = 0) -> list[str]:
         """Jobs that differ from each other from the map on."""
         picture = self.folder / "picture"
+        picture.unlink(missing_ok=True)  # it may be the store's own file by now
         picture.write_bytes(b"a picture")
         stored = self.store.put_file(picture)
         made = []

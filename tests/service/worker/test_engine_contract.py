@@ -11,7 +11,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import sqlalchemy as sa
 
+from service.jobs.database import connect, writing
 from service.settings import ServerSettings
 from service.worker.dbos_engine import DbosEngine
 from service.worker.engine import JobEngine, Ticket
@@ -163,3 +165,27 @@ def test_a_frozen_owner_that_wakes_up_changes_nothing(stand: Stand) -> None:
     stand.await_notes(2, "end")
     assert stand.engine.ended([ticket]) == {ticket}
     assert stand.engine.owners() == {}
+
+
+def test_a_ticket_that_was_begun_without_anybody_knowing_runs(stand: Stand) -> None:
+    """The database died after it had noted that the executor begins, and before the executor heard of it."""
+    first, stray = Ticket("slow", 1), Ticket("stray", 1)
+    stand.serve("a")
+    stand.engine.submit(first, priority=1)
+    stand.await_notes(1)
+    stand.engine.submit(stray, priority=1)
+    begin_unheard(stand.settings, stray, "a")
+    (stand.folder / "release").touch()
+    stand.await_end(first, stray)
+    assert [ticket for ticket, _ in stand.notes()] == ["slow.1", "stray.1"]
+
+
+def begin_unheard(settings: ServerSettings, ticket: Ticket, executor: str) -> None:
+    """What the engine's own table holds after such an accident."""
+    embedded = f"sqlite:///{settings.data / 'engine.sqlite'}"
+    table = "workflow_status" if settings.embedded else "dbos.workflow_status"
+    database = connect(embedded if settings.embedded else settings.sqlalchemy_url)
+    with writing(database) as connection:
+        begun = sa.text(f"UPDATE {table} SET status = 'PENDING', executor_id = :e WHERE workflow_uuid = :t")
+        assert connection.execute(begun, {"e": executor, "t": ticket.text}).rowcount == 1
+    database.dispose()

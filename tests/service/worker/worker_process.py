@@ -1,4 +1,4 @@
-"""A worker to be killed: runs one odd stage and prints how it ended. Arguments: data folder, order as JSON."""
+"""A worker to be killed: runs one stage, prints how it ended. Arguments: data folder, order (JSON), lease, entry."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from service.settings import ServerSettings
 from service.worker.processes import StageProcesses
 
 settings = ServerSettings.load(data=Path(sys.argv[1]), lease_s=float(sys.argv[3]))
-processes = StageProcesses(settings, entry="odd_stages:run")
+processes = StageProcesses(settings, entry=sys.argv[4])
 end = processes.run(
     json.loads(sys.argv[2]), log=settings.data / "stage.log", on_progress=lambda _: None, stop=lambda: None
 )

@@ -56,7 +56,7 @@ def hold_interpreter(order, on_progress):
 
 
 def deaf(order, on_progress):
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
     _tell(order)
     time.sleep(60)
 

@@ -1,0 +1,78 @@
+"""agent.json in the agent's folder: where the agent of this mill is, for the job server on the same computer.
+
+It is there from when the agent listens until its orderly end. After a crash it points to nobody, or to a stranger: who
+reads it must ask whom it meets for the machine's name, and the token in the folder is no other agent's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+CARD_FILE = "agent.json"
+_ANY = {"0.0.0.0": "127.0.0.1", "::": "::1"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AgentCard:
+    """url: for callers on this computer; token_file: where its token lies; started_s: seconds since 1970."""
+
+    machine: str
+    url: str
+    pid: int
+    token_file: str
+    started_s: float
+    version: str
+
+
+def read_card(folder: Path) -> AgentCard | None:
+    """The card in this folder; None where there is none that can be read."""
+    try:
+        values: Any = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+        card = AgentCard(**{name: values[name] for name in AgentCard.__slots__})
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    texts = (card.machine, card.url, card.token_file, card.version)
+    return card if all(isinstance(text, str) for text in texts) and isinstance(card.pid, int) else None
+
+
+@contextlib.contextmanager
+def announced(folder: Path, *, machine: str, address: tuple[str, int], token_file: Path) -> Iterator[None]:
+    """The card is there while the block runs. A disk that refuses costs the server's finding us, not the mill."""
+    card = AgentCard(
+        machine=machine,
+        url=agent_url(*address),
+        pid=os.getpid(),
+        token_file=str(token_file.absolute()),
+        started_s=round(time.time(), 3),
+        version=metadata.version("causticmill"),
+    )
+    with contextlib.suppress(OSError):
+        _write(folder / CARD_FILE, card)
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            (folder / CARD_FILE).unlink(missing_ok=True)  # ours: the folder has been ours all the time
+
+
+def agent_url(host: str, port: int) -> str:
+    """How a program on this computer reaches a server bound to `host`."""
+    host = _ANY.get(host, host)
+    return f"http://[{host}]:{port}" if ":" in host else f"http://{host}:{port}"
+
+
+def _write(path: Path, card: AgentCard) -> None:
+    fresh = path.with_suffix(".new")
+    with fresh.open("w", encoding="utf-8") as file:
+        json.dump(asdict(card), file)
+        file.flush()
+        os.fsync(file.fileno())
+    fresh.replace(path)

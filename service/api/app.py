@@ -1,0 +1,96 @@
+"""The job server's HTTP application: routes behind the guard, every refusal as a problem."""
+
+from __future__ import annotations
+
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib import metadata
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from starlette.middleware import Middleware
+
+from service.api import (
+    routes_archive,
+    routes_artifacts,
+    routes_events,
+    routes_health,
+    routes_jobs,
+    routes_machines,
+    routes_runs,
+    routes_submit,
+    routes_tokens,
+)
+from service.api.answers import with_problems
+from service.api.body import SmallBodies
+from service.api.guard import Guard
+from service.api.metrics import Measured
+from service.api.problems import install_problems
+from service.api.services import Services
+
+_ABOUT = """A picture goes in; out come the programs that mill a block so that light through it paints the picture.
+
+`POST /v1/jobs` takes a picture and a job spec; `GET /v1/jobs/{id}/events` follows the job; its files are artifacts, its
+programs are offered as soon as all of them have been checked. `POST /v1/machines/{m}/runs` hands a program to a mill,
+where it waits, parked, until a person starts it. Errors are `application/problem+json` (RFC 9457) with the `field` at
+fault. There is no /docs page, because its scripts would come from elsewhere: load `/openapi.json` into a viewer.
+"""
+_TAGS = [
+    {"name": "jobs", "description": "Pictures to programs."},
+    {"name": "artifacts", "description": "The files of a job."},
+    {"name": "machines", "description": "The mills."},
+    {"name": "runs", "description": "Programs on mills. Nothing moves before `:start`, and none of it by itself."},
+    {"name": "operations", "description": "For whoever runs the server."},
+]
+_ROUTERS = (
+    routes_submit,
+    routes_tokens,
+    routes_jobs,
+    routes_events,
+    routes_artifacts,
+    routes_archive,
+    routes_machines,
+    routes_runs,
+    routes_health,
+)
+_QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}
+
+
+def make_app(services: Services) -> FastAPI:
+    @asynccontextmanager
+    async def life(_app: FastAPI) -> AsyncIterator[None]:
+        yield
+        services.feed.close()
+
+    app = FastAPI(
+        title="causticmill",
+        version=metadata.version("causticmill"),
+        description=_ABOUT,
+        openapi_tags=_TAGS,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+        telemetry=_QUIET,
+        lifespan=life,
+        middleware=[
+            Middleware(Measured, metrics=services.metrics),
+            Middleware(Guard, services=services),
+            Middleware(SmallBodies, but=("POST", "/v1/jobs")),
+        ],
+    )
+    app.state.services = services
+    install_problems(app)
+    for module in _ROUTERS:
+        app.include_router(module.router)
+    app.openapi = lambda: _document(app)  # type: ignore[method-assign]
+    return app
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    if app.openapi_schema is None:
+        document = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes, tags=app.openapi_tags
+        )
+        app.openapi_schema = with_problems(document)
+    return app.openapi_schema

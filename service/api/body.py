@@ -1,0 +1,77 @@
+"""The body of a request, piece by piece, with patience that ends; and what is left of it when the answer is no."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from service.web.problems import Problem
+
+_CHUNK_WAIT_S = 30.0
+_SMALL_BYTES = 64 << 10
+_LINGER_S = 2.0
+_LINGER_BYTES = 8_000_000
+
+
+class Body:
+    """Read once, by `pieces`."""
+
+    def __init__(self, request: Request, *, wait_s: float = _CHUNK_WAIT_S) -> None:
+        self._request = request
+        self._wait_s = wait_s
+        self._more = True
+
+    async def pieces(self) -> AsyncIterator[bytes]:
+        """Problem 408 for a client that stops sending, ClientDisconnect for one that goes."""
+        while self._more:
+            try:
+                yield await asyncio.wait_for(self._piece(), self._wait_s)
+            except TimeoutError:
+                raise Problem(408, f"nothing came for {self._wait_s:g} s in the middle of the request") from None
+
+    async def linger(self) -> None:
+        """Read a little of what a refused client still sends: if closed at once, it could lose the answer."""
+        if "expect" in self._request.headers:
+            return
+        taken = 0
+        with contextlib.suppress(TimeoutError, ClientDisconnect):
+            async with asyncio.timeout(_LINGER_S):
+                while self._more and taken < _LINGER_BYTES:
+                    taken += len(await self._piece())
+
+    async def _piece(self) -> bytes:
+        message = await self._request.receive()
+        if message["type"] != "http.request":
+            self._more = False
+            raise ClientDisconnect
+        self._more = bool(message.get("more_body"))
+        return bytes(message.get("body", b""))
+
+
+class SmallBodies:
+    """ASGI middleware: no body is longer than 64 kB, but those of one address, which counts for itself."""
+
+    def __init__(self, app: ASGIApp, *, but: tuple[str, str]) -> None:
+        self._app = app
+        self._but = but
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] != "http" or (scope["method"], scope["path"]) == self._but:
+            await self._app(scope, receive, send)
+            return
+        taken = 0
+
+        async def counted() -> Message:
+            nonlocal taken
+            message = await receive()
+            taken += len(message.get("body", b""))
+            if taken > _SMALL_BYTES:
+                raise HTTPException(413)  # the framework passes this one on, and makes 400 of all others
+            return message
+
+        await self._app(scope, counted, send)

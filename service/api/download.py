@@ -1,0 +1,76 @@
+"""One stored object as an HTTP answer: whole or a range, from the store's own address where it has one."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass
+
+from starlette.responses import RedirectResponse, Response, StreamingResponse
+
+from service.api.conditions import matches, wanted_range
+from service.api.views import media_type
+from service.jobs.records import Artifact
+from service.store.store import Store
+
+_INLINE = ("image/png", "application/json", "text/html; charset=utf-8", "text/plain; charset=utf-8")
+# A report is a page with pictures beside it and no scripts: it gets no rights over this server's pages.
+_PAGE_POLICY = "sandbox; default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'"
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """The request's headers of these names."""
+
+    range: str | None
+    if_range: str | None
+    if_none_match: str | None
+
+
+async def download(store: Store, file: Artifact, conditions: Conditions, *, with_body: bool) -> Response:
+    """MissingObjectError where the store has lost the file."""
+    kind, tag = media_type(file.name), f'"{file.sha256}"'
+    headers = _headers(file, kind, tag)
+    if matches(conditions.if_none_match, tag):
+        return Response(status_code=304, headers=headers)
+    part = wanted_range(conditions.range, conditions.if_range, size=file.bytes, etag=tag)
+    if with_body and (url := await asyncio.to_thread(store.url, file.sha256, file_name=file.name, media_type=kind)):
+        return RedirectResponse(url, status_code=307, headers={"ETag": tag, "Cache-Control": "no-store"})
+    start, end = part or (0, file.bytes)
+    if part is not None:
+        headers["Content-Range"] = f"bytes {start}-{end - 1}/{file.bytes}"
+    headers["Content-Length"] = str(end - start)
+    status = 200 if part is None else 206
+    if not with_body:
+        await asyncio.to_thread(store.head, file.sha256)
+        return Response(status_code=status, headers=headers, media_type=kind)
+    pieces = await asyncio.to_thread(store.open_range, file.sha256, start, end)
+    return StreamingResponse(in_threads(pieces), status_code=status, headers=headers, media_type=kind)
+
+
+async def in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    """Each piece is made in a thread, when the one before has been taken; one more is ready at any time."""
+    ahead = asyncio.ensure_future(asyncio.to_thread(next, pieces, None))
+    try:
+        while (piece := await ahead) is not None:
+            ahead = asyncio.ensure_future(asyncio.to_thread(next, pieces, None))
+            yield piece
+    finally:
+        await asyncio.wait({ahead})
+        with contextlib.suppress(asyncio.CancelledError, Exception):
+            ahead.result()  # else the loop complains of an error nobody looked at
+        if close := getattr(pieces, "close", None):
+            close()
+
+
+def _headers(file: Artifact, kind: str, tag: str) -> dict[str, str]:
+    where = "inline" if kind in _INLINE else "attachment"
+    headers = {
+        "ETag": tag,
+        "Accept-Ranges": "bytes",
+        "Cache-Control": "private, no-cache",
+        "Content-Disposition": f'{where}; filename="{file.name}"',
+        "X-Content-Type-Options": "nosniff",
+    }
+    return headers | ({"Content-Security-Policy": _PAGE_POLICY} if kind.startswith("text/html") else {})

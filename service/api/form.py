@@ -1,0 +1,208 @@
+"""A job's form as it comes over the wire: the picture goes straight to a file, nothing is held but small parts.
+
+Every limit counts while the bytes arrive, so what is too large is refused before it has filled anything. The file
+lives in `uploads` in the data folder, locked while its request lasts: whatever nobody holds a lock on was left by a
+server that was killed, and the next one removes it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import hashlib
+import secrets
+from collections.abc import AsyncIterator, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.requests import Request
+
+from service.api.body import Body
+from service.api.names import harmless_name
+from service.web.problems import Problem
+
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks
+
+SPEC_BYTES = 1_000_000
+_OVERHEAD_BYTES = 100_000  # boundaries, headers and the small parts
+_SMALL = {"spec": SPEC_BYTES, "priority": 40}
+_PARTS = 8
+
+
+@dataclass(slots=True, kw_only=True)
+class JobForm:
+    """What a request held. `path` is the picture; texts holds `spec` and `priority` where they were given."""
+
+    path: Path
+    image_name: str = ""
+    image_bytes: int = 0
+    image_sha256: str = ""
+    texts: dict[str, bytearray] = field(default_factory=dict)
+
+
+@contextlib.asynccontextmanager
+async def received_form(request: Request, folder: Path, *, max_image_bytes: int) -> AsyncIterator[JobForm]:
+    """The whole form; its file is removed at the end. Problem for what is no such form, or too large."""
+    body = Body(request)
+    try:
+        with _new_file(folder) as (path, file):
+            yield await _read(request, body, path, file, max_image_bytes)
+    except Problem:
+        await body.linger()
+        raise
+
+
+async def _read(request: Request, body: Body, path: Path, file: BinaryIO, max_image_bytes: int) -> JobForm:
+    boundary = _boundary(request)
+    _require_fitting(request, max_image_bytes + SPEC_BYTES + _OVERHEAD_BYTES)
+    reader = _Reader(JobForm(path=path), file, max_image_bytes)
+    parser = MultipartParser(boundary, reader.callbacks(), max_header_count=8, max_header_size=2048)
+    taken = 0
+    async for piece in body.pieces():
+        taken += len(piece)
+        if taken > max_image_bytes + SPEC_BYTES + _OVERHEAD_BYTES:
+            raise _too_large(max_image_bytes)
+        try:
+            await asyncio.to_thread(parser.write, piece)
+        except FormParserError:
+            raise Problem(400, "the body is not multipart/form-data, or not well made", field="body") from None
+    file.flush()
+    return reader.done()
+
+
+def sweep_uploads(folder: Path) -> None:
+    """Remove what killed servers left; an upload that is under way keeps its lock."""
+    for path in folder.glob("*.upload"):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
+
+
+class _Reader:
+    """The parser's callbacks: which part this is, and where its bytes go."""
+
+    def __init__(self, form: JobForm, file: BinaryIO, max_image_bytes: int) -> None:
+        self._form = form
+        self._file = file
+        self._most = max_image_bytes
+        self._digest = hashlib.sha256()
+        self._header = (bytearray(), bytearray())
+        self._disposition = b""
+        self._part = ""
+        self._seen: list[str] = []
+        self._ended = False
+
+    def callbacks(self) -> MultipartCallbacks:
+        return {
+            "on_part_begin": self._begin,
+            "on_header_field": lambda data, start, end: self._header[0].extend(data[start:end]),
+            "on_header_value": lambda data, start, end: self._header[1].extend(data[start:end]),
+            "on_header_end": self._end_of_header,
+            "on_headers_finished": self._end_of_headers,
+            "on_part_data": self._data,
+            "on_end": self._end,
+        }
+
+    def done(self) -> JobForm:
+        """The form, if it is whole."""
+        if not self._ended:
+            raise Problem(400, "the body ends in the middle of the form", field="body")
+        if "image" not in self._seen:
+            raise Problem(422, "the form has no part 'image' with the picture", field="image")
+        if not self._form.image_bytes:
+            raise Problem(422, "the part 'image' is empty", field="image")
+        self._form.image_sha256 = self._digest.hexdigest()
+        return self._form
+
+    def _begin(self) -> None:
+        self._disposition = b""
+        if len(self._seen) >= _PARTS:
+            raise Problem(422, f"the form has more than {_PARTS} parts", field="body")
+
+    def _end_of_header(self) -> None:
+        name, value = (bytes(text) for text in self._header)
+        self._header = (bytearray(), bytearray())
+        if name.strip().lower() == b"content-disposition":
+            self._disposition = value
+        elif name.strip().lower() == b"content-transfer-encoding" and value.strip().lower() not in (b"binary", b"8bit"):
+            raise Problem(422, "parts must be sent as they are, without a transfer encoding", field="body")
+
+    def _end_of_headers(self) -> None:
+        kind, options = _options(self._disposition)
+        name = harmless_name(options.get(b"name", b""), default="")
+        if kind != b"form-data" or not name:
+            raise Problem(400, "a part of the form has no name", field="body")
+        if name not in ("image", *_SMALL):
+            allowed = ", ".join(("image", *_SMALL))
+            raise Problem(422, f"the form has a part '{name[:60]}'; allowed: {allowed}", field=name[:60])
+        if name in self._seen:
+            raise Problem(422, f"the form has two parts '{name}'; allowed: one", field=name)
+        self._seen.append(name)
+        self._part = name
+        if name == "image":
+            self._form.image_name = harmless_name(options.get(b"filename", b""), default="picture")
+        else:
+            self._form.texts[name] = bytearray()
+
+    def _data(self, data: bytes, start: int, end: int) -> None:
+        piece = data[start:end]
+        if self._part == "image":
+            self._form.image_bytes += len(piece)
+            if self._form.image_bytes > self._most:
+                raise _too_large(self._most)
+            self._digest.update(piece)
+            self._file.write(piece)
+            return
+        self._form.texts[self._part] += piece
+        if len(self._form.texts[self._part]) > _SMALL[self._part]:
+            most = _SMALL[self._part]
+            raise Problem(413, f"the part '{self._part}' is longer than {most} bytes", field=self._part)
+
+    def _end(self) -> None:
+        self._ended = True
+
+
+def _boundary(request: Request) -> bytes:
+    kind, options = _options(request.headers.get("content-type", "").encode("latin-1"))
+    if kind != b"multipart/form-data":
+        raise Problem(415, "the Content-Type must be multipart/form-data", field="Content-Type")
+    boundary = options.get(b"boundary", b"")
+    if not 1 <= len(boundary) <= 70:
+        raise Problem(400, "the Content-Type names no boundary of 1 to 70 characters", field="Content-Type")
+    return boundary
+
+
+def _options(header: bytes) -> tuple[bytes, dict[bytes, bytes]]:
+    """A header's value and its parameters; nothing where it makes no sense."""
+    try:
+        kind, options = parse_options_header(header)
+    except (ValueError, LookupError, TypeError):
+        return b"", {}
+    return kind, options
+
+
+def _require_fitting(request: Request, most: int) -> None:
+    length = request.headers.get("content-length", "")
+    if length.isascii() and length.isdigit() and (len(length) > 15 or int(length) > most):
+        raise _too_large(most)
+
+
+def _too_large(most: int) -> Problem:
+    return Problem(413, f"the picture is too large; allowed: {most / 1e6:g} MB", field="image")
+
+
+@contextlib.contextmanager
+def _new_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{secrets.token_hex(8)}.upload"
+    try:
+        with path.open("xb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield path, file
+    finally:
+        path.unlink(missing_ok=True)

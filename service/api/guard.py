@@ -1,0 +1,171 @@
+"""The door: before any route is looked at, every request is held against what a browser or a stranger could make up.
+
+Plain ASGI, so that streams pass through untouched. In this order: what is not HTTP, malformed or foreign headers, who
+is calling, how much they ask for. A caller is known by a token; without one, and only as long as no token was ever
+made, somebody on this very computer (not somebody whom a proxy on it lets in) may work with jobs, never with mills.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from urllib.parse import urlsplit
+
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.api.auth import ANONYMOUS, MACHINE_RUN, Principal, not_authorised, note_open, note_principal
+from service.api.limits import Limiter
+from service.api.services import Services
+from service.jobs.tokens import Token
+from service.web.hosts import is_loopback, is_own_host, own_names
+from service.web.problems import Problem, problem_response
+
+OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
+OPEN = frozenset({"/openapi.json"})  # to everybody
+
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+_SINGLE = frozenset({b"host", b"authorization", b"origin", b"content-type", b"idempotency-key", b"last-event-id"})
+_FORWARDED = frozenset({b"forwarded", b"via", b"x-real-ip"})
+_MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
+_BURST_S = 10.0
+_LOOK_UPS = 8
+
+Headers = dict[bytes, bytes]
+
+
+class Guard:
+    """ASGI middleware; put it outermost."""
+
+    def __init__(self, app: ASGIApp, *, services: Services) -> None:
+        settings = services.settings
+        self._app = app
+        self._tokens = services.tokens
+        self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
+        self._anonymous_jobs = settings.anonymous == "jobs" and not settings.behind_proxy
+        self._requests = Limiter(settings.requests_per_s, _BURST_S * settings.requests_per_s)
+        self._jobs = Limiter(settings.jobs_per_min / 60, settings.jobs_per_min)
+        # Threads of its own: a hold never waits for its caller to be recognised behind slow downloads.
+        self._threads = ThreadPoolExecutor(_LOOK_UPS, thread_name_prefix="guard")
+        self._notes = ThreadPoolExecutor(1, thread_name_prefix="guard-notes")
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        if scope["type"] != "http":
+            await send({"type": "websocket.close", "code": 1008})
+            return
+        try:
+            await self._admit(scope)
+        except Problem as problem:
+            await problem_response(problem)(scope, receive, send)
+            return
+        await self._app(scope, receive, send)
+
+    async def _admit(self, scope: Scope) -> None:
+        headers = _plain_headers(scope)
+        host = headers.get(b"host", b"").decode("latin-1").lower()
+        if not is_own_host(host, self._names):
+            raise Problem(403, f"Host is '{host[:100]}'; allowed: localhost, an address, or a name of this server")
+        if scope["method"] not in _SAFE:
+            _refuse_foreign_page(headers, host)
+        here = _is_here(scope, headers)
+        if _is_open(scope["path"], here):  # and stays so when the database is away
+            note_open(scope)
+            return
+        principal = await self._caller(headers, here)
+        if principal is not None:
+            note_principal(scope, principal)
+        self._charge(scope, principal)
+        if principal is None:
+            wrong = b"authorization" in headers
+            raise not_authorised("this token is unknown, expired or revoked") if wrong else not_authorised()
+
+    async def _caller(self, headers: Headers, here: bool) -> Principal | None:
+        ask = asyncio.get_running_loop().run_in_executor
+        shown = headers.get(b"authorization")
+        try:
+            if shown is not None:
+                token = await ask(self._threads, self._tokens.find, _secret(shown))
+                return self._known(token) if token else None
+            if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.any_ever):
+                return ANONYMOUS
+        except SQLAlchemyError:
+            words = "the database cannot be asked who you are; try again"
+            raise Problem(503, words, headers={"Retry-After": "2"}) from None
+        return None
+
+    def _known(self, token: Token) -> Principal:
+        """Its use is noted by another thread: a busy database must not hold a caller up who only reads."""
+        self._notes.submit(self._note_use, token)
+        return Principal(name=token.name, scopes=token.scopes, id=token.id)
+
+    def _note_use(self, token: Token) -> None:
+        with contextlib.suppress(SQLAlchemyError):
+            self._tokens.note_use(token)
+
+    def _charge(self, scope: Scope, principal: Principal | None) -> None:
+        """429 to one who asks for too much. To stop a mill is never too much."""
+        method, path, peer = scope["method"], scope["path"], scope.get("client")
+        caller = f"peer {peer[0] if peer else '?'}"
+        if principal is not None and not principal.anonymous:
+            if MACHINE_RUN in principal.scopes and method == "POST" and path.endswith((":hold", ":abort")):
+                return
+            caller = f"token {principal.id}"
+        wait_s = self._requests.wait_s(caller)
+        words = "too many requests"
+        if not wait_s and method == "POST" and path == "/v1/jobs":
+            wait_s, words = self._jobs.wait_s(caller), "too many new jobs"
+        if wait_s:
+            seconds = math.ceil(wait_s)
+            raise Problem(429, f"{words}; try again in {seconds} s", headers={"Retry-After": str(seconds)})
+
+
+def _plain_headers(scope: Scope) -> Headers:
+    """The headers as a table; a Problem where one that decides something is there twice, or where they are a flood."""
+    pairs = scope["headers"]
+    if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > _MOST_HEADER_BYTES:
+        raise Problem(431, f"allowed: {_MOST_HEADERS} headers of {_MOST_HEADER_BYTES} bytes in all")
+    for name, count in Counter(name for name, _ in pairs).items():
+        if count > 1 and name in _SINGLE:
+            raise Problem(400, f"{count} {name.decode()} headers", field=name.decode())
+    return dict(pairs)
+
+
+def _refuse_foreign_page(headers: Headers, host: str) -> None:
+    """A page of another site can make a browser send us things; the browser says so."""
+    origin = headers.get(b"origin")
+    if origin is not None and _site(origin) != host:
+        words = "Origin is another site; changes are taken from this server's own pages only"
+        raise Problem(403, words, field="Origin")
+    if headers.get(b"sec-fetch-site", b"none").lower() not in (b"none", b"same-origin"):
+        raise Problem(
+            403, "another site sent this; changes are taken from this server's own pages only", field="Origin"
+        )
+
+
+def _secret(authorization: bytes) -> str:
+    kind, _, secret = authorization.decode("latin-1").partition(" ")
+    return secret.strip() if kind.lower() == "bearer" else ""
+
+
+def _site(origin: bytes) -> str | None:
+    try:
+        return urlsplit(origin.decode("latin-1").lower()).netloc
+    except ValueError:
+        return None
+
+
+def _is_here(scope: Scope, headers: Headers) -> bool:
+    """The caller is on this computer, and no proxy has passed its request on."""
+    peer = scope.get("client")
+    forwarded = any(name in _FORWARDED or name.startswith(b"x-forwarded-") for name in headers)
+    return peer is not None and is_loopback(peer[0]) and not forwarded
+
+
+def _is_open(path: str, here: bool) -> bool:
+    return path in OPEN or (here and path in OPEN_HERE)

@@ -1,0 +1,30 @@
+"""A job's JSON, read from the book: what the routes that answer with a job have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from service.api import views
+from service.api.services import Services
+from service.jobs.records import Job
+from service.jobs.states import JobState
+
+
+def whole_job(services: Services, job: Job) -> dict[str, Any]:
+    book = services.book
+    position = book.queue_position(job.id) if job.state is JobState.QUEUED else None
+    progress = book.latest({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None
+    runs, files = book.stages(job.id), book.artifacts(job.id)
+    return views.whole(job, position=position, progress=progress, runs=runs, files=files)
+
+
+def job_list(services: Services, jobs: Sequence[Job]) -> list[dict[str, Any]]:
+    book = services.book
+    positions = book.queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
+    running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
+    progress = book.latest(running).progress
+    return [views.summary(job, position=positions.get(job.id), progress=progress.get(job.id)) for job in jobs]
+
+
+_NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is asked for

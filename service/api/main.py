@@ -1,0 +1,161 @@
+"""The API process: `python -m service.api.main`, configured by the environment. It never computes and never migrates.
+
+Prints one line when it serves. SIGTERM and SIGINT: no new connections, streams end, requests have five seconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+import uvicorn
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.api.app import make_app
+from service.api.auth import refuse_foreign_bind
+from service.api.feed import Feed
+from service.api.form import sweep_uploads
+from service.api.metrics import Metrics
+from service.api.pictures import PictureChecker
+from service.api.services import Services
+from service.errors import EXIT_FAILURE, JobError
+from service.fleet.fleet import Fleet
+from service.host import address, lifeline
+from service.jobs.book import JobBook
+from service.jobs.database import open_database
+from service.jobs.schema import await_schema
+from service.jobs.tokens import TokenBook
+from service.logs import configure_logs
+from service.settings import ServerSettings
+from service.store.opening import open_store
+from service.web.http import ProblemProtocol
+from service.worker.dbos_engine import DbosEngine
+
+_SCHEMA_WAIT_S = 20.0
+_DRAIN_S = 5
+_THREADS = 40
+_CONNECTIONS = 1000
+_HEADER_BYTES = 32 << 10
+_TURN_S = 0.5
+_STUCK_S = 10.0
+
+
+def main() -> int:
+    try:
+        settings = ServerSettings.load()
+        configure_logs(settings.log_level, process="api")
+        for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
+            logging.getLogger(name).setLevel(logging.ERROR)
+        listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
+        with contextlib.closing(listener), open_services(settings) as services:
+            asyncio.run(_serve(services, listener))
+    except JobError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    except SQLAlchemyError as error:
+        reason = " ".join(str(getattr(error, "orig", error)).split())
+        print(f"error: the database cannot be used: {reason}", file=sys.stderr, flush=True)
+        return EXIT_FAILURE
+    return 0
+
+
+@contextlib.contextmanager
+def open_services(settings: ServerSettings) -> Iterator[Services]:
+    """Everything the routes need, closed at the end. InputError where it would not be safe to serve."""
+    with contextlib.ExitStack() as stack:
+        settings.data.mkdir(parents=True, exist_ok=True)
+        database = open_database(settings)
+        stack.callback(database.dispose)
+        await_schema(database, _SCHEMA_WAIT_S)
+        tokens = TokenBook(database)
+        refuse_foreign_bind(settings, tokens)
+        sweep_uploads(settings.data / "uploads")
+        store = open_store(settings)
+        book = JobBook(database, store)
+        engine = DbosEngine(settings)
+        stack.callback(engine.close)
+        pictures = PictureChecker()
+        stack.callback(pictures.close)
+        fleet = Fleet(settings, database, store, book)
+        yield Services(
+            settings=settings,
+            database=database,
+            book=book,
+            store=store,
+            engine=engine,
+            tokens=tokens,
+            fleet=fleet,
+            pictures=pictures,
+            feed=Feed(book),
+            metrics=Metrics(database),
+        )
+
+
+async def _serve(services: Services, listener: socket.socket) -> None:
+    server = server_of(services, on_ready=lambda: print(f"causticmill on {address.url_of(listener)}", flush=True))
+    turning = asyncio.create_task(_turn())
+    gc.freeze()  # what is here now stays: not worth looking at again and again
+    await server.serve(sockets=[listener])
+    turning.cancel()
+
+
+async def _turn() -> None:
+    """While the loop turns, the supervisor hears of us; one that hangs is started again."""
+    turned_at = time.monotonic()
+    lifeline.healthy = lambda: time.monotonic() - turned_at < _STUCK_S
+    while True:
+        await asyncio.sleep(_TURN_S)
+        turned_at = time.monotonic()
+
+
+def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:
+    """uvicorn as we want it; `on_ready` is called once it serves."""
+    config = uvicorn.Config(
+        make_app(services),
+        http=ProblemProtocol,
+        ws="none",
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        h11_max_incomplete_event_size=_HEADER_BYTES,
+        limit_concurrency=_CONNECTIONS,
+        timeout_keep_alive=30,
+        timeout_graceful_shutdown=_DRAIN_S,
+    )
+    return Server(config, services, on_ready)
+
+
+class Server(uvicorn.Server):
+    """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
+
+    def __init__(self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._services = services
+        self._on_ready = on_ready
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="api")
+        asyncio.get_running_loop().set_default_executor(threads)
+        await super().serve(sockets)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_ready()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._services.feed.close()
+        await super().shutdown(sockets)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

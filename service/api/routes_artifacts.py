@@ -1,0 +1,112 @@
+"""Files of a job: listing, and downloads that can be resumed."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Path, Request
+from starlette.responses import JSONResponse, Response
+
+from service.api import views
+from service.api.answers import Responses, example, refusals
+from service.api.auth import Reader
+from service.api.download import Conditions, download
+from service.api.routes_jobs import JobId
+from service.api.schemas import ARTIFACT_EXAMPLE, ArtifactList
+from service.api.services import services_of
+from service.jobs.records import Artifact
+from service.web.problems import Problem
+
+router = APIRouter(tags=["artifacts"])
+
+_BYTES: dict[str, Any] = {kind: {"schema": {}} for kind in views.MEDIA_TYPES}
+_DOWNLOAD: Responses = {
+    200: {"description": "the file; ETag is its SHA-256", "content": _BYTES},
+    206: {"description": "the part that Range asked for", "content": _BYTES},
+    304: {"description": "the client has this file"},
+    307: {"description": "the file is at another address, for a short time (artifact store S3)"},
+    **refusals(416),
+}
+
+Ranged = Annotated[
+    str | None, Header(alias="Range", description="bytes=FIRST-LAST; one range", examples=["bytes=0-99"])
+]
+IfRange = Annotated[str | None, Header(description="the ETag of the file whose beginning the client has")]
+IfNoneMatch = Annotated[str | None, Header(description="the ETag of the file that the client has")]
+FileName = Annotated[str, Path(max_length=100, description="name of an artifact", examples=["report.json"])]
+Number = Annotated[int, Path(ge=1, le=999, description="number of the pass, from 1", examples=[1])]
+
+
+def _get_and_head(path: str, **told: Any) -> Any:
+    """Registers a route for GET, which the document shows, and HEAD, as RFC 9110 wants it."""
+
+    def register(function: Any) -> Any:
+        name = function.__name__
+        router.get(path, operation_id=name, **told)(function)
+        head = told | {"summary": f"{told['summary']} (headers only)"}
+        router.head(path, operation_id=f"{name}_head", **head)(function)
+        return function
+
+    return register
+
+
+@_get_and_head(
+    "/v1/jobs/{id:uuid}/artifacts",
+    summary="List the files of a job",
+    response_model=ArtifactList,
+    responses={200: example({"artifacts": [ARTIFACT_EXAMPLE]})} | refusals(),
+)
+async def artifacts(request: Request, _: Reader, job_id: JobId) -> Response:
+    """Each file is there as soon as its stage is committed; programs once all of them have been checked."""
+    files = await asyncio.to_thread(services_of(request).book.artifacts, str(job_id))
+    return JSONResponse({"artifacts": [views.artifact_view(file) for file in files]})
+
+
+@_get_and_head(
+    "/v1/jobs/{id:uuid}/artifacts/{name}",
+    summary="Download a file of a job",
+    response_class=Response,
+    responses=_DOWNLOAD,
+)
+async def artifact(
+    request: Request,
+    _: Reader,
+    job_id: JobId,
+    name: FileName,
+    ranged: Ranged = None,
+    if_range: IfRange = None,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """The file's bytes. To go on after a break, ask for the rest with Range, and If-Range with the ETag."""
+    services = services_of(request)
+    file = await asyncio.to_thread(services.book.artifact, str(job_id), name)
+    return await _answer(request, file, Conditions(ranged, if_range, if_none_match))
+
+
+@_get_and_head(
+    "/v1/jobs/{id:uuid}/programs/{n}",
+    summary="Download the program of a pass",
+    response_class=Response,
+    responses=_DOWNLOAD,
+)
+async def program(
+    request: Request,
+    _: Reader,
+    job_id: JobId,
+    n: Number,
+    ranged: Ranged = None,
+    if_range: IfRange = None,
+    if_none_match: IfNoneMatch = None,
+) -> Response:
+    """The program of pass n, as soon as every program of the job has been checked."""
+    services = services_of(request)
+    found = views.programs(await asyncio.to_thread(services.book.artifacts, str(job_id)))
+    if n not in found:
+        offered = ", ".join(map(str, found)) or "none yet"
+        raise Problem(404, f"the job offers no program {n}; offered: {offered}", field="n")
+    return await _answer(request, found[n], Conditions(ranged, if_range, if_none_match))
+
+
+async def _answer(request: Request, file: Artifact, conditions: Conditions) -> Response:
+    return await download(services_of(request).store, file, conditions, with_body=request.method == "GET")

@@ -1,0 +1,182 @@
+"""What the routes answer, as the OpenAPI document says it: models of the JSON bodies, with examples."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+StageWord = Literal["waiting", "running", "committed", "reused", "interrupted", "failed", "cancelled"]
+PriorityWord = Literal["high", "normal", "low"]
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+
+_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
+_HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+_JOB = f"/v1/jobs/{_ID}"
+
+
+class Body(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class ProblemField(Body):
+    field: str
+    detail: str
+
+
+class ProblemBody(BaseModel):
+    """RFC 9457: what was refused, and why."""
+
+    model_config = ConfigDict(
+        json_schema_extra={
+            "examples": [
+                {
+                    "type": "urn:causticmill:problem:spec",
+                    "title": "Unusable value",
+                    "status": 422,
+                    "detail": "optics.width_mm: 0 is not allowed; allowed: a number more than 0 and at most 2000 mm",
+                    "field": "spec.optics.width_mm",
+                }
+            ]
+        }
+    )
+    type: Annotated[str, Field(pattern=r"^urn:causticmill:problem:[a-z-]+$")]
+    title: str
+    status: int
+    detail: str
+    field: Annotated[str | None, Field(description="the part of the request it is about")] = None
+    problems: Annotated[list[ProblemField] | None, Field(description="where there are several: all of them")] = None
+
+
+class JobError(Body):
+    """Why a job failed: the stage, one line, and the key of the spec it is about."""
+
+    stage: str | None = None
+    detail: str
+    field: str | None = None
+
+
+class ImageView(Body):
+    sha256: Sha256
+    bytes: int
+
+
+class StageView(Body):
+    name: str
+    state: StageWord
+    share: Annotated[float, Field(description="part of the whole job's time, as planned")]
+    seconds: float | None
+
+
+class ProgramView(Body):
+    number: int
+    name: str
+    sha256: Sha256
+    bytes: int
+    url: str
+
+
+class JobSummary(Body):
+    """A job as the list shows it."""
+
+    id: str
+    name: Annotated[str, Field(description="file name of the picture, made harmless")]
+    state: State
+    stage: str | None
+    progress: Annotated[float, Field(ge=0, le=1)]
+    queue_position: Annotated[int | None, Field(description="1: starts next; null: does not wait")]
+    priority: PriorityWord
+    attempt: int
+    cancel_requested: bool
+    created_at: str
+    started_at: str | None
+    ended_at: str | None
+    error: JobError | None
+    image: ImageView
+    links: dict[str, str]
+    etag: str
+
+
+class JobView(JobSummary):
+    """A whole job."""
+
+    report: Annotated[dict[str, Any] | None, Field(description="report.json of the stages that are done")]
+    spec: Annotated[dict[str, Any], Field(description="the resolved spec: every value that counted")]
+    stages: list[StageView]
+    programs: Annotated[list[ProgramView], Field(description="one per pass, as soon as all have been checked")]
+
+
+class JobList(Body):
+    jobs: list[JobSummary]
+    next: Annotated[str | None, Field(description="address of the next page; null: this is the last")]
+
+
+class ArtifactView(Body):
+    name: str
+    sha256: Sha256
+    bytes: int
+    stage: str
+    media_type: str
+    url: str
+
+
+class ArtifactList(Body):
+    artifacts: list[ArtifactView]
+
+
+class Alive(Body):
+    alive: Literal[True]
+
+
+class Ready(Body):
+    """Each part by its word: `ok`, or what is wrong with it."""
+
+    ready: bool
+    checks: dict[str, str]
+
+
+SUMMARY_EXAMPLE: dict[str, Any] = {
+    "id": _ID,
+    "name": "portrait.png",
+    "state": "running",
+    "stage": "map",
+    "progress": 0.21,
+    "queue_position": None,
+    "priority": "normal",
+    "attempt": 1,
+    "cancel_requested": False,
+    "created_at": "2026-11-21T08:00:00.000Z",
+    "started_at": "2026-11-21T08:00:00.180Z",
+    "ended_at": None,
+    "error": None,
+    "image": {"sha256": _HASH, "bytes": 131072},
+    "links": {"self": _JOB, "events": f"{_JOB}/events", "artifacts": f"{_JOB}/artifacts"},
+    "etag": '"1-7-7"',
+}
+JOB_EXAMPLE: dict[str, Any] = SUMMARY_EXAMPLE | {
+    "report": None,
+    "spec": {"preset": "paper", "optics": {"width_mm": 100.0}},
+    "stages": [
+        {"name": "image", "state": "committed", "share": 0.01, "seconds": 0.4},
+        {"name": "map", "state": "running", "share": 0.2, "seconds": None},
+    ],
+    "programs": [],
+}
+ARTIFACT_EXAMPLE: dict[str, Any] = {
+    "name": "pass-1-rough.nc",
+    "sha256": _HASH,
+    "bytes": 2_345_678,
+    "stage": "pass-1",
+    "media_type": "text/plain; charset=us-ascii",
+    "url": f"{_JOB}/artifacts/pass-1-rough.nc",
+}
+SSE_EVENT: dict[str, Any] = {  # one event of a stream, as OpenAPI 3.2 describes it
+    "type": "object",
+    "properties": {name: {"type": "string"} for name in ("id", "event", "data")},
+}
+EVENTS_EXAMPLE = (
+    'id: 1\nevent: queued\ndata: {"attempt":1,"by":"anonymous","at":"2026-11-21T08:00:00.000Z"}\n\n'
+    'event: progress\ndata: {"stage":"map","share":0.5,"progress":0.21}\n\n'
+    'id: 9\nevent: ended\ndata: {"state":"succeeded","attempt":1,"error":null,"at":"2026-11-21T08:01:00.000Z"}\n\n'
+)

@@ -1,0 +1,199 @@
+"""What the routes about machines, runs and tokens take and answer, as the OpenAPI document says it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+from uuid import UUID
+
+from pydantic import Field
+
+from service.api.schemas import Body, Sha256
+
+RunWord = Literal[
+    "preparing", "refused", "lost",
+    "parked", "running", "holding", "held", "stopping", "interrupted", "recovering", "finished", "aborted",
+]  # fmt: skip
+Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
+ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
+
+PLAIN = r"^[^\x00-\x1f\x7f]+$"
+
+_RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
+_JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
+_HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+
+
+class NewRunBody(Body):
+    """Which program of which job. Without `program`: the next pass that this mill has not finished."""
+
+    job: Annotated[UUID, Field(description="id of a succeeded job", examples=[_JOB_ID])]
+    program: Annotated[
+        Annotated[int, Field(ge=1, le=99, strict=True)] | Annotated[str, Field(min_length=1, max_length=100)] | None,
+        Field(description="number of the pass, or the program's file name", examples=[1]),
+    ] = None
+
+
+class ConfirmationBody(Body):
+    """A person's word, by name, that these things were looked at at the mill."""
+
+    operator: Annotated[str, Field(min_length=1, max_length=100, pattern=r"\S", examples=["Ada"])]
+    checks: Annotated[
+        list[Check],
+        Field(max_length=12, description="as `required_checks`", examples=[["tool", "zero", "stock", "clear"]]),
+    ]
+
+
+class ProgramOfRun(Body):
+    number: int
+    name: str
+    sha256: Sha256
+
+
+class RunView(Body):
+    """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
+
+    id: str
+    machine: str
+    job: str
+    program: ProgramOfRun
+    state: RunWord
+    open: Annotated[bool, Field(description="the mill is taken by this run")]
+    words: Annotated[str, Field(description="why it is in this state")]
+    unreachable: Annotated[bool, Field(description="the agent does not answer: this is what it said last")]
+    unreachable_words: str
+    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
+    executed_line: int
+    lines: int | None
+    time_s: float | None
+    time_left_s: float | None
+    operator: str
+    recoveries: int
+    warnings: list[str]
+    setup: Annotated[
+        dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")
+    ]
+    required_checks: Annotated[list[Check], Field(description="what :start or :recover needs to be confirmed")]
+    left_out: Annotated[list[ProgramOfRun], Field(description="earlier passes that this mill has not finished")]
+    next: Annotated[ProgramOfRun | None, Field(description="the pass that comes after this one")]
+    created_by: str
+    created_at: str
+    started_at: str | None
+    ended_at: str | None
+    links: dict[str, str]
+
+
+class RunList(Body):
+    runs: list[RunView]
+    next: Annotated[str | None, Field(description="address of the next page; null: this is the last")]
+
+
+class RecoveryView(Body):
+    """How an interrupted run would go on: what has to be done first, and what would be sent."""
+
+    run: str
+    executed_line: int
+    resume_line: int
+    overlap_line: int
+    recut_lines: int
+    position_mm: list[float] | None
+    blocks: list[str]
+    ready: bool
+    refusals: list[str]
+    needs: list[dict[str, str]]
+    differences: list[str]
+    words: list[str]
+
+
+class AgentView(Body):
+    reachable: bool
+    words: Annotated[str, Field(description="why it cannot be reached")]
+
+
+class OpenRun(Body):
+    id: str
+    state: RunWord
+    job: str
+    program: str
+
+
+class MachineView(Body):
+    name: str
+    remote: bool
+    problem: Annotated[str, Field(description="what is wrong with its profile")]
+    profile: dict[str, Any] | None
+    agent: AgentView
+    mill: Annotated[dict[str, Any] | None, Field(description="state and position, as its agent has them now")]
+    run: Annotated[OpenRun | None, Field(description="the run that has this mill")]
+    links: dict[str, str]
+
+
+class MachineList(Body):
+    machines: list[MachineView]
+    problems: Annotated[list[str], Field(description="what is wrong with the list of agents elsewhere")]
+
+
+class NewTokenBody(Body):
+    name: Annotated[str, Field(min_length=1, max_length=80, examples=["shop-floor"])]
+    scopes: Annotated[list[ScopeWord], Field(min_length=1, max_length=4, examples=[["jobs:read", "jobs:write"]])]
+    expires_in_s: Annotated[float | None, Field(gt=0, le=3.1e9, description="null: never", examples=[2592000])] = None
+
+
+class TokenView(Body):
+    id: str
+    name: str
+    scopes: list[ScopeWord]
+    created_at: str
+    expires_at: str | None
+    last_used_at: str | None
+    revoked_at: str | None
+
+
+class NewTokenView(TokenView):
+    token: Annotated[str, Field(description="shown this once; only its SHA-256 is kept")]
+
+
+class TokenList(Body):
+    tokens: list[TokenView]
+
+
+RUN_EXAMPLE: dict[str, Any] = {
+    "id": _RUN_ID,
+    "machine": "shop-mill",
+    "job": _JOB_ID,
+    "program": {"number": 2, "name": "pass-2-rough.nc", "sha256": _HASH},
+    "state": "parked",
+    "open": True,
+    "words": "",
+    "unreachable": False,
+    "unreachable_words": "",
+    "share": 0.0,
+    "executed_line": 0,
+    "lines": 41210,
+    "time_s": 5400.0,
+    "time_left_s": 5400.0,
+    "operator": "",
+    "recoveries": 0,
+    "warnings": [],
+    "setup": {
+        "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
+        "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "material": "pmma"},
+        "zero": "X0 Y0: lower left corner of the lens, 8 mm in from the block's left and front edges; Z0: its top",
+        "change": {
+            "from_radius_mm": 3.0,
+            "to_radius_mm": 0.5,
+            "words": "change the tool from R 3 to R 0.5, set Z zero again; X and Y zero stay",
+        },
+    },
+    "required_checks": ["tool", "zero", "stock", "clear"],
+    "left_out": [],
+    "next": {"number": 3, "name": "pass-3-finish.nc", "sha256": _HASH},
+    "created_by": "shop-floor",
+    "created_at": "2026-11-21T08:00:00.000Z",
+    "started_at": None,
+    "ended_at": None,
+    "links": {"self": f"/v1/runs/{_RUN_ID}", "start": f"/v1/runs/{_RUN_ID}:start"},
+}
+RUN_EVENTS_EXAMPLE = (
+    'event: run\ndata: {"id":"' + _RUN_ID + '","state":"running","share":0.21,"executed_line":8654}\n\n'
+    'id: 5c1d-88\nevent: log\ndata: {"number":88,"at_s":1763712000.1,"kind":"state","words":"held"}\n\n'
+)

@@ -1,0 +1,38 @@
+"""What the routes work with, at `app.state.services`: made once by main.py, and by tests."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, cast
+
+if TYPE_CHECKING:
+    from sqlalchemy import Engine
+    from starlette.requests import HTTPConnection
+
+    from service.api.feed import Feed
+    from service.api.metrics import Metrics
+    from service.api.pictures import PictureChecker
+    from service.fleet.fleet import Fleet
+    from service.jobs.book import JobBook
+    from service.jobs.tokens import TokenBook
+    from service.settings import ServerSettings
+    from service.store.store import Store
+    from service.worker.engine import JobEngine
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Services:
+    settings: ServerSettings
+    database: Engine
+    book: JobBook
+    store: Store
+    engine: JobEngine
+    tokens: TokenBook
+    fleet: Fleet
+    pictures: PictureChecker
+    feed: Feed
+    metrics: Metrics
+
+
+def services_of(connection: HTTPConnection) -> Services:
+    return cast("Services", connection.app.state.services)

@@ -1,0 +1,117 @@
+"""Jobs and their files as the API shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.api.times import iso_or_none, iso_time
+from service.job_files import is_program
+from service.jobs.priorities import priority_word
+from service.jobs.records import Artifact, Job, Progress, StageRun
+from service.jobs.states import JobState
+from service.spec import JobSpec
+from service.stages.plan import shares
+
+Json = dict[str, Any]
+
+_MEDIA_TYPES = {
+    ".json": "application/json",
+    ".html": "text/html; charset=utf-8",
+    ".png": "image/png",
+    ".stl": "model/stl",
+    ".npz": "application/zip",
+    ".log": "text/plain; charset=utf-8",
+}
+_PROGRAM_TYPE = "text/plain; charset=us-ascii"
+_OTHER_TYPE = "application/octet-stream"
+MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values(), _PROGRAM_TYPE, _OTHER_TYPE)})
+
+
+def summary(job: Job, *, position: int | None, progress: Progress | None) -> Json:
+    """A job as the list shows it."""
+    address = f"/v1/jobs/{job.id}"
+    links = {"self": address, "events": f"{address}/events", "artifacts": f"{address}/artifacts"}
+    return {
+        "id": job.id,
+        "name": job.name,
+        "state": str(job.state),
+        "stage": job.stage,
+        "progress": _progress(job, progress),
+        "queue_position": position if job.state is JobState.QUEUED else None,
+        "priority": priority_word(job.priority),
+        "attempt": job.attempt,
+        "cancel_requested": job.cancel_requested,
+        "created_at": iso_time(job.created_at),
+        "started_at": iso_or_none(job.started_at),
+        "ended_at": iso_or_none(job.ended_at),
+        "error": job.error,
+        "image": {"sha256": job.image_sha256, "bytes": job.image_bytes},
+        "links": links | {"archive": f"{address}/archive.zip"},
+        "etag": etag(job, position=position, progress=progress),
+    }
+
+
+def whole(
+    job: Job, *, position: int | None, progress: Progress | None, runs: Sequence[StageRun], files: Sequence[Artifact]
+) -> Json:
+    """A job with its report, spec, stages and programs."""
+    return summary(job, position=position, progress=progress) | {
+        "report": job.report,
+        "spec": job.spec,
+        "stages": _stages(job, runs),
+        "programs": [_program(job.id, number, file) for number, file in programs(files).items()],
+    }
+
+
+def etag(job: Job, *, position: int | None, progress: Progress | None) -> str:
+    """Changes with everything that the job's body shows."""
+    share = round(_progress(job, progress) * 10_000)
+    return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
+
+
+def artifact_view(file: Artifact) -> Json:
+    return {
+        "name": file.name,
+        "sha256": file.sha256,
+        "bytes": file.bytes,
+        "stage": file.stage,
+        "media_type": media_type(file.name),
+        "url": f"/v1/jobs/{file.job_id}/artifacts/{file.name}",
+    }
+
+
+def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
+    """The programs by number of their pass."""
+    found = {int(file.name.split("-")[1]): file for file in files if is_program(file.name)}
+    return dict(sorted(found.items()))
+
+
+def media_type(name: str) -> str:
+    if is_program(name):
+        return _PROGRAM_TYPE
+    return _MEDIA_TYPES.get(f".{name.rpartition('.')[2]}", _OTHER_TYPE)
+
+
+def _program(job_id: str, number: int, file: Artifact) -> Json:
+    url = f"/v1/jobs/{job_id}/programs/{number}"
+    return {"number": number, "name": file.name, "sha256": file.sha256, "bytes": file.bytes, "url": url}
+
+
+def _progress(job: Job, progress: Progress | None) -> float:
+    live = progress.progress if progress is not None and job.state is JobState.RUNNING else job.progress
+    return round(min(1.0, max(0.0, job.progress, live)), 4)
+
+
+def _stages(job: Job, runs: Sequence[StageRun]) -> list[Json]:
+    """Every stage of the job's plan, with what became of it in this attempt."""
+    last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
+    planned = shares(JobSpec.model_validate(job.spec))
+    return [_stage(name, share, last.get(name)) for name, share in planned.items()]
+
+
+def _stage(name: str, share: float, run: StageRun | None) -> Json:
+    if run is None:
+        return {"name": name, "state": "waiting", "share": round(share, 4), "seconds": None}
+    seconds = None if run.ended_at is None else round(max(0.0, run.ended_at - run.started_at), 3)
+    return {"name": name, "state": str(run.state), "share": round(share, 4), "seconds": seconds}

@@ -1,0 +1,149 @@
+"""Files of a job into a folder: resumed where an earlier try ended, and believed only when the hash is right.
+
+A file under way is `NAME.<first digits of its hash>.part`, so that a try never goes on with another file's bytes; it is
+renamed when its SHA-256 is the one that the server's list names.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import httpx
+
+from service.client.server import GoneError, Server, shown
+from service.errors import FailedError, InputError, sentence_of_os_error
+
+_READ_S = 30.0
+_PATIENCE_S = 120.0
+_AGAIN_S = 0.5
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+_HASH = re.compile(r"[0-9a-f]{64}")
+
+OnBytes = Callable[[int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RemoteFile:
+    """An artifact as the server lists it."""
+
+    name: str
+    sha256: str
+    bytes: int
+    url: str
+
+    @classmethod
+    def of(cls, item: dict[str, Any]) -> RemoteFile:
+        """FailedError for what no file of ours can be: the server does not choose where this computer writes."""
+        try:
+            file = cls(str(item["name"]), str(item["sha256"]), int(item["bytes"]), str(item["url"]))
+        except (KeyError, TypeError, ValueError):
+            raise FailedError("the server's list of files cannot be read; use the same version on both sides") from None
+        if not _NAME.fullmatch(file.name) or not _HASH.fullmatch(file.sha256) or file.bytes < 0:
+            raise FailedError(f"the server offers a file that cannot be one: '{shown(file.name)}'")
+        return file
+
+
+def files_of(server: Server, job_id: str, only: Sequence[str] = ()) -> list[RemoteFile]:
+    """What the job offers, or those of it that were asked for by name."""
+    listing = server.get(f"/v1/jobs/{job_id}/artifacts")
+    files = [RemoteFile.of(item) for item in listing["artifacts"]]
+    known = {file.name for file in files}
+    if missing := [name for name in only if name not in known]:
+        names = ", ".join(sorted(known)) or "none yet"
+        raise InputError(*(f"--only: job {job_id} has no file '{name}'; there are: {names}" for name in missing))
+    return [file for file in files if not only or file.name in only]
+
+
+def download(server: Server, file: RemoteFile, folder: Path, on_bytes: OnBytes) -> bool:
+    """The file in the folder, whole; False if it was there already. `on_bytes` is told how many there are so far."""
+    target = folder / file.name
+    try:
+        if target.is_file() and target.stat().st_size == file.bytes and _hash_of(target).hexdigest() == file.sha256:
+            on_bytes(file.bytes)
+            return False
+        part = folder / f"{file.name}.{file.sha256[:12]}.part"
+        for _ in range(2):  # a part that is not what it should be is thrown away once
+            _fetch(server, file, part, on_bytes)
+            if _hash_of(part).hexdigest() == file.sha256:
+                part.replace(target)
+                return True
+            part.unlink()
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot write")) from None
+    raise FailedError(f"{file.name}: what came is not what the server's list names (SHA-256); nothing was kept")
+
+
+def _fetch(server: Server, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
+    """All bytes into `part`, going on after lost connections as long as something comes."""
+    heard_s, size = time.monotonic(), -1
+    while True:
+        try:
+            _go_on(server, file, part, on_bytes)
+            return
+        except GoneError as error:
+            now_s, reached = time.monotonic(), part.stat().st_size if part.exists() else 0
+            if reached != size:
+                heard_s, size = now_s, reached
+            if now_s - heard_s > _PATIENCE_S:
+                raise FailedError(f"{error}; run the command again to go on at byte {reached:,}") from None
+            time.sleep(_AGAIN_S)
+
+
+def _go_on(server: Server, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
+    """One request, from where the part ends."""
+    have = part.stat().st_size if part.exists() else 0
+    if have > file.bytes:
+        part.unlink()
+        have = 0
+    if have == file.bytes and (have or part.exists()):
+        on_bytes(have)
+        return
+    headers = {"Accept-Encoding": "identity"}
+    if have:
+        headers |= {"Range": f"bytes={have}-", "If-Range": f'"{file.sha256}"'}
+    with contextlib.ExitStack() as stack:
+        answer = stack.enter_context(server.streamed(file.url, headers=headers, read_s=_READ_S))
+        if answer.is_redirect:  # to the object itself, at the artifact store; its ETag is its own affair
+            headers.pop("If-Range", None)
+            answer = stack.enter_context(server.streamed(answer.headers["Location"], headers=headers, read_s=_READ_S))
+        if answer.status_code == 416:
+            part.unlink(missing_ok=True)
+            raise GoneError("the server did not go on where this file ends", begun=True)
+        server.demand_good(answer)
+        _append(answer, part, file, on_bytes, whole=answer.status_code != 206)
+
+
+def _append(answer: httpx.Response, part: Path, file: RemoteFile, on_bytes: OnBytes, *, whole: bool) -> None:
+    with part.open("wb" if whole else "ab") as out:
+        for (
+            piece
+        ) in answer.iter_raw():  # as they come: what was gathered for a larger piece would be lost with the wire
+            out.write(piece)
+            if out.tell() > file.bytes:
+                raise FailedError(f"{file.name}: the server sends more than the {file.bytes:,} bytes it names")
+            on_bytes(out.tell())
+        out.flush()
+        os.fsync(out.fileno())
+        if out.tell() < file.bytes:
+            raise GoneError("the connection ended before the file did", begun=True)
+
+
+def _hash_of(path: Path) -> Any:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256")
+
+
+def require_folder(folder: Path) -> None:
+    """The folder, made where there is none."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--output: {sentence_of_os_error(error, doing='cannot use')}") from None

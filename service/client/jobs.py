@@ -1,0 +1,84 @@
+"""Jobs as lines of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from service.client.server import Server, shown
+from service.client.tables import table
+
+_PAGE = 100
+
+
+def listed(server: Server, *, states: Sequence[str] = (), limit: int = 20) -> Iterator[dict[str, Any]]:
+    """Jobs, newest first, page by page."""
+    asked: dict[str, Any] = {"limit": min(limit, _PAGE)} | ({"state": list(states)} if states else {})
+    address, left = "/v1/jobs", limit
+    while left > 0:
+        page = server.get(address, **asked)
+        yield from page["jobs"][:left]
+        left -= len(page["jobs"])
+        address, asked = page.get("next") or "", {}
+        if not address:
+            return
+
+
+def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
+    rows = [("ID", "STATE", "DONE", "CREATED", "NAME")]
+    rows += [
+        (
+            shown(job["id"]),
+            state_words(job),
+            f"{100 * float(job['progress']):.0f} %",
+            when(job["created_at"]),
+            shown(job["name"]),
+        )
+        for job in jobs
+    ]
+    return table(rows) if jobs else ["no jobs"]
+
+
+def state_words(job: dict[str, Any]) -> str:
+    """running (pass-1), queued (3 before it), cancelling, ..."""
+    state = shown(job["state"])
+    if job.get("cancel_requested") and state == "running":
+        return "cancelling"
+    if state == "running" and job.get("stage"):
+        return f"running ({shown(job['stage'])})"
+    if state == "queued" and int(job.get("queue_position") or 1) > 1:
+        return f"queued ({int(job['queue_position']) - 1} before it)"
+    return state
+
+
+def job_lines(job: dict[str, Any]) -> list[str]:
+    """One job, in full."""
+    lines = [f"{shown(job['id'])}  {shown(job['name'])}", f"state:    {state_words(job)}"]
+    lines += [f"{name + ':':9} {when(job[key])}" for name, key in _TIMES if job.get(key)]
+    if job.get("attempt", 1) > 1:
+        lines.append(f"attempt:  {job['attempt']}")
+    if error := job.get("error"):
+        where = f" in stage {shown(error['stage'])}" if error.get("stage") else ""
+        lines += [f"error:   {where} {shown(line)}" for line in str(error.get("detail", "")).split("\n")]
+    stages = [(shown(stage["name"]), shown(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
+    lines += ["", *table([("STAGE", "STATE", "TOOK"), *stages])] if stages else []
+    return [*lines, *program_lines(job)]
+
+
+def program_lines(job: dict[str, Any]) -> list[str]:
+    programs = job.get("programs") or ()
+    rows = [(str(p["number"]), shown(p["name"]), f"{p['bytes']:,} bytes", shown(p["sha256"])) for p in programs]
+    return ["", *table([("PROGRAM", "FILE", "SIZE", "SHA-256"), *rows])] if rows else []
+
+
+def when(text: object) -> str:
+    """2026-11-21T08:00:00.123Z without what nobody reads."""
+    return shown(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
+
+
+def _seconds(stage: dict[str, Any]) -> str:
+    seconds = stage.get("seconds")
+    return f"{seconds:.1f} s" if isinstance(seconds, int | float) else ""
+
+
+_TIMES = (("created", "created_at"), ("started", "started_at"), ("ended", "ended_at"))

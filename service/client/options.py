@@ -1,0 +1,30 @@
+"""Arguments that the client's commands share, checked before anything is sent."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+_ID = re.compile(r"[A-Za-z0-9-]{1,64}")
+
+
+def _id(text: str) -> str:
+    if not _ID.fullmatch(text):
+        raise typer.BadParameter(f"'{text}' is no id; `causticmill jobs` and `causticmill runs` list them")
+    return text
+
+
+JobArgument = Annotated[str, typer.Argument(metavar="JOB", help="Id of the job.", callback=_id)]
+RunArgument = Annotated[str, typer.Argument(metavar="RUN", help="Id of the run.", callback=_id)]
+ServerOption = Annotated[
+    str | None,
+    typer.Option("--server", metavar="URL", help="The job server; else CAUSTICMILL_SERVER, else this computer's."),
+]
+TokenOption = Annotated[
+    Path | None,
+    typer.Option("--token-file", metavar="FILE", help="File that holds the token; else CAUSTICMILL_TOKEN."),
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]

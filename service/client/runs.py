@@ -1,0 +1,136 @@
+"""Runs as lines of text, and the questions a person answers before a mill moves."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from service.client.event_stream import lasting
+from service.client.follow import leaving
+from service.client.jobs import when
+from service.client.server import Server, shown
+from service.client.tables import table
+from service.errors import FailedError, InputError
+
+QUESTIONS = {
+    "tool": "The tool named above is in the spindle, its length is taken",
+    "zero": "Work zero is set as said above",
+    "stock": "The block named above is clamped",
+    "clear": "Nobody and nothing is in the way of the mill",
+    "order": "Earlier passes of this job were not finished on this mill; run this one all the same",
+    "position": "The mill's position is right",
+}
+_OVER = ("finished", "aborted", "interrupted", "refused", "lost")
+
+
+def run_table(runs: Sequence[dict[str, Any]]) -> list[str]:
+    rows = [("ID", "MACHINE", "STATE", "DONE", "PROGRAM", "CREATED")]
+    rows += [
+        (
+            shown(run["id"]),
+            shown(run["machine"]),
+            shown(run["state"]),
+            f"{100 * float(run['share']):.0f} %",
+            shown(run["program"]["name"]),
+            when(run["created_at"]),
+        )
+        for run in runs
+    ]
+    return table(rows) if runs else ["no runs"]
+
+
+def run_lines(run: dict[str, Any]) -> list[str]:
+    """One run, with what a person sets up for it."""
+    program = run["program"]
+    lines = [
+        f"{shown(run['id'])}  {shown(program['name'])} (program {program['number']} of job {shown(run['job'])})",
+        f"machine:  {shown(run['machine'])}",
+        f"state:    {state_line(run)}",
+    ]
+    if run.get("unreachable"):
+        lines.append(f"mill:     not reachable: {shown(run.get('unreachable_words') or '')}")
+    lines += [f"warning:  {shown(words)}" for words in run.get("warnings") or ()]
+    return [*lines, *setup_lines(run)]
+
+
+def state_line(run: dict[str, Any]) -> str:
+    words = f": {shown(run['words'])}" if run.get("words") else ""
+    if run["state"] in ("running", "holding", "held", "recovering"):
+        left_s = run.get("time_left_s")
+        left = f", {_duration(left_s)} left" if isinstance(left_s, int | float) else ""
+        return f"{run['state']}, {100 * float(run['share']):.1f} % of {run.get('lines') or 0:,} lines{left}{words}"
+    return f"{shown(run['state'])}{words}"
+
+
+def setup_lines(run: dict[str, Any]) -> list[str]:
+    """Tool, block and zero of a run that waits; and what comes after one that is done."""
+    setup = run.get("setup") or {}
+    lines = []
+    if run["state"] in ("preparing", "parked"):
+        tool, stock = setup.get("tool") or {}, setup.get("stock") or {}
+        size = " x ".join(f"{stock.get(name) or 0:g}" for name in ("width_mm", "height_mm", "thickness_mm"))
+        lines += [
+            f"tool:     {shown(tool.get('shape'))}, radius {tool.get('radius_mm')} mm, {tool.get('spindle_rpm')} rpm",
+            f"stock:    {size} mm, {shown(stock.get('material'))}",
+            f"zero:     {shown(setup.get('zero'))}",
+        ]
+        if change := setup.get("change"):
+            lines.append(f"change:   {shown(change.get('words'))}")
+        lines += [f"left out: {shown(one['name'])} was not finished on this mill" for one in run.get("left_out") or ()]
+    if run["state"] == "finished" and (following := run.get("next")):
+        lines.append(f"next:     program {following['number']}, {shown(following['name'])}")
+    return lines
+
+
+def confirmed(run: dict[str, Any], given: Sequence[str]) -> list[str]:
+    """The checks that the run needs: those given on the command line, else a person is asked for each."""
+    needed = [str(check) for check in run.get("required_checks") or ()]
+    if not needed:
+        raise InputError(f"run {shown(run['id'])} is {state_line(run)}; there is nothing to confirm")
+    words = {word for text in given for word in text.replace(",", " ").split()}
+    if words:
+        if unknown := sorted(words - set(needed)):
+            raise InputError(f"--confirm: '{shown(unknown[0])}' is not asked for; allowed: {', '.join(needed)}")
+        if missing := [check for check in needed if check not in words]:
+            raise InputError(f"--confirm: not confirmed: {', '.join(missing)}; the mill was not moved")
+        return needed
+    if not sys.stdin.isatty():
+        raise InputError(f"a person has to confirm this: run it on a terminal, or give --confirm {','.join(needed)}")
+    from service.stream.ask import confirmed_by_person
+
+    confirmed_by_person({check: QUESTIONS.get(check, shown(check)) for check in needed})
+    return needed
+
+
+def follow_run(server: Server, run_id: str) -> dict[str, Any]:
+    """The run at its end, a line for each change on the way."""
+    told = ""
+    with leaving(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
+        for event in lasting(
+            server,
+            f"/v1/runs/{run_id}/events",
+            on_lost=lambda words: print(f"{words}; trying again, the run goes on", flush=True),
+            on_back=lambda: print("connected again", flush=True),
+        ):
+            run = event.data if event is not None and {"state", "share"} <= set(event.data) else None
+            if run is None:
+                run = server.get(f"/v1/runs/{run_id}")
+            key = f"{run['state']} {10 * float(run['share']):.0f} {run.get('words')} {run.get('unreachable')}"
+            if key != told:
+                told = key
+                print(state_line(run), flush=True)
+            if run["state"] in _OVER:
+                break
+        return dict(server.get(f"/v1/runs/{run_id}"))
+
+
+def require_finished(run: dict[str, Any]) -> None:
+    if run["state"] != "finished":
+        raise FailedError(f"run {shown(run['id'])} is {state_line(run)}")
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s"

@@ -1,0 +1,207 @@
+"""The job server over HTTP: every refusal and every lost connection becomes one line."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from importlib import metadata
+from typing import Any, Self
+
+import httpx
+
+from service.client.target import Target
+from service.errors import EXIT_FAILURE, EXIT_INPUT, FailedError, JobError, printable
+from service.web.hosts import is_loopback
+
+VERSION_HEADER = "Causticmill-Version"
+_CONNECT_S, _READ_S = 5.0, 60.0
+_AGAIN_S = (0.1, 0.3, 1.0, 2.0)
+_TRY_AGAIN = {502, 503, 504}
+
+
+class GoneError(FailedError):
+    """The server cannot be reached; `begun`: a request may have arrived, so asking again needs a key."""
+
+    def __init__(self, line: str, *, begun: bool) -> None:
+        super().__init__(line)
+        self.begun = begun
+
+
+class RefusedError(JobError):
+    """The server said no: `status`, and the `field` of the request it is about (empty if none)."""
+
+    def __init__(self, status: int, *lines: str, field: str = "", wait_s: float | None = None) -> None:
+        super().__init__(*lines)
+        self.status = status
+        self.field = field
+        self.wait_s = wait_s
+        self.exit_code = EXIT_FAILURE if status >= 500 or status == 429 else EXIT_INPUT
+
+
+class Server:
+    """`with Server(target) as server: server.get("/v1/jobs")`."""
+
+    def __init__(self, target: Target) -> None:
+        self.url = target.url
+        headers = {"User-Agent": f"causticmill/{own_version()}"}
+        if target.token is not None:
+            headers["Authorization"] = f"Bearer {target.token}"
+        self._has_token = target.token is not None
+        self.http = httpx.Client(
+            base_url=target.url,
+            headers=headers,
+            timeout=httpx.Timeout(_READ_S, connect=_CONNECT_S),
+            trust_env=not is_loopback(httpx.URL(target.url).host),  # no proxy stands before this computer
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.http.close()
+
+    def get(self, path: str, **parameters: Any) -> Any:
+        """The JSON of an answer. A server that is just being restarted is waited for a little."""
+        return self.patiently(lambda: self._json("GET", path, params=parameters))
+
+    def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
+        """One order, sent once."""
+        return self._json("POST", path, json=body)
+
+    def post_once(self, path: str, body: Mapping[str, Any]) -> Any:
+        """An order that may be sent again: its key tells the server that it is the same one."""
+        headers = {"Idempotency-Key": str(uuid.uuid4())}
+        return self.patiently(lambda: self._json("POST", path, json=dict(body), headers=headers), patience_s=60.0)
+
+    def delete(self, path: str) -> None:
+        self._json("DELETE", path)
+
+    def send(self, method: str, path: str, **options: Any) -> httpx.Response:
+        """One request, answered well; else GoneError or RefusedError."""
+        with self._lines():
+            answer = self.http.request(method, path, **options)
+        self.demand_good(answer)
+        return answer
+
+    @contextlib.contextmanager
+    def streamed(self, url: str, *, headers: Mapping[str, str], read_s: float) -> Iterator[httpx.Response]:
+        """An answer read piece by piece. Inside, a lost connection is a GoneError, too.
+
+        Another server than ours (an artifact store) is not shown the token.
+        """
+        own = url.startswith(f"{self.url}/") or (url.startswith("/") and not url.startswith("//"))
+        opened = self.http.stream if own else httpx.stream
+        timeout = httpx.Timeout(read_s, connect=_CONNECT_S)
+        with self._lines(), opened("GET", url, headers=dict(headers), timeout=timeout) as answer:
+            if answer.status_code >= 400:
+                answer.read()
+            yield answer
+
+    def patiently(self, ask: Callable[[], Any], *, patience_s: float = 10.0) -> Any:
+        """`ask`, safe to repeat, until it is answered. A server that was never there is not waited for."""
+        give_up_s, tries = time.monotonic() + patience_s, 0
+        while True:
+            try:
+                return ask()
+            except GoneError as error:
+                if (not error.begun and tries == 0) or time.monotonic() > give_up_s:
+                    raise
+            except RefusedError as error:
+                if error.status not in _TRY_AGAIN and error.status != 429:
+                    raise
+                if time.monotonic() + (error.wait_s or 0.0) > give_up_s:
+                    raise
+                time.sleep(error.wait_s or 0.0)
+            time.sleep(_AGAIN_S[min(tries, len(_AGAIN_S) - 1)])
+            tries += 1
+
+    def demand_good(self, answer: httpx.Response) -> None:
+        """RefusedError for an answer that is a refusal, or that no job server gives."""
+        if answer.status_code < 400:
+            return
+        problem = _problem(answer)
+        if problem is None:
+            if answer.status_code in _TRY_AGAIN:  # a proxy before a server that is not there
+                raise RefusedError(answer.status_code, f"{self.url} is not ready: HTTP {answer.status_code}")
+            raise RefusedError(answer.status_code, self._foreign(answer))
+        raise RefusedError(
+            answer.status_code,
+            *self._words(answer.status_code, problem),
+            field=str(problem.get("field", "")),
+            wait_s=_seconds(answer.headers.get("Retry-After")),
+        )
+
+    def _json(self, method: str, path: str, **options: Any) -> Any:
+        answer = self.send(method, path, **options)
+        if not answer.content:
+            return None
+        try:
+            return answer.json()
+        except ValueError:
+            raise RefusedError(500, self._foreign(answer)) from None
+
+    @contextlib.contextmanager
+    def _lines(self) -> Iterator[None]:
+        """httpx's errors as ours."""
+        try:
+            yield
+        except (httpx.ConnectError, httpx.ConnectTimeout):
+            words = f"no server answers at {self.url}; `causticmill serve` starts one, --server names another"
+            raise GoneError(words, begun=False) from None
+        except httpx.TimeoutException:
+            raise GoneError(f"{self.url} did not answer in time", begun=True) from None
+        except (httpx.TransportError, httpx.StreamError) as error:
+            words = " ".join(str(error).split()) or type(error).__name__
+            raise GoneError(f"the connection to {self.url} was lost: {words}", begun=True) from None
+
+    def _words(self, status: int, problem: Mapping[str, Any]) -> list[str]:
+        """A problem of the server as lines; each names the key it is about."""
+        parts = [part for part in problem.get("problems") or () if isinstance(part, dict)] or [dict(problem)]
+        lines = []
+        for part in parts:
+            detail, field = str(part.get("detail") or problem.get("title", "")), str(part.get("field", ""))
+            key = field.removeprefix("spec.")
+            lines.append(detail if not key or key in detail else f"{key}: {detail}")
+        if status == 401 and not self._has_token:
+            lines.append("a token is needed: --token-file FILE, CAUSTICMILL_TOKEN, or `causticmill token create`")
+        return lines
+
+    def _foreign(self, answer: httpx.Response) -> str:
+        """Who is it that answers like this?"""
+        version = answer.headers.get(VERSION_HEADER)
+        if version is None:
+            return f"{self.url} answers (HTTP {answer.status_code}), but is no causticmill job server"
+        return (
+            f"the server at {self.url} is causticmill {version}, this command is {own_version()}, and they do not "
+            "understand each other; use the same version"
+        )
+
+
+def own_version() -> str:
+    return metadata.version("causticmill")
+
+
+def misunderstood(server: Server, answer: httpx.Response) -> RefusedError:
+    """The error for an answer that lacks what this version needs."""
+    return RefusedError(500, server._foreign(answer))
+
+
+def _problem(answer: httpx.Response) -> dict[str, Any] | None:
+    if "problem+json" not in answer.headers.get("Content-Type", ""):
+        return None
+    try:
+        problem = answer.json()
+    except ValueError:
+        return None
+    return problem if isinstance(problem, dict) else None
+
+
+def _seconds(text: str | None) -> float | None:
+    return min(60.0, float(text)) if text and text.isdigit() else None
+
+
+def shown(value: object) -> str:
+    """What a server sent, fit for a line on a terminal."""
+    return printable(str(value))

@@ -1,0 +1,108 @@
+"""What every part of the fleet works with: the books, the links to the agents, and threads for the database."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import httpx
+import sqlalchemy as sa
+
+from service.fleet.agent_link import ASK_S, AgentAwayError, AgentLink
+from service.fleet.machines import KnownMachine, known_machines
+from service.fleet.run_book import FINISHED, LOST, RunBook, RunRow
+from service.jobs.book import JobBook
+from service.settings import ServerSettings
+from service.store.store import Store
+from service.web.problems import Problem
+
+T = TypeVar("T")
+_THREADS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A run as it is known now; `away`: why its agent could not be asked (empty: it was asked, or need not be)."""
+
+    run: RunRow
+    away: str = ""
+
+
+class FleetCore:
+    """Asks, and writes down what it is told. Moves nothing."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, jobs: JobBook) -> None:
+        self.settings = settings
+        self.store = store
+        self.ending = asyncio.Event()
+        self.jobs = jobs
+        self.runs = RunBook(database)
+        self._links: dict[str, AgentLink] = {}
+        self._http: httpx.AsyncClient | None = None
+        # Of its own, so that an order to a mill never waits behind uploads and downloads.
+        self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="fleet")
+
+    async def do(self, function: Callable[..., T], *arguments: Any, **named: Any) -> T:
+        """A call that waits for the database or a disk, off the event loop."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._threads, lambda: function(*arguments, **named))
+
+    async def machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+        return await self.do(known_machines, self.settings)
+
+    async def machine(self, name: str) -> KnownMachine:
+        """Problem 404 where there is none of this name."""
+        known, _ = await self.machines()
+        if name not in known:
+            words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
+            raise Problem(404, f"no machine '{name}'; known: {words}", field="machine")
+        return known[name]
+
+    def link(self, machine: KnownMachine) -> AgentLink:
+        """The link to its agent; a new one where the machine has changed."""
+        found = self._links.get(machine.name)
+        if found is None or found.machine != machine:
+            found = self._links[machine.name] = AgentLink(machine, self._client)
+        return found
+
+    async def link_of(self, run: RunRow) -> AgentLink:
+        """The link to the agent that has this run: the one used before, without a look at any file."""
+        found = self._links.get(run.machine)
+        if found is not None:
+            return found
+        try:
+            return self.link(await self.machine(run.machine))
+        except Problem as gone:
+            raise AgentAwayError(gone.detail) from None
+
+    async def seen(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
+        """The run as its agent has it now, written down where that is news."""
+        if run.agent_run is None or (run.state == FINISHED and not run.open) or run.state == LOST:
+            return Seen(run)
+        try:
+            link = await self.link_of(run)
+            view = await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s)
+        except AgentAwayError as away:
+            return Seen(run, away.words)
+        except Problem as problem:
+            if problem.status != 404:
+                return Seen(run, problem.detail)
+            await self.do(self.runs.close, run.id, LOST, "its agent no longer knows this run")
+            return Seen(await self.do(self.runs.get, run.id))
+        return Seen(await self.do(self.runs.told, run, view))
+
+    async def close(self) -> None:
+        if self._http is not None:
+            await self._http.aclose()
+            self._http = None
+        self._threads.shutdown(wait=False, cancel_futures=True)
+
+    def _client(self) -> httpx.AsyncClient:
+        """One for all agents, made in the loop that uses it. No proxies: a mill's agent is asked directly."""
+        if self._http is None:
+            limits = httpx.Limits(max_connections=None, max_keepalive_connections=20, keepalive_expiry=30)
+            self._http = httpx.AsyncClient(trust_env=False, limits=limits, headers={"User-Agent": "causticmill"})
+        return self._http

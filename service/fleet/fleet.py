@@ -1,0 +1,146 @@
+"""The mills, as the job server offers them: what they are and do, and the runs of programs on them."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncIterator
+from typing import Any
+
+import sqlalchemy as sa
+
+from service.fleet.agent_link import AgentAwayError
+from service.fleet.controls import Controls
+from service.fleet.core import FleetCore, Seen
+from service.fleet.events import run_events
+from service.fleet.handover import Handovers
+from service.fleet.machines import KnownMachine
+from service.fleet.programs import programs_of
+from service.fleet.run_book import PREPARING, RunRow, UnknownRunError
+from service.fleet.views import Surroundings, machine_json, run_json
+from service.jobs.book import JobBook
+from service.jobs.records import UnknownJobError
+from service.settings import ServerSettings
+from service.store.store import Store
+from service.web.problems import Problem
+
+Json = dict[str, Any]
+_EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")  # as agents give them
+
+
+class Fleet:
+    """For one event loop. Every refusal is a Problem."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, book: JobBook) -> None:
+        self._core = FleetCore(settings, database, store, book)
+        self._handovers = Handovers(self._core)
+        self._controls = Controls(self._core)
+
+    def end_streams(self) -> None:
+        """The server ends: so do the event streams, which would not by themselves."""
+        self._core.ending.set()
+
+    async def aclose(self) -> None:
+        self.end_streams()
+        await self._handovers.close()
+        await self._core.close()
+
+    # ------------------------------------------------------------------ machines
+
+    async def machines(self) -> Json:
+        known, problems = await self._core.machines()
+        rows = await asyncio.gather(*(self._machine(machine) for machine in known.values()))
+        return {"machines": list(rows), "problems": problems}
+
+    async def machine(self, name: str) -> Json:
+        return await self._machine(await self._core.machine(name))
+
+    async def _machine(self, machine: KnownMachine) -> Json:
+        status, away, run = None, "", await self._core.do(self._core.runs.open_on, machine.name)
+        try:
+            status = await self._core.link(machine).get("/v1/status")
+            run = None if run is None else (await self._now(run)).run
+        except AgentAwayError as error:
+            away = error.words
+        except Problem as problem:
+            away = problem.detail
+        return machine_json(machine, status, away, run if run is not None and run.open else None)
+
+    # ------------------------------------------------------------------ runs
+
+    async def park(
+        self, machine: str, job_id: str, program: int | str | None, by: str, key: str | None
+    ) -> tuple[Json, bool]:
+        """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
+        known = await self._core.machine(machine)
+        run = await self._handovers.begin(known, job_id, program, by, key)
+        run = await self._handovers.finish(run, known)
+        return await self._shown(Seen(run)), run.state != PREPARING
+
+    async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> Json:
+        """Newest first; open ones as their agents have them now."""
+        try:
+            rows = await self._core.do(self._core.runs.listed, machine=machine, job=job, limit=limit, before=before)
+        except UnknownRunError as error:
+            raise Problem(422, str(error), field="cursor") from None
+        seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
+        shown = await asyncio.gather(*map(self._shown, seen))
+        return {"runs": list(shown), "next": rows[-1].id if len(rows) == limit else None}
+
+    async def run(self, run_id: str) -> Json:
+        return await self._shown(await self._now(await self._controls.row(run_id)))
+
+    async def recovery(self, run_id: str) -> Json:
+        return await self._controls.recovery(run_id)
+
+    async def start(self, run_id: str, operator: str, checks: frozenset[str]) -> Json:
+        around = await self._around(await self._controls.row(run_id))
+        return await self._shown(await self._controls.start(run_id, operator, checks, around))
+
+    async def recover(self, run_id: str, operator: str, checks: frozenset[str]) -> Json:
+        return await self._shown(await self._controls.recover(run_id, operator, checks))
+
+    async def hold(self, run_id: str) -> Json:
+        return await self._shown(await self._controls.hold(run_id))
+
+    async def resume(self, run_id: str) -> Json:
+        return await self._shown(await self._controls.resume(run_id))
+
+    async def abort(self, run_id: str) -> Json:
+        return await self._shown(await self._controls.abort(run_id))
+
+    async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
+        """The run's server-sent events; None where it was over when the reader last heard of it."""
+        seen = await self._now(await self._controls.row(run_id))
+        if last_id and not seen.run.open and not seen.away:
+            return None
+        return run_events(self._core, seen, last_id if _EVENT_ID.fullmatch(last_id) else "")
+
+    def require_no_open_run(self, job_id: str) -> None:
+        """Problem 409 where a program of this job is on a mill. For a thread, not for the event loop."""
+        if (run_id := self._core.runs.open_run_of_job(job_id)) is not None:
+            raise Problem(409, f"run {run_id} of a program of this job is open; abort it or let it finish first")
+
+    # ------------------------------------------------------------------
+
+    async def _now(self, run: RunRow) -> Seen:
+        return await self._core.seen((await self._handovers.repaired(Seen(run))).run)
+
+    async def _shown(self, seen: Seen) -> Json:
+        return run_json(seen, await self._around(seen.run))
+
+    async def _around(self, run: RunRow) -> Surroundings:
+        """The job may be gone by now; its run is not."""
+        return await self._core.do(self._surroundings, run)
+
+    def _surroundings(self, run: RunRow) -> Surroundings:
+        jobs, runs = self._core.jobs, self._core.runs
+        try:
+            job, programs = jobs.get(run.job_id), programs_of(jobs.artifacts(run.job_id))
+        except UnknownJobError:
+            return Surroundings()
+        return Surroundings(job=job, programs=programs, finished=runs.finished(run.job_id, run.machine))
+
+
+async def _as_it_is(run: RunRow) -> Seen:
+    return Seen(run)

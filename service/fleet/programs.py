@@ -1,0 +1,90 @@
+"""The programs of a job, and what a person has to set up before each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from service.job_files import is_program
+from service.jobs.records import Artifact, Job
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Program:
+    """One pass: number from 1, file name, hash, size."""
+
+    number: int
+    name: str
+    sha256: str
+    bytes: int
+
+    def as_dict(self) -> Json:
+        return {"number": self.number, "name": self.name, "sha256": self.sha256}
+
+
+def programs_of(files: Sequence[Artifact]) -> list[Program]:
+    """The programs among a job's files, in the order in which they are run."""
+    found = [
+        Program(number=int(file.name.split("-")[1]), name=file.name, sha256=file.sha256, bytes=file.bytes)
+        for file in files
+        if is_program(file.name)
+    ]
+    return sorted(found, key=lambda program: program.number)
+
+
+def set_up(job: Job, number: int) -> Json:
+    """Tool, block, zero and what changes since the pass before, from the job's own spec and report."""
+    row, before = _pass(job, number), _pass(job, number - 1)
+    tool = {"shape": "ball end mill", "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
+    optics, stock = _table(job.spec, "optics"), _table(job.spec, "stock")
+    margin_mm = float(stock.get("margin_mm", 0.0))
+    width_mm, height_mm, thickness_mm = optics.get("width_mm"), optics.get("height_mm"), stock.get("thickness_mm")
+    block = {
+        "width_mm": None if width_mm is None else width_mm + 2 * margin_mm,
+        "height_mm": None if height_mm is None else height_mm + 2 * margin_mm,
+        "thickness_mm": thickness_mm,
+        "material": stock.get("material"),
+    }
+    zero = (
+        f"X0 Y0: lower left corner of the lens, {margin_mm:g} mm in from the block's left and front edges; Z0: its top"
+    )
+    return {"tool": tool, "stock": block, "zero": zero, "change": _change(row, before) if number > 1 else None}
+
+
+def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
+    """What to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
+    old, new = before.get("radius_mm"), row.get("radius_mm")
+    if old is not None and old == new:
+        words = f"the same tool as before, R {_mm(new)}, if it is still sharp; probe Z or set Z zero again"
+    else:
+        words = f"change the tool from R {_mm(old)} to R {_mm(new)}, set Z zero again; X and Y zero stay"
+    return {"from_radius_mm": old, "to_radius_mm": new, "words": words}
+
+
+def _pass(job: Job, number: int) -> Mapping[str, Any]:
+    """Row `number` of the spec's passes, what the report says of it on top."""
+    wanted, made = _rows(job.spec), _rows(job.report or {})
+    row: dict[str, Any] = {}
+    if 1 <= number <= len(wanted):
+        row |= wanted[number - 1]
+    if 1 <= number <= len(made):
+        settings = made[number - 1].get("settings")
+        row |= {key: value for key, value in (settings or {}).items() if value is not None}
+    return row
+
+
+def _mm(value: float | None) -> str:
+    return "?" if value is None else f"{value:g}"
+
+
+def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    rows = values.get("passes")
+    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+def _table(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    found = values.get(name)
+    return found if isinstance(found, dict) else {}

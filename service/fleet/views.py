@@ -1,0 +1,158 @@
+"""How runs and machines look from outside."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+from urllib.parse import quote
+
+from machines.runs import RECOVER_CHECKS, START_CHECKS
+from service.fleet.core import Seen
+from service.fleet.machines import KnownMachine
+from service.fleet.programs import Program, set_up
+from service.fleet.run_book import ABORTED, INTERRUPTED, PARKED, RunRow
+from service.jobs.records import Job
+
+Json = dict[str, Any]
+ORDER = "order"
+CHECK_ORDER = ("tool", "zero", "stock", "clear", "position", ORDER)
+_ACTIONS = ("start", "hold", "resume", "abort", "recover")
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """What a run is part of. job: None where it is gone; finished: hashes of programs that this mill has finished."""
+
+    job: Job | None = None
+    programs: Sequence[Program] = ()
+    finished: frozenset[str] = frozenset()
+
+    def left_out(self, number: int) -> list[Program]:
+        """Earlier passes that this mill has not finished."""
+        return [one for one in self.programs if one.number < number and one.sha256 not in self.finished]
+
+    def following(self, number: int) -> Program | None:
+        return next((one for one in self.programs if one.number > number and one.sha256 not in self.finished), None)
+
+
+def required_checks(run: RunRow, around: Surroundings) -> list[str]:
+    """What a person has to confirm before the run may go on from here."""
+    if run.state == PARKED and run.open:
+        needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
+    elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and started(run):
+        needed = RECOVER_CHECKS
+    else:
+        return []
+    return [check for check in CHECK_ORDER if check in needed]
+
+
+def started(run: RunRow) -> bool:
+    return bool(run.view and run.view.get("started_s"))
+
+
+def run_json(seen: Seen, around: Surroundings) -> Json:
+    """A whole run."""
+    run = seen.run
+    following = around.following(run.number)
+    return live_json(seen) | {
+        "job": run.job_id,
+        "program": {"number": run.number, "name": run.program, "sha256": run.sha256},
+        "setup": set_up(around.job, run.number) if around.job is not None else None,
+        "required_checks": required_checks(run, around),
+        "left_out": [one.as_dict() for one in around.left_out(run.number)],
+        "next": None if following is None else following.as_dict(),
+        "created_by": run.created_by,
+        "created_at": moment(run.created_at),
+        "links": _links(run),
+    }
+
+
+def _links(run: RunRow) -> Json:
+    here = f"/v1/runs/{run.id}"
+    own = {"self": here, "events": f"{here}/events", "recovery": f"{here}/recovery"}
+    others = {"job": f"/v1/jobs/{run.job_id}", "machine": f"/v1/machines/{quote(run.machine, safe='')}"}
+    return own | others | {action: f"{here}:{action}" for action in _ACTIONS}
+
+
+def live_json(seen: Seen) -> Json:
+    """The part of a run that changes while it is on the mill."""
+    run, view = seen.run, seen.run.view or {}
+    return {
+        "id": run.id,
+        "machine": run.machine,
+        "state": run.state,
+        "open": run.open,
+        "words": run.words or "",
+        "unreachable": bool(seen.away),
+        "unreachable_words": seen.away,
+        "share": view.get("share", 0.0),
+        "executed_line": view.get("executed_line", 0),
+        "lines": view.get("lines"),
+        "time_s": view.get("time_s"),
+        "time_left_s": view.get("time_left_s"),
+        "operator": view.get("operator", ""),
+        "recoveries": view.get("recoveries", 0),
+        "warnings": view.get("warnings", []),
+        "started_at": moment(view.get("started_s")),
+        "ended_at": moment(run.ended_at),
+    }
+
+
+def machine_json(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> Json:
+    """A mill: what it is, whether its agent answers, what it does, and the run that is open on it."""
+    profile = machine.profile
+    name = quote(machine.name, safe="")
+    return {
+        "name": machine.name,
+        "remote": machine.remote,
+        "problem": machine.problem,
+        "profile": None if profile is None else _profile(dataclasses.asdict(profile)),
+        "agent": {"reachable": status is not None, "words": away},
+        "mill": None if status is None else _mill(status),
+        "run": None if run is None else {"id": run.id, "state": run.state, "job": run.job_id, "program": run.program},
+        "links": {"self": f"/v1/machines/{name}", "runs": f"/v1/runs?machine={name}"},
+    }
+
+
+def moment(at: float | None) -> str | None:
+    """ISO 8601, UTC."""
+    if at is None:
+        return None
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _profile(values: Json) -> Json:
+    """What a person chooses a mill by; how bytes get there is the agent's business."""
+    names = (
+        "description",
+        "dialect",
+        "travel_mm",
+        "max_rate_mm_per_min",
+        "step_mm",
+        "spindle_rpm",
+        "safe_z_mm",
+        "homing",
+    )
+    return {name: values.get(name) for name in names}
+
+
+def _mill(status: Json) -> Json:
+    told = status.get("status") or {}
+    names = (
+        "state",
+        "detail",
+        "work_mm",
+        "machine_mm",
+        "feed_mm_per_min",
+        "spindle_rpm",
+        "overrides",
+        "position_trusted",
+    )
+    return {name: told.get(name) for name in names} | {
+        "connected": status.get("connected", False),
+        "problem": status.get("problem", ""),
+        "needs": status.get("needs", []),
+        "latched": status.get("latched", ""),
+    }

@@ -1,0 +1,68 @@
+"""What a child of `serve` has from its supervisor: a pipe to beat into, and the address to serve, bound already.
+
+The pipe tells both ways: without beats the supervisor takes the child for frozen, and a supervisor that is gone closes
+it. Only what the standard library has is imported here.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+from collections.abc import Callable
+
+BEAT_FD = "CAUSTICMILL_BEAT_FD"
+LISTEN_FD = "CAUSTICMILL_LISTEN_FD"
+SUPERVISOR = "CAUSTICMILL_SUPERVISOR"
+BEAT_S = 0.5
+_SET_PDEATHSIG = 1
+
+healthy: Callable[[], bool] = lambda: True  # noqa: E731 - replaced by a process that knows better about itself
+
+
+def begin() -> None:
+    """Die with the supervisor from now on, and beat as long as `healthy` says so. Nothing outside of `serve`."""
+    descriptor = _taken(BEAT_FD)
+    if descriptor is None:
+        return
+    _die_with(int(os.environ.pop(SUPERVISOR)))
+    threading.Thread(target=_beat, args=(descriptor,), name="lifeline", daemon=True).start()
+
+
+def inherited_socket() -> socket.socket | None:
+    """The address the supervisor has bound; None: this process was not started by it, or is not to serve."""
+    descriptor = _taken(LISTEN_FD)
+    return None if descriptor is None else socket.socket(fileno=descriptor)
+
+
+def _taken(name: str) -> int | None:
+    """A descriptor named by the environment, from now on this process's alone."""
+    text = os.environ.pop(name, None)
+    if text is None:
+        return None
+    os.set_inheritable(int(text), False)
+    return int(text)
+
+
+def _die_with(supervisor: int) -> None:
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+    if os.getppid() != supervisor:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _beat(descriptor: int) -> None:
+    signal.pthread_sigmask(signal.SIG_BLOCK, signal.valid_signals())  # they are for the main thread, which may sleep
+    poll = select.poll()
+    poll.register(descriptor, 0)  # the other end closed is told in any case
+    while not poll.poll(BEAT_S * 1000):
+        if healthy():
+            try:
+                os.write(descriptor, b".")
+            except OSError:
+                break
+    os.kill(os.getpid(), signal.SIGKILL)

@@ -1,0 +1,137 @@
+"""A backup back into an empty data folder: whole and with every hash checked, or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import re
+import shutil
+import tarfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
+
+from service.errors import FailedError, InputError, sentence_of_os_error
+from service.host.backup import DATABASES, FORMAT, MANIFEST, object_name
+from service.host.locking import lock_folder
+from service.settings import ServerSettings
+from service.store.opening import open_store
+from service.store.store import Store
+
+_ARRIVING = "restoring"
+_OBJECT = re.compile(r"objects/[0-9a-f]{2}/[0-9a-f]{64}")
+_PIECE_BYTES = 1 << 20
+_MANIFEST_BYTES = 1 << 30
+
+
+def restore(source: Path, settings: ServerSettings) -> list[str]:
+    """The lines say what was restored, and what the backup did not hold."""
+    with _emptied(settings.data), _opened(source) as tar:
+        folder = settings.data / _ARRIVING
+        folder.mkdir()
+        store = open_store(settings)
+        hashes, damaged = _take(tar, folder, store)
+        manifest = _manifest(folder, source)
+        _require_whole(manifest, hashes, damaged, source)
+        for name in manifest["databases"]:
+            (folder / name).rename(settings.data / name)
+        _sync(settings.data)
+        shutil.rmtree(folder)
+    held = sum(name not in DATABASES for name in hashes)
+    lines = [f"{settings.data}: {held} objects and {len(manifest['databases'])} databases of {source}"]
+    if not manifest["databases"]:
+        lines.append("the database is not in it: restore that with pg_restore")
+    return lines + [f"object {sha256} was damaged before the backup and is left out" for sha256 in damaged]
+
+
+def _take(tar: tarfile.TarFile, folder: Path, store: Store) -> tuple[dict[str, str], list[str]]:
+    """Hash of each database and object that arrived, and those objects that are not what they are called."""
+    hashes: dict[str, str] = {}
+    damaged: list[str] = []
+    for member in tar:
+        stream = tar.extractfile(member) if member.isreg() else None
+        if stream is None or not (member.name in (*DATABASES, MANIFEST) or _OBJECT.fullmatch(member.name)):
+            raise InputError(f"{member.name!r} does not belong into a backup of causticmill")
+        target = folder / Path(member.name).name
+        sha256 = _write(stream, target)
+        if member.name.startswith("objects/"):
+            if object_name(sha256) == member.name:
+                store.put_file(target)
+            else:
+                damaged.append(target.name)
+            target.unlink()
+        if object_name(sha256) == member.name or member.name in DATABASES:
+            hashes[member.name] = sha256
+        tar.members.clear()  # type: ignore[attr-defined]
+    return hashes, damaged
+
+
+def _write(stream: IO[bytes], target: Path) -> str:
+    digest = hashlib.sha256()
+    with target.open("xb") as file:
+        while piece := stream.read(_PIECE_BYTES):
+            digest.update(piece)
+            file.write(piece)
+        file.flush()
+        os.fsync(file.fileno())
+    return digest.hexdigest()
+
+
+def _manifest(folder: Path, source: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads((folder / MANIFEST).read_bytes())
+        known = manifest["format"] == FORMAT
+    except (OSError, ValueError, KeyError, TypeError):
+        raise FailedError(f"{source} is not whole: it ends before its list of contents") from None
+    if not known:
+        raise InputError(f"{source} was made by another version; allowed: format {FORMAT}")
+    return dict(manifest)
+
+
+def _require_whole(manifest: dict[str, Any], hashes: dict[str, str], damaged: list[str], source: Path) -> None:
+    for name, sha256 in manifest["databases"].items():
+        if name not in DATABASES or hashes.get(name) != sha256:
+            raise FailedError(f"{source}: {name} is not what was backed up")
+    if fresh := sorted(set(damaged) - set(manifest["damaged"])):
+        raise FailedError(*(f"{source}: object {sha256} is not what was backed up" for sha256 in fresh))
+    held = sum(name not in DATABASES for name in hashes)
+    if held + len(damaged) != manifest["objects"]:
+        raise FailedError(f"{source} holds {held} of {manifest['objects']} objects")
+
+
+@contextlib.contextmanager
+def _emptied(data: Path) -> Iterator[None]:
+    """An empty folder of our own; as empty again if anything goes wrong."""
+    try:
+        if data.exists() and any(data.iterdir()):
+            raise InputError(f"--data {data} is not empty; allowed: a new or empty folder")
+        with lock_folder(data, doing="restored"):
+            try:
+                yield
+            except BaseException:
+                for path in data.iterdir():
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+                raise
+    except OSError as error:
+        raise FailedError(sentence_of_os_error(error, doing="cannot restore into")) from None
+
+
+@contextlib.contextmanager
+def _opened(source: Path) -> Iterator[tarfile.TarFile]:
+    try:
+        with tarfile.open(source, "r|*") as tar:
+            yield tar
+    except (tarfile.TarError, EOFError) as error:
+        raise FailedError(f"{source} is not whole, or no backup: {error}") from None
+    except FileNotFoundError:
+        raise InputError(f"there is no {source}") from None
+
+
+def _sync(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

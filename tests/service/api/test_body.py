@@ -1,0 +1,47 @@
+"""Bodies that come slowly, or grow too long."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import socket
+
+import httpx
+import pytest
+from starlette.requests import Request
+from starlette.types import Message
+
+from service.api.body import Body
+from service.web.problems import Problem
+from tests.service.api.server import ApiServer, problem, wait_for
+
+
+def test_a_client_that_stops_sending_is_given_up() -> None:
+    async def silence() -> Message:
+        await asyncio.sleep(60)
+        raise AssertionError
+
+    async def read() -> None:
+        body = Body(Request({"type": "http", "headers": []}, silence), wait_s=0.01)
+        async for _ in body.pieces():
+            raise AssertionError
+
+    with pytest.raises(Problem, match="nothing came") as told:
+        asyncio.run(read())
+    assert told.value.status == 408
+
+
+@pytest.mark.parametrize("path", ["/v1/tokens", "/v1/machines/mill/runs"])
+def test_a_json_body_is_small(server: ApiServer, path: str) -> None:
+    answer = server.client.post(path, content=b'{"a": "' + b"x" * 200_000, headers={"Content-Type": "application/json"})
+    assert answer.status_code in (401, 413)
+    assert answer.headers["content-type"] == "application/problem+json"
+
+
+def test_too_many_connections_are_told_so(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(server.server.config, "limit_concurrency", 20)
+    with contextlib.ExitStack() as stack, httpx.Client(base_url=server.address) as late:
+        for _ in range(21):
+            stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=20))
+        assert "connections" in problem(late.get("/livez"), 503)["detail"]
+    wait_for(lambda: httpx.get(f"{server.address}/livez").status_code == 200)

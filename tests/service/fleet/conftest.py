@@ -1,0 +1,29 @@
+"""A shop with one mill for each test; its agents end with the test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.service.fleet.shop import Shop, kill_agents, own_folders, shop, write_profile
+from tests.service.mills import Bench, bench
+
+
+@pytest.fixture
+def mill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+    """A simulated mill and a profile that says where it is."""
+    own_folders(monkeypatch, tmp_path)
+    with bench(8.0) as found:
+        write_profile(found.url)
+        try:
+            yield found
+        finally:
+            kill_agents(tmp_path)
+
+
+@pytest.fixture
+def floor(tmp_path: Path, mill: Bench) -> Iterator[Shop]:
+    with shop(tmp_path / "data", mill) as found:
+        yield found

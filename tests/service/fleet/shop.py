@@ -1,0 +1,186 @@
+"""A small shop: a simulated mill on a pty, its profile, its real agent, a real API server, and a job with programs."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from service.agent.card import AgentCard, read_card
+from service.fleet.launching import is_owned, start_agents
+from service.jobs.tokens import TokenScope
+from service.settings import ServerSettings
+from tests.service.api.server import ApiServer, api_server, wait_for
+from tests.service.mills import Bench, program
+
+MACHINE = "shop"
+CHECKS = ["tool", "zero", "stock", "clear"]
+WAIT_S = 60.0
+LINES = (40, 60, 30)
+
+
+@dataclass
+class Shop:
+    """`operator` calls with a token that may run machines and read jobs."""
+
+    data: Path
+    bench: Bench
+    server: ApiServer
+    operator: httpx.Client
+    jobs: list[str] = field(default_factory=list)
+
+    @property
+    def settings(self) -> ServerSettings:
+        return self.server.services.settings
+
+    @property
+    def folder(self) -> Path:
+        return self.settings.agents_folder / MACHINE
+
+    def card(self) -> AgentCard:
+        found = read_card(self.folder)
+        assert found is not None
+        return found
+
+    def token(self, *scopes: str, name: str = "") -> str:
+        name = name or f"t{time.monotonic_ns()}"
+        return self.server.services.tokens.create(name, scopes)[1]
+
+    def client(self, *scopes: str, address: str = "") -> httpx.Client:
+        headers = {"Authorization": f"Bearer {self.token(*scopes)}"}
+        return httpx.Client(base_url=address or self.server.address, headers=headers, timeout=WAIT_S)
+
+    def job(self, lines: tuple[int, ...] = LINES, state: str = "succeeded") -> str:
+        """A job as it is once its stages are done: a program of so many cuts for each pass."""
+        services = self.server.services
+        posted = self.server.client.post(
+            "/v1/jobs",
+            files={"image": ("p.png", _png())},
+            headers={"Authorization": f"Bearer {self.token('jobs:write')}"},
+        )
+        assert posted.status_code == 202, posted.text
+        job = str(posted.json()["id"])
+        for number, count in enumerate(lines, start=1):
+            path = program(self.data / f"{number}.nc", count)
+            content = path.read_bytes() + f"(job {job} pass {number})\n".encode()
+            kind = "rough" if number < len(lines) else "finish"
+            self.server.put_artifact(job, f"pass-{number}-{kind}.nc", content, stage=f"pass-{number}")
+        self.server.put_stage(job, "check")
+        self.server.put_state(job, state, ended_at=time.time())
+        assert services.book.get(job).state == state
+        return job
+
+    # ------------------------------------------------------------------ as the operator
+
+    def get(self, path: str, status: int = 200) -> Any:
+        answer = self.operator.get(path)
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+    def post(self, path: str, status: int, **body: Any) -> Any:
+        answer = self.operator.post(path, json=body) if body else self.operator.post(path)
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+    def park(self, job: str, status: int = 201, **more: Any) -> Any:
+        """A run that could not be parked in time (kernels that have to be compiled first) is waited for."""
+        answer = self.operator.post(f"/v1/machines/{MACHINE}/runs", json={"job": job, **more})
+        if answer.status_code == 202 and status == 201:
+            return self.until_state(answer.json(), "parked")
+        assert answer.status_code == status, answer.text
+        return answer.json()
+
+    def start(self, run: Any, status: int = 202, checks: list[str] | None = None) -> Any:
+        return self.post(f"/v1/runs/{run['id']}:start", status, operator="Ada", checks=checks or run["required_checks"])
+
+    def until(self, run: Any, good: Callable[[Any], bool]) -> Any:
+        limit = time.monotonic() + WAIT_S
+        while not good(now := self.get(f"/v1/runs/{run['id']}")):
+            assert time.monotonic() < limit, now
+            time.sleep(0.02)
+        return now
+
+    def until_state(self, run: Any, *states: str) -> Any:
+        return self.until(run, lambda now: now["state"] in states)
+
+    def until_cut(self, blocks: int) -> None:
+        wait_for(lambda: len(self.bench.cut) >= blocks, patience_s=WAIT_S)
+
+    def until_idle(self) -> None:
+        def idle() -> bool:
+            mill = self.get(f"/v1/machines/{MACHINE}")["mill"]
+            return bool(mill) and mill["state"] == "idle"
+
+        wait_for(idle, patience_s=WAIT_S)
+
+
+def write_profile(port: str, *, name: str = MACHINE, text: str = "") -> Path:
+    """A profile of the person's own, in the folder that the environment names."""
+    folder = Path(os.environ["CAUSTICMILL_CONFIG_DIR"]) / "machines"
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.toml"
+    path.write_text(text or f'extends = "grbl"\ndescription = "the mill by the window"\n[link]\nport = "{port}"\n')
+    return path
+
+
+def agent_pids(data: Path) -> list[int]:
+    """Living owners of the mill folders below, agents whose port is not open yet included."""
+    pids = []
+    for lock in data.rglob("lock"):
+        if is_owned(lock.parent) and (text := lock.read_text().strip()).isdigit():
+            pids.append(int(text))
+    return pids
+
+
+def kill_agents(data: Path, number: signal.Signals = signal.SIGKILL) -> None:
+    """And wait until they are gone, which their locks show."""
+    for pid in agent_pids(data):
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(pid, number)
+    wait_for(lambda: not agent_pids(data), patience_s=WAIT_S)
+
+
+def await_agent(folder: Path) -> AgentCard:
+    def answers() -> bool:
+        card = read_card(folder)
+        if card is None:
+            return False
+        with contextlib.suppress(httpx.HTTPError):
+            return httpx.get(f"{card.url}/livez", trust_env=False).status_code == 200
+        return False
+
+    wait_for(answers, patience_s=WAIT_S)
+    card = read_card(folder)
+    assert card is not None
+    return card
+
+
+@contextlib.contextmanager
+def shop(data: Path, bench: Bench, **settings: Any) -> Iterator[Shop]:
+    """An API server on this data folder, the agent of its mill started as `serve` does."""
+    with api_server(data, **settings) as server:
+        start_agents(server.services.settings)
+        found = Shop(data, bench, server, httpx.Client())
+        with found.client(TokenScope.JOBS_READ, TokenScope.MACHINE_RUN) as found.operator:
+            await_agent(found.folder)
+            found.until_idle()
+            yield found
+
+
+def own_folders(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
+    monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(folder / "config"))
+
+
+def _png() -> bytes:
+    from tests.service.api.server import png
+
+    return png()

@@ -1,0 +1,150 @@
+"""`causticmill serve` itself: worker, API, database and store as a person starts them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from service.cli import run
+from tests.service.host.processes import Serving, descendants, is_alive, served, until
+
+API, WORKER = "service.api.main", "service.worker.main"
+
+
+def ready(serving: Serving) -> bool:
+    try:
+        with urllib.request.urlopen(f"{serving.url}/readyz", timeout=10) as answer:
+            return bool(answer.status == 200)
+    except OSError:
+        return False
+
+
+def test_it_is_ready_stops_well_and_starts_again(tmp_path: Path) -> None:
+    for _ in range(2):
+        with served("--no-agents", data=tmp_path) as serving:
+            serving.until_ready()
+            assert ready(serving)
+            below = descendants(serving.pid)
+            serving.kill(serving.pid, signal.SIGTERM)
+            assert serving.ended() == 0
+            assert not any(map(is_alive, below))
+            assert not [line for line in serving.err if "error" in line.lower()], serving.err
+
+
+@pytest.mark.parametrize("module", [API, WORKER])
+def test_what_is_killed_is_ready_again(tmp_path: Path, module: str) -> None:
+    with served("--no-agents", data=tmp_path) as serving:
+        serving.until_ready()
+        before = serving.child(module)
+        serving.kill(before)
+        until(lambda: serving.child(module) not in (0, before) and ready(serving), what="ready again", within_s=30)
+        assert serving.process.poll() is None
+
+
+def test_nothing_is_left_of_a_killed_supervisor(tmp_path: Path) -> None:
+    with served("--no-agents", data=tmp_path) as serving:
+        serving.until_ready()
+        below = descendants(serving.pid)
+        serving.kill(serving.pid)
+        until(lambda: not any(map(is_alive, below)), what="the end of all", within_s=5)
+
+
+def test_a_foreign_address_without_tokens_is_refused_in_words(tmp_path: Path) -> None:
+    with served("--host", "0.0.0.0", "--behind-proxy", data=tmp_path) as serving:
+        assert serving.ended(30) == 2
+        (line,) = [line for line in serving.err if line.startswith("error:")]
+        assert "--host 0.0.0.0" in line and "token" in line
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment", "word"),
+    [
+        (("--slots", "0"), {}, "--slots"),
+        (("--port", "70000"), {}, "--port"),
+        ((), {"CAUSTICMILL_LEASE_S": "soon"}, "CAUSTICMILL_LEASE_S"),
+        (("--store-url", "gs://bucket"), {}, "CAUSTICMILL_STORE_URL"),
+        (("--database-url", "postgresql://localhost:1/x"), {}, "CAUSTICMILL_DATABASE_URL"),
+        ((), {"CAUSTICMILL_SECRETS": "/nowhere"}, "CAUSTICMILL_SECRETS"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(
+    tmp_path: Path, arguments: tuple[str, ...], environment: dict[str, str], word: str
+) -> None:
+    with served(*arguments, data=tmp_path, **environment) as serving:
+        assert serving.ended(30) == 2
+        lines = {line for line in serving.err if line.startswith("error:")}
+        assert len(lines) == 1 and word in lines.pop()
+        assert serving.out == []
+
+
+@pytest.mark.parametrize("word", [signal.SIGTERM, signal.SIGKILL])
+def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path: Path, word: signal.Signals) -> None:
+    with served("--no-agents", data=tmp_path) as serving:
+        serving.until_ready()
+        job = submitted(serving)
+        until_at_work(serving, job)
+        below = descendants(serving.pid)
+        assert len(below) > 3, "worker, API, nursery, stage"
+        serving.kill(serving.pid, word)
+        serving.ended(30)
+        until(lambda: not any(map(is_alive, below)), what="the end of all", within_s=5)
+    with served("--no-agents", data=tmp_path) as serving:
+        serving.until_ready()
+        until_beyond(serving, job, "heightfield")
+
+
+def test_a_restored_folder_serves_and_goes_on_with_its_jobs(tmp_path: Path) -> None:
+    backup, again = tmp_path / "backup.tar", tmp_path / "again"
+    with served("--no-agents", data=tmp_path / "data") as serving:
+        serving.until_ready()
+        job = submitted(serving)
+        until(lambda: answered(serving, job)["state"] == "running", what="a job that runs")
+        assert run(["service", "backup", str(backup), "--data", str(tmp_path / "data")]) == 0
+    assert run(["service", "restore", str(backup), "--data", str(again)]) == 0
+    with served("--no-agents", data=again) as serving:
+        serving.until_ready()
+        until_beyond(serving, job, "heightfield")
+
+
+SPEC = {
+    "preset": "draft",
+    "image": {"pixels": 32},
+    "optics": {"width_mm": 8, "height_mm": 8, "throw_mm": 30},
+    "stock": {"margin_mm": 2},
+}
+PICTURE = Path(__file__).parents[3] / "examples/logo.png"
+
+
+def submitted(serving: Serving) -> str:
+    """The id of a small job."""
+    given = {"spec": json.dumps(SPEC)}
+    with PICTURE.open("rb") as file:
+        answer = httpx.post(f"{serving.url}/v1/jobs", files={"image": ("logo.png", file)}, data=given, timeout=30)
+    assert answer.status_code == 202, answer.text
+    return str(answer.json()["id"])
+
+
+def answered(serving: Serving, job: str) -> dict[str, Any]:
+    return dict(httpx.get(f"{serving.url}/v1/jobs/{job}", timeout=30).json())
+
+
+def until_at_work(serving: Serving, job: str) -> None:
+    """A stage of it runs in a process of its own."""
+    until(lambda: answered(serving, job)["stage"] not in (None, "image"), what="a stage that runs", within_s=60)
+
+
+def until_beyond(serving: Serving, job: str, stage: str) -> None:
+    """The job is at work again and has finished this stage. Its end is other tests' business: it takes a while."""
+
+    def done() -> bool:
+        stages = {row["name"]: row["state"] for row in answered(serving, job)["stages"]}
+        return stages[stage] in ("committed", "reused")
+
+    until(done, what=f"the end of stage {stage}", within_s=120)
+    assert answered(serving, job)["state"] in ("running", "succeeded"), answered(serving, job)["error"]

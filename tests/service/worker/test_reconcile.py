@@ -1,0 +1,101 @@
+"""What the API, the engine or a dead worker has left undone is done by the next turn of any worker."""
+
+from __future__ import annotations
+
+import pytest
+import sqlalchemy as sa
+
+from service.jobs.book import JobBook
+from service.jobs.database import clock, writing
+from service.jobs.records import Job, NewJob
+from service.jobs.states import JobState
+from service.jobs.tables import executors, jobs
+from service.jobs.work_book import WorkBook
+from service.settings import ServerSettings
+from service.worker.dbos_engine import DbosEngine
+from service.worker.engine import Ticket
+from service.worker.leases import Lease
+from service.worker.reconcile import Reconciler
+
+NEW = NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")
+
+
+class Stand:
+    """A database, a real engine that nobody serves, and the reconcile loop of worker "me"."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine) -> None:
+        self.database = database
+        self.book = JobBook(database)
+        self.work = WorkBook(database, lease_s=10.0)
+        self.engine = DbosEngine(settings)
+        self.engine.prepare()
+        self.running: set[str] = set()
+        self.me = Lease(database, "me", 10.0, pid=1, version="1")
+        self.me.take()
+        self.loop = Reconciler(database, self.engine, executor="me", lease_s=10.0, running=lambda: self.running)
+
+    def job(self, *, age_s: float = 60.0) -> Job:
+        job, _ = self.book.create(NEW)
+        with writing(self.database) as connection:
+            queued_at = clock(connection) - age_s
+            connection.execute(jobs.update().where(jobs.c.id == job.id).values(queued_at=queued_at))
+        return job
+
+    def kill(self, executor: str) -> None:
+        with writing(self.database) as connection:
+            connection.execute(executors.delete().where(executors.c.id == executor))
+
+
+@pytest.fixture
+def stand(farm: ServerSettings, database: sa.Engine) -> Stand:
+    return Stand(farm, database)
+
+
+def test_a_job_that_never_reached_the_engine_is_submitted(stand: Stand) -> None:
+    """The API died between the two; one that was made just now is left to it."""
+    old, new = stand.job(), stand.job(age_s=0.0)
+    stand.loop.turn()
+    assert stand.engine.known([Ticket(old.id, 1), Ticket(new.id, 1)]) == {Ticket(old.id, 1)}
+    stand.loop.turn()
+    assert stand.book.get(old.id).state == JobState.QUEUED
+
+
+def test_a_running_job_to_be_cancelled_whose_worker_is_dead_is_cancelled(stand: Stand) -> None:
+    other = Lease(stand.database, "other", 10.0, pid=2, version="1")
+    other.take()
+    job = stand.job()
+    stand.work.claim(Ticket(job.id, 1), "other")
+    stand.book.request_cancel(job.id, "me")
+    stand.loop.turn()
+    assert stand.book.get(job.id).state == JobState.RUNNING  # its worker lives: it does it itself
+    stand.kill("other")
+    stand.loop.turn()
+    assert stand.book.get(job.id).state == JobState.CANCELLED
+
+
+def test_a_job_of_my_own_former_life_to_be_cancelled_is_cancelled(stand: Stand) -> None:
+    """This worker is alive, but does not have the job in hand."""
+    job = stand.job()
+    stand.work.claim(Ticket(job.id, 1), "me")
+    stand.book.request_cancel(job.id, "me")
+    stand.running = {job.id}
+    stand.loop.turn()
+    assert stand.book.get(job.id).state == JobState.RUNNING
+    stand.running = set()
+    stand.loop.turn()
+    assert stand.book.get(job.id).state == JobState.CANCELLED
+
+
+def test_a_job_that_the_engine_has_given_up_fails_with_words(stand: Stand) -> None:
+    job = stand.job()
+    stand.engine.submit(Ticket(job.id, 1), priority=1)
+    stand.work.claim(Ticket(job.id, 1), "dead")
+    stand.loop.turn()
+    assert stand.book.get(job.id).state == JobState.RUNNING
+    stand.engine.cancel(Ticket(job.id, 1))  # in place of too many starts
+    stand.loop.turn()
+    found = stand.book.get(job.id)
+    assert found.state == JobState.FAILED
+    assert found.error is not None
+    assert "given it up" in found.error["detail"]
+    assert stand.book.events(job.id)[-1].kind == "ended"

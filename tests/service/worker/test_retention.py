@@ -1,0 +1,145 @@
+"""What goes: ended jobs by age and quota, and files that nobody names. What stays: everything else, whoever races."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+import sqlalchemy as sa
+
+from service.jobs.book import JobBook
+from service.jobs.database import clock, writing
+from service.jobs.records import NewJob, UnknownJobError
+from service.jobs.states import JobState
+from service.jobs.tables import jobs, stage_results
+from service.jobs.work_book import WorkBook
+from service.settings import ServerSettings
+from service.stages.order import FileRef, StageResult
+from service.store.opening import open_store
+from service.store.store import MissingObjectError
+from service.worker.dbos_engine import DbosEngine
+from service.worker.engine import Ticket
+from service.worker.retention import DAY_S, Retention
+
+
+class Stand:
+    """A database, a real engine, a real store, and jobs of one stage with a file of 1 MB each."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, folder: Path) -> None:
+        self.database = database
+        self.folder = folder
+        self.settings = settings
+        self.store = open_store(settings)
+        self.book = JobBook(database, self.store)
+        self.work = WorkBook(database, lease_s=10.0)
+        self.engine = DbosEngine(settings)
+        self.engine.prepare()
+
+    def file(self, content: bytes) -> FileRef:
+        path = self.folder / "file"
+        path.unlink(missing_ok=True)  # it may be the store's own file by now
+        path.write_bytes(content)
+        stored = self.store.put_file(path)
+        return FileRef(stored.sha256, stored.bytes)
+
+    def job(self, number: int, *, ended_days_ago: float | None) -> tuple[str, FileRef]:
+        picture, made = self.file(b"picture %d" % number), self.file(b"%d" % number * 1_000_000)
+        new = NewJob(
+            name="a",
+            spec={},
+            image_sha256=picture.sha256,
+            image_bytes=picture.bytes,
+            created_by="me",
+            request_sha256="r",
+        )
+        job, _ = self.book.create(new)
+        claim = self.work.claim(Ticket(job.id, 1), "here")
+        assert claim is not None
+        result = StageResult(outputs={"a.png": made}, report={}, notes={}, seconds=1.0, peak_rss_mb=1.0)
+        begun = self.work.begin_stage(claim, "image", f"key {number}")
+        self.work.commit_stage(claim, begun, result, log=None, whole=1.0)
+        if ended_days_ago is not None:
+            self.work.finish(claim, JobState.SUCCEEDED)
+            self.age(job.id, f"key {number}", ended_days_ago)
+        return job.id, made
+
+    def age(self, job_id: str, key: str, days: float) -> None:
+        with writing(self.database) as connection:
+            at = clock(connection) - days * DAY_S
+            connection.execute(jobs.update().where(jobs.c.id == job_id).values(ended_at=at))
+            connection.execute(stage_results.update().where(stage_results.c.key == key).values(used_at=at))
+
+    def age_files(self) -> None:
+        """As if everything in the store had been there for a day."""
+        root = self.settings.data / "objects" if self.settings.embedded else self.folder / "store"
+        day_ago = time.time() - DAY_S
+        for path in root.rglob("*"):
+            os.utime(path, (day_ago, day_ago))
+
+    def turn(self, **changes: object) -> None:
+        Retention(self.database, self.store, self.engine, self.settings.model_copy(update=changes)).turn()
+
+    def has(self, file: FileRef) -> bool:
+        try:
+            return self.store.head(file.sha256).bytes == file.bytes
+        except MissingObjectError:
+            return False
+
+    def lives(self, job_id: str) -> bool:
+        try:
+            return self.book.get(job_id).id == job_id
+        except UnknownJobError:
+            return False
+
+
+@pytest.fixture
+def stand(farm: ServerSettings, database: sa.Engine, tmp_path: Path) -> Stand:
+    return Stand(farm, database, tmp_path)
+
+
+def test_without_a_rule_nothing_named_goes(stand: Stand) -> None:
+    job_id, made = stand.job(1, ended_days_ago=1000)
+    stand.age_files()
+    stand.turn()
+    assert stand.lives(job_id)
+    assert stand.has(made)
+
+
+def test_old_ended_jobs_go_with_their_files(stand: Stand) -> None:
+    (old, old_file), (new, new_file) = stand.job(1, ended_days_ago=8), stand.job(2, ended_days_ago=6)
+    running, its_file = stand.job(3, ended_days_ago=None)
+    stand.age_files()
+    stand.turn(keep_days=7.0)
+    assert [stand.lives(one) for one in (old, new, running)] == [False, True, True]
+    assert [stand.has(one) for one in (old_file, new_file, its_file)] == [False, True, True]
+
+
+def test_the_quota_takes_the_oldest_first_and_no_more_than_needed(stand: Stand) -> None:
+    made = [stand.job(number, ended_days_ago=10 - number) for number in range(4)]
+    stand.age_files()
+    stand.turn(quota_mb=2)
+    assert [stand.lives(job_id) for job_id, _ in made] == [False, False, False, True]
+    assert [stand.has(file) for _, file in made] == [False, False, False, True]
+    stand.turn(quota_mb=2)
+    assert stand.lives(made[3][0])
+
+
+def test_a_file_that_is_young_or_stored_again_is_not_swept(stand: Stand) -> None:
+    """Between being stored and being named there is a moment: the picture of a job that is just being made."""
+    old, renewed = stand.file(b"long forgotten"), stand.file(b"long forgotten, and now wanted again")
+    stand.age_files()
+    young = stand.file(b"just stored")
+    stand.file(b"long forgotten, and now wanted again")
+    stand.turn()
+    assert [stand.has(one) for one in (young, old, renewed)] == [True, False, True]
+
+
+def test_the_engine_forgets_what_was_deleted(stand: Stand) -> None:
+    job_id, _ = stand.job(1, ended_days_ago=8)
+    ticket = Ticket(job_id, 1)
+    stand.engine.submit(ticket, priority=1)
+    stand.engine.cancel(ticket)  # in place of a worker that has run it
+    stand.turn(keep_days=7.0)
+    assert stand.engine.known([ticket]) == set()

@@ -1,0 +1,93 @@
+"""A real worker, told to stop, to cancel, and given stages that crash; stand-ins do the stages' work."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from service.jobs.states import JobState, StageState
+from service.settings import ServerSettings
+from tests.service.worker.storm import Storm, until
+
+
+@pytest.fixture
+def make(farm: ServerSettings) -> Iterator[Callable[[float], Storm]]:
+    made: list[Storm] = []
+
+    def storm(pause_s: float) -> Storm:
+        settings = farm.model_copy(update={"lease_s": 2.0, "free_disk_mb": 0, "executor": "one"})
+        made.append(Storm(settings.data.parent / "work", {"one": settings}, pause_s=pause_s))
+        return made[-1]
+
+    yield storm
+    for one in made:
+        for pid, _ in one.kin():
+            os.kill(pid, signal.SIGKILL)
+
+
+def stage_pid(storm: Storm, count: int = 1) -> int:
+    """The process of the stage that began as the count-th."""
+    until(lambda: len(storm.noted("begin")) >= count, doing=f"{count} stages")
+    return int(str(storm.noted("begin")[count - 1]["pid"]))
+
+
+def is_gone(pid: int) -> bool:
+    return not Path(f"/proc/{pid}").exists()
+
+
+def test_told_to_stop_it_leaves_its_job_to_its_next_start(make: Callable[[float], Storm]) -> None:
+    """The stage is noted as interrupted, nobody is left, and the next start goes on with the same stage."""
+    storm = make(30.0)
+    job_id = storm.submit(2)[1]
+    stage_pid(storm)
+    storm._workers["one"].terminate()
+    assert storm._workers["one"].wait(timeout=30) == 0
+    assert storm.kin() == []
+    assert [run.state for run in storm.book.stages(job_id)] == [StageState.INTERRUPTED]
+    assert storm.book.get(job_id).state == JobState.RUNNING
+    storm.pause_s = 0.05
+    storm.start("one")
+    until(lambda: storm.book.get(job_id).ended, doing="the job")
+    assert storm.broken([job_id]) == []
+    storm.stop()
+    assert storm.left_over() == []
+
+
+def test_cancel_ends_the_stage_and_the_job(make: Callable[[float], Storm]) -> None:
+    storm = make(30.0)
+    job_id = storm.submit(2)[1]
+    pid = stage_pid(storm)
+    asked = time.monotonic()
+    storm.book.request_cancel(job_id, "me")
+    until(lambda: is_gone(pid), doing="the end of the stage")
+    took_s = time.monotonic() - asked
+    until(lambda: storm.book.get(job_id).ended, doing="the end of the job")
+    assert storm.book.get(job_id).state == JobState.CANCELLED
+    assert [run.state for run in storm.book.stages(job_id)] == [StageState.CANCELLED]
+    assert took_s < 10  # the figure itself is for the benchmarks
+    storm.stop()
+    assert storm.left_over() == []
+
+
+def test_a_stage_that_crashes_three_times_fails_the_job(make: Callable[[float], Storm]) -> None:
+    storm = make(30.0)
+    job_id = storm.submit(2)[1]
+    for count in (1, 2, 3):
+        os.kill(stage_pid(storm, count), signal.SIGKILL)
+    until(lambda: storm.book.get(job_id).ended, doing="the end of the job")
+    job = storm.book.get(job_id)
+    assert job.state == JobState.FAILED
+    assert job.error is not None
+    assert job.error["stage"] == "image"
+    assert "3 times" in job.error["detail"]
+    states = [run.state for run in storm.book.stages(job_id)]
+    assert states == [StageState.INTERRUPTED, StageState.INTERRUPTED, StageState.FAILED]
+    storm.book.retry(job_id, "me")
+    assert storm.book.get(job_id).state == JobState.QUEUED
+    stage_pid(storm, 4)  # the reconcile loop submits what the engine was not told of
+    storm.stop()
