@@ -21,7 +21,7 @@ from tests.trials.server.deployment import free_port
 from tests.trials.server.processes import MARK, kill, processes, wait_until
 
 TOP = Path(__file__).parents[2]
-README = Path(os.environ.get("CAUSTICMILL_README", TOP / "README.md"))
+README = TOP / "README.md"
 # What the test changes in the README's text: sizes and addresses, no command.
 SMALL = '{"preset": "draft", "image": {"pixels": 48}, "optics": {"width_mm": 8, "height_mm": 8}}'
 _TIME_FACTOR = 5
