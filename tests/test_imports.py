@@ -9,7 +9,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("optics", "cam", "machines", "service")
-WEB = {"pydantic", "pydantic_settings", "fastapi", "typer", "rich", "uvicorn", "httpx", "jinja2"}
+WEB = {
+    *("pydantic", "pydantic_settings", "fastapi", "starlette", "uvicorn", "httpx", "typer", "rich", "jinja2"),
+    *("sqlalchemy", "alembic", "dbos", "structlog", "prometheus_client"),
+}
 FILE_CALLS = {"open", "read_text", "write_text", "read_bytes", "write_bytes", "savez", "save", "tofile", "unlink"}
 FILE_MODULES = {"pathlib", "shutil", "tempfile", "io", "socket", "sqlite3", "subprocess"}
 
@@ -70,6 +73,17 @@ def test_nothing_in_optics_or_cam_opens_a_file(package: str) -> None:
 def test_only_the_port_knows_pyserial() -> None:
     assert [path.name for path in modules("machines") if "serial" in roots(path)] == ["port.py"]
     assert not any("serial" in roots(path) for path in modules("service"))
+
+
+def test_only_the_adapter_knows_the_job_engine() -> None:
+    assert [path.name for path in modules("service") if "dbos" in roots(path)] == ["dbos_engine.py"]
+
+
+def test_the_client_knows_nothing_of_the_server() -> None:
+    """It may run on a computer where only the address of the server is known."""
+    inside = {f"service.{name}" for name in ("api", "jobs", "worker", "store", "fleet", "host", "stages", "settings")}
+    for path in modules("service/client"):
+        assert not {".".join(name.split(".")[:2]) for name in imported(path)} & inside, path
 
 
 def test_the_simulated_mill_reads_programs_by_itself() -> None:
