@@ -15,8 +15,7 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError, InputError
 from service.lens_facts import LensFacts
-
-_FINISH_BYTES_PER_MM, _ROUGH_BYTES_PER_MM = 160.0, 20.0  # of path, measured on a photograph; within a factor of three
+from service.program_size import SURE, pass_bytes
 
 
 def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
@@ -61,8 +60,8 @@ def require_travel(
 
 def expected_bytes(stock: Stock, spec: PassSpec) -> float:
     """About how large a program becomes."""
-    length_mm = (stock.width_mm + 2 * spec.radius_mm) * (stock.height_mm + 2 * spec.radius_mm) / spec.pitch_mm
-    return length_mm * (_FINISH_BYTES_PER_MM if spec.finishes else _ROUGH_BYTES_PER_MM)
+    size_mm = (stock.width_mm, stock.height_mm)
+    return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
 
 
 def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
@@ -73,6 +72,6 @@ def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]
     wanted_mb = sum(expected_bytes(stock, spec) for spec in passes) / 1e6
     free_mb = shutil.disk_usage(folder).free / 1e6
     sentence = f"the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free"
-    if free_mb < wanted_mb / 4:
+    if free_mb < wanted_mb / SURE:
         raise FailedError(sentence)
     return sentence if free_mb < wanted_mb else None

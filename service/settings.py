@@ -74,10 +74,15 @@ class ServerSettings(BaseSettings):
         return self.database_url is None
 
     @property
+    def sqlite(self) -> Path:
+        """The database's file, where it is one."""
+        return self.data.absolute() / "causticmill.sqlite"
+
+    @property
     def sqlalchemy_url(self) -> str:
         """The database as SQLAlchemy and the engine take it (psycopg 3 for PostgreSQL)."""
         if self.database_url is None:
-            return f"sqlite:///{self.data.absolute() / 'causticmill.sqlite'}"
+            return f"sqlite:///{self.sqlite}"
         return self.database_url.replace("postgres://", "postgresql://", 1).replace(
             "postgresql://", "postgresql+psycopg://", 1
         )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 from service.api.schemas import ProblemBody
 
+_SEALED = "example: "
 _PROBLEM_JSON = "application/problem+json"
 _WORDS = {
     400: "the request is malformed",
@@ -29,7 +31,7 @@ _WORDS = {
     507: "the server has no space left",
 }
 # What the guard and the frame answer on every route, whatever it does.
-_ANYWHERE = (400, 401, 403, 404, 405, 413, 422, 429, 431, 503)
+_ANYWHERE = (400, 401, 403, 404, 405, 408, 413, 422, 429, 431, 503)
 
 Responses = dict[int | str, dict[str, Any]]
 
@@ -45,8 +47,8 @@ def answers(good: Responses, *refused: int) -> Responses:
 
 
 def example(value: object) -> dict[str, Any]:
-    """A JSON answer's example."""
-    return {"content": {"application/json": {"example": value}}}
+    """A JSON answer's example. As a text until the document is made: FastAPI takes every null out of it."""
+    return {"content": {"application/json": {"example": _SEALED + json.dumps(value)}}}
 
 
 def _refusal(status: int) -> dict[str, Any]:
@@ -67,9 +69,17 @@ def with_problems(document: dict[str, Any]) -> dict[str, Any]:
     for item in document["paths"].values():
         for operation in item.values():
             told = operation["responses"]
+            _unseal(told)
             for status in [status for status in told if told[status] == _refusal_or_none(status)]:
                 told[status] = {"$ref": f"#/components/responses/Problem{status}"}
     return document
+
+
+def _unseal(told: dict[str, Any]) -> None:
+    for answer in told.values():
+        content = answer.get("content", {}).get("application/json", {})
+        if str(content.get("example", "")).startswith(_SEALED):
+            content["example"] = json.loads(content["example"].removeprefix(_SEALED))
 
 
 def _refusal_or_none(status: str) -> dict[str, Any] | None:

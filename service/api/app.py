@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import metadata
@@ -18,6 +19,7 @@ from service.api import (
     routes_health,
     routes_jobs,
     routes_machines,
+    routes_root,
     routes_runs,
     routes_submit,
     routes_tokens,
@@ -26,6 +28,7 @@ from service.api.answers import with_problems
 from service.api.body import SmallBodies
 from service.api.guard import Guard
 from service.api.metrics import Measured
+from service.api.patience import Patient
 from service.api.problems import install_problems
 from service.api.services import Services
 
@@ -53,6 +56,7 @@ _ROUTERS = (
     routes_machines,
     routes_runs,
     routes_health,
+    routes_root,
 )
 _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}
 
@@ -60,8 +64,12 @@ _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spa
 def make_app(services: Services) -> FastAPI:
     @asynccontextmanager
     async def life(_app: FastAPI) -> AsyncIterator[None]:
+        watching = asyncio.create_task(services.fleet.watch(), name="fleet watch")
         yield
         services.feed.close()
+        watching.cancel()
+        await asyncio.gather(watching, return_exceptions=True)
+        await services.fleet.aclose()
 
     app = FastAPI(
         title="causticmill",
@@ -76,6 +84,7 @@ def make_app(services: Services) -> FastAPI:
         middleware=[
             Middleware(Measured, metrics=services.metrics),
             Middleware(Guard, services=services),
+            Middleware(Patient),
             Middleware(SmallBodies, but=("POST", "/v1/jobs")),
         ],
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncIterator
 
 from starlette.exceptions import HTTPException
@@ -13,6 +14,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.web.problems import Problem
 
 _CHUNK_WAIT_S = 30.0
+_SLOWEST_BYTES_PER_S = 10_000
 _SMALL_BYTES = 64 << 10
 _LINGER_S = 2.0
 _LINGER_BYTES = 8_000_000
@@ -27,12 +29,19 @@ class Body:
         self._more = True
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """Problem 408 for a client that stops sending, ClientDisconnect for one that goes."""
+        """Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
+        began, taken = time.monotonic(), 0
         while self._more:
             try:
-                yield await asyncio.wait_for(self._piece(), self._wait_s)
+                async with asyncio.timeout(self._wait_s):
+                    piece = await self._piece()
             except TimeoutError:
                 raise Problem(408, f"nothing came for {self._wait_s:g} s in the middle of the request") from None
+            taken += len(piece)
+            if time.monotonic() - began > 2 * self._wait_s + taken / _SLOWEST_BYTES_PER_S:
+                words = f"{taken} bytes in {time.monotonic() - began:.0f} s are too slow"
+                raise Problem(408, f"{words}; allowed: {_SLOWEST_BYTES_PER_S // 1000} kB/s at least")
+            yield piece
 
     async def linger(self) -> None:
         """Read a little of what a refused client still sends: if closed at once, it could lose the answer."""

@@ -28,15 +28,25 @@ class Conditions:
     if_none_match: str | None
 
 
-async def download(store: Store, file: Artifact, conditions: Conditions, *, with_body: bool) -> Response:
-    """MissingObjectError where the store has lost the file."""
+async def download(
+    store: Store, file: Artifact, conditions: Conditions, *, with_body: bool, elsewhere: bool = True
+) -> Response:
+    """MissingObjectError where the store has lost the file. `elsewhere`: the caller may be sent to the store itself.
+
+    A bucket knows the file by its hash only: pages, and the pictures in them, always come from here.
+    """
     kind, tag = media_type(file.name), f'"{file.sha256}"'
     headers = _headers(file, kind, tag)
     if matches(conditions.if_none_match, tag):
         return Response(status_code=304, headers=headers)
     part = wanted_range(conditions.range, conditions.if_range, size=file.bytes, etag=tag)
-    if with_body and (url := await asyncio.to_thread(store.url, file.sha256, file_name=file.name, media_type=kind)):
-        return RedirectResponse(url, status_code=307, headers={"ETag": tag, "Cache-Control": "no-store"})
+    if with_body and elsewhere and kind not in _INLINE:
+        url = await asyncio.to_thread(store.url, file.sha256, file_name=file.name, media_type=kind)
+        if url is not None:
+            named = headers["Content-Disposition"]
+            return RedirectResponse(
+                url, status_code=307, headers={"ETag": tag, "Cache-Control": "no-store", "Content-Disposition": named}
+            )
     start, end = part or (0, file.bytes)
     if part is not None:
         headers["Content-Range"] = f"bytes {start}-{end - 1}/{file.bytes}"

@@ -23,6 +23,7 @@ from starlette.requests import Request
 
 from service.api.body import Body
 from service.api.names import harmless_name
+from service.api.space import Space
 from service.web.problems import Problem
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ SPEC_BYTES = 1_000_000
 _OVERHEAD_BYTES = 100_000  # boundaries, headers and the small parts
 _SMALL = {"spec": SPEC_BYTES, "priority": 40}
 _PARTS = 8
+_LOOK_BYTES = 4_000_000
 
 
 @dataclass(slots=True, kw_only=True)
@@ -46,33 +48,33 @@ class JobForm:
 
 
 @contextlib.asynccontextmanager
-async def received_form(request: Request, folder: Path, *, max_image_bytes: int) -> AsyncIterator[JobForm]:
-    """The whole form; its file is removed at the end. Problem for what is no such form, or too large."""
+async def received_form(
+    request: Request, folder: Path, *, max_image_bytes: int, space: Space
+) -> AsyncIterator[JobForm]:
+    """The whole form; its file is removed at the end. Problem for what is no such form, too large, or too much."""
     body = Body(request)
     try:
         with _new_file(folder) as (path, file):
-            yield await _read(request, body, path, file, max_image_bytes)
+            yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space))
     except Problem:
         await body.linger()
         raise
 
 
-async def _read(request: Request, body: Body, path: Path, file: BinaryIO, max_image_bytes: int) -> JobForm:
-    boundary = _boundary(request)
-    _require_fitting(request, max_image_bytes + SPEC_BYTES + _OVERHEAD_BYTES)
-    reader = _Reader(JobForm(path=path), file, max_image_bytes)
+async def _read(request: Request, body: Body, reader: _Reader) -> JobForm:
+    boundary, most = _boundary(request), reader.most + SPEC_BYTES + _OVERHEAD_BYTES
+    _require_fitting(request, most)
     parser = MultipartParser(boundary, reader.callbacks(), max_header_count=8, max_header_size=2048)
     taken = 0
     async for piece in body.pieces():
         taken += len(piece)
-        if taken > max_image_bytes + SPEC_BYTES + _OVERHEAD_BYTES:
-            raise _too_large(max_image_bytes)
+        if taken > most:
+            raise _too_large(reader.most)
         try:
             await asyncio.to_thread(parser.write, piece)
         except FormParserError:
             raise Problem(400, "the body is not multipart/form-data, or not well made", field="body") from None
-    file.flush()
-    return reader.done()
+    return await asyncio.to_thread(reader.done)
 
 
 def sweep_uploads(folder: Path) -> None:
@@ -86,10 +88,12 @@ def sweep_uploads(folder: Path) -> None:
 class _Reader:
     """The parser's callbacks: which part this is, and where its bytes go."""
 
-    def __init__(self, form: JobForm, file: BinaryIO, max_image_bytes: int) -> None:
+    def __init__(self, form: JobForm, file: BinaryIO, max_image_bytes: int, space: Space) -> None:
+        self.most = max_image_bytes
         self._form = form
         self._file = file
-        self._most = max_image_bytes
+        self._space = space
+        self._next_look = _LOOK_BYTES
         self._digest = hashlib.sha256()
         self._header = (bytearray(), bytearray())
         self._disposition = b""
@@ -110,6 +114,7 @@ class _Reader:
 
     def done(self) -> JobForm:
         """The form, if it is whole."""
+        self._file.flush()
         if not self._ended:
             raise Problem(400, "the body ends in the middle of the form", field="body")
         if "image" not in self._seen:
@@ -153,8 +158,11 @@ class _Reader:
         piece = data[start:end]
         if self._part == "image":
             self._form.image_bytes += len(piece)
-            if self._form.image_bytes > self._most:
-                raise _too_large(self._most)
+            if self._form.image_bytes > self.most:
+                raise _too_large(self.most)
+            if self._form.image_bytes >= self._next_look:
+                self._next_look += _LOOK_BYTES
+                self._space.require()  # many pictures may be coming at once
             self._digest.update(piece)
             self._file.write(piece)
             return

@@ -25,7 +25,7 @@ from service.web.hosts import is_loopback, is_own_host, own_names
 from service.web.problems import Problem, problem_response
 
 OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
-OPEN = frozenset({"/openapi.json"})  # to everybody
+OPEN = frozenset({"/", "/openapi.json"})  # to everybody
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _SINGLE = frozenset({b"host", b"authorization", b"origin", b"content-type", b"idempotency-key", b"last-event-id"})
@@ -46,6 +46,8 @@ class Guard:
         self._tokens = services.tokens
         self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
         self._anonymous_jobs = settings.anonymous == "jobs" and not settings.behind_proxy
+        # A proxy that adds no header of its own makes strangers look like callers on this computer.
+        self._open_here = OPEN_HERE - ({"/metrics"} if settings.behind_proxy else set())
         self._requests = Limiter(settings.requests_per_s, _BURST_S * settings.requests_per_s)
         self._jobs = Limiter(settings.jobs_per_min / 60, settings.jobs_per_min)
         # Threads of its own: a hold never waits for its caller to be recognised behind slow downloads.
@@ -74,8 +76,11 @@ class Guard:
         if scope["method"] not in _SAFE:
             _refuse_foreign_page(headers, host)
         here = _is_here(scope, headers)
-        if _is_open(scope["path"], here):  # and stays so when the database is away
+        if here and scope["path"] in self._open_here:  # and stays so when the database is away
             note_open(scope)
+            return
+        if scope["path"] in OPEN:
+            self._charge(scope, None)
             return
         principal = await self._caller(headers, here)
         if principal is not None:
@@ -161,11 +166,8 @@ def _site(origin: bytes) -> str | None:
 
 
 def _is_here(scope: Scope, headers: Headers) -> bool:
-    """The caller is on this computer, and no proxy has passed its request on."""
+    """The caller is on this computer, and no proxy has passed its request on; some say nothing but speak HTTP/1.0."""
     peer = scope.get("client")
     forwarded = any(name in _FORWARDED or name.startswith(b"x-forwarded-") for name in headers)
-    return peer is not None and is_loopback(peer[0]) and not forwarded
-
-
-def _is_open(path: str, here: bool) -> bool:
-    return path in OPEN or (here and path in OPEN_HERE)
+    direct = not forwarded and scope.get("http_version") != "1.0"
+    return peer is not None and is_loopback(peer[0]) and direct

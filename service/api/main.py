@@ -9,11 +9,13 @@ import asyncio
 import contextlib
 import gc
 import logging
+import resource
 import socket
 import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
 
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
@@ -35,13 +37,14 @@ from service.jobs.tokens import TokenBook
 from service.logs import configure_logs
 from service.settings import ServerSettings
 from service.store.opening import open_store
-from service.web.http import ProblemProtocol
+from service.web.http import VERSION_HEADER, ProblemProtocol
 from service.worker.dbos_engine import DbosEngine
 
 _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
 _CONNECTIONS = 1000
+_FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
 _HEADER_BYTES = 32 << 10
 _TURN_S = 0.5
 _STUCK_S = 10.0
@@ -53,6 +56,7 @@ def main() -> int:
         configure_logs(settings.log_level, process="api")
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
+        _allow_files()
         listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
         with contextlib.closing(listener), open_services(settings) as services:
             asyncio.run(_serve(services, listener))
@@ -106,6 +110,13 @@ async def _serve(services: Services, listener: socket.socket) -> None:
     turning.cancel()
 
 
+def _allow_files() -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = _FILES if hard == resource.RLIM_INFINITY else min(_FILES, hard)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+
+
 async def _turn() -> None:
     """While the loop turns, the supervisor hears of us; one that hangs is started again."""
     turned_at = time.monotonic()
@@ -126,6 +137,7 @@ def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -
         access_log=False,
         server_header=False,
         proxy_headers=False,
+        headers=[(VERSION_HEADER, metadata.version("causticmill"))],
         h11_max_incomplete_event_size=_HEADER_BYTES,
         limit_concurrency=_CONNECTIONS,
         timeout_keep_alive=30,
@@ -154,6 +166,7 @@ class Server(uvicorn.Server):
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         self._services.feed.close()
+        self._services.fleet.end_streams()
         await super().shutdown(sockets)
 
 

@@ -74,7 +74,12 @@ def _of_request(error: Exception) -> Problem:
 def _of_http(error: Exception) -> Problem:
     """What the router itself refuses, and what the framework refuses about bodies."""
     status = getattr(error, "status_code", 500)
-    words = {404: "no such address", 405: "this address does not take that method", 413: "the request is too large"}
+    words = {
+        404: "no such address",
+        405: "this address does not take that method",
+        408: "the body stopped coming",
+        413: "the request is too large",
+    }
     headers = {key: value for key, value in (getattr(error, "headers", None) or {}).items() if key.lower() == "allow"}
     return Problem(status, words.get(status) or HTTPStatus(status).phrase.lower(), headers=headers)
 

@@ -109,4 +109,10 @@ async def program(
 
 
 async def _answer(request: Request, file: Artifact, conditions: Conditions) -> Response:
-    return await download(services_of(request).store, file, conditions, with_body=request.method == "GET")
+    store, with_body = services_of(request).store, request.method == "GET"
+    return await download(store, file, conditions, with_body=with_body, elsewhere=not _by_browser(request))
+
+
+def _by_browser(request: Request) -> bool:
+    """A browser saves a file under the name it has where it comes from; in a bucket that is a hash."""
+    return "sec-fetch-mode" in request.headers or "text/html" in request.headers.get("accept", "")

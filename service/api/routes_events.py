@@ -47,7 +47,8 @@ async def events(
     cancel.requested, retried, ended. `progress` comes between them, without an id. A comment every 15 s shows that the
     connection lives. A reader that does not keep up is dropped and may come back with Last-Event-ID.
     """
-    services, after = services_of(request), _after(last_event_id)
+    services = services_of(request)
+    after = await asyncio.to_thread(_known, services, str(job_id), _after(last_event_id))
     if await asyncio.to_thread(_is_over, services, str(job_id), after):
         return Response(status_code=204)
     if services.feed.full:
@@ -62,6 +63,11 @@ def _after(last_event_id: str | None) -> int | None:
     if not (text.isascii() and text.isdigit() and len(text) <= 9):
         raise Problem(422, "this is no id of an event of ours", field="Last-Event-ID")
     return int(text)
+
+
+def _known(services: Services, job_id: str, after: int | None) -> int | None:
+    """The id, if there is such an event; else (the database is an older one, put back) the client begins anew."""
+    return after if after and services.book.events(job_id, after - 1, 1) else None
 
 
 def _is_over(services: Services, job_id: str, after: int | None) -> bool:

@@ -7,30 +7,42 @@ from typing import Annotated
 from fastapi import APIRouter, Header, Path, Request
 from starlette.responses import JSONResponse, Response
 
-from service.api.answers import Responses, example, refusals
+from service.api.answers import Responses, answers, example, refusals
 from service.api.auth import Operator, Reader
+from service.api.examples_runs import MACHINE_EXAMPLE, MACHINES_EXAMPLE, PREPARING_EXAMPLE, RUN_EXAMPLE
 from service.api.job_request import idempotency_key
-from service.api.schemas_runs import PLAIN, RUN_EXAMPLE, MachineList, MachineView, NewRunBody, RunView
+from service.api.schemas_runs import PLAIN, MachineList, MachineView, NewRunBody, RunView
 from service.api.services import services_of
 
 router = APIRouter(tags=["machines"])
 
 _PARKED: Responses = {
     201: example(RUN_EXAMPLE) | {"description": "parked: it waits for :start"},
-    202: {"description": "still being handed over, ask again: a large program takes its time", "model": RunView},
+    202: example(PREPARING_EXAMPLE)
+    | {"description": "still being handed over, ask again: a large program takes its time", "model": RunView},
 }
 MachineName = Annotated[
     str, Path(max_length=100, pattern=PLAIN, description="name of a machine", examples=["shop-mill"])
 ]
 
 
-@router.get("/v1/machines", summary="List the mills", response_model=MachineList, responses=refusals())
+@router.get(
+    "/v1/machines",
+    summary="List the mills",
+    response_model=MachineList,
+    responses=answers({200: example(MACHINES_EXAMPLE)}),
+)
 async def listed(request: Request, _: Reader) -> Response:
     """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
     return JSONResponse(await services_of(request).fleet.machines())
 
 
-@router.get("/v1/machines/{machine}", summary="Look at a mill", response_model=MachineView, responses=refusals())
+@router.get(
+    "/v1/machines/{machine}",
+    summary="Look at a mill",
+    response_model=MachineView,
+    responses=answers({200: example(MACHINE_EXAMPLE)}),
+)
 async def look(request: Request, _: Reader, machine: MachineName) -> Response:
     return JSONResponse(await services_of(request).fleet.machine(machine))
 

@@ -9,17 +9,11 @@ from uuid import UUID
 from fastapi import APIRouter, Header, Path, Query, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
-from service.api.answers import Responses, example, refusals
+from service.api.answers import Responses, answers, example, refusals
 from service.api.auth import Operator, Reader
-from service.api.schemas_runs import (
-    PLAIN,
-    RUN_EVENTS_EXAMPLE,
-    RUN_EXAMPLE,
-    ConfirmationBody,
-    RecoveryView,
-    RunList,
-    RunView,
-)
+from service.api.examples_runs import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
+from service.api.schemas import SSE_EVENT
+from service.api.schemas_runs import PLAIN, ConfirmationBody, RecoveryView, RunList, RunView
 from service.api.services import services_of
 
 router = APIRouter(tags=["runs"])
@@ -35,13 +29,18 @@ _ORDER: dict[str, Any] = {
 _STREAM: Responses = {
     200: {
         "description": "the stream; it ends with the run",
-        "content": {"text/event-stream": {"schema": {"type": "string"}, "example": RUN_EVENTS_EXAMPLE}},
+        "content": {"text/event-stream": {"schema": SSE_EVENT, "example": RUN_EVENTS_EXAMPLE}},
     },
     204: {"description": "the run has ended and the client has heard of it: do not come back"},
 }
 
 
-@router.get("/v1/runs", summary="List runs, newest first", response_model=RunList, responses=refusals())
+@router.get(
+    "/v1/runs",
+    summary="List runs, newest first",
+    response_model=RunList,
+    responses=answers({200: example(RUNS_EXAMPLE)}),
+)
 async def listed(
     request: Request,
     _: Reader,
@@ -95,7 +94,7 @@ async def events(
     "/v1/runs/{id:uuid}/recovery",
     summary="How a run would go on",
     response_model=RecoveryView,
-    responses=refusals(409, 502, 504),
+    responses=answers({200: example(RECOVERY_EXAMPLE)}, 409, 502, 504),
 )
 async def recovery(request: Request, _: Operator, run_id: RunId) -> Response:
     """The plan for an interrupted or aborted run. The controller is asked where it is; nothing moves."""

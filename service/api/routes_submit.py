@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import shutil
 from typing import Annotated, Any
 
 import structlog
@@ -17,6 +16,7 @@ from service.api.job_request import JobRequest, idempotency_key, job_request
 from service.api.job_views import whole_job
 from service.api.schemas import JOB_EXAMPLE, JobView
 from service.api.services import Services, services_of
+from service.api.space import Space
 from service.jobs.records import Job, NewJob
 from service.web.problems import Problem
 from service.worker.engine import Ticket
@@ -86,11 +86,14 @@ async def submit(
     """A new job. Answers with the job that the same `Idempotency-Key` made before, if this is the same request."""
     services = services_of(request)
     key = idempotency_key(idempotency_key_header)
-    await asyncio.to_thread(_require_space, services)
-    limit = int(services.settings.max_upload_mb * 1e6)
-    async with received_form(request, services.settings.data / "uploads", max_image_bytes=limit) as form:
+    settings, space = services.settings, Space(services.settings)
+    await asyncio.to_thread(space.require)
+    limit = int(settings.max_upload_mb * 1e6)
+    async with received_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
         wanted = await asyncio.to_thread(job_request, form)
-        job, body = await asyncio.to_thread(_accept, services, form, wanted, principal.name, key)
+        await asyncio.to_thread(space.require_for_programs, wanted.spec)
+        async with services.accepting:
+            job, body = await asyncio.to_thread(_accept, services, form, wanted, principal.name, key)
     headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": "1", "ETag": body["etag"]}
     return JSONResponse(body, status_code=202, headers=headers)
 
@@ -125,11 +128,3 @@ def hand_to_engine(services: Services, job: Job) -> None:
         services.engine.submit(Ticket(job.id, job.attempt), priority=job.priority)
     except Exception as error:  # whatever the engine's database does: the job is durable already
         _log.warning("engine did not take the job yet", job=job.id, error=str(error)[:200])
-
-
-def _require_space(services: Services) -> None:
-    floor_mb = services.settings.free_disk_mb
-    folder = services.settings.data
-    free_mb = shutil.disk_usage(folder).free / 1e6
-    if free_mb < floor_mb:
-        raise Problem(507, f"{free_mb:.0f} MB are free; new jobs need {floor_mb} MB", headers={"Retry-After": "60"})

@@ -9,8 +9,9 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Path, Request
 from starlette.responses import JSONResponse, Response
 
-from service.api.answers import refusals
+from service.api.answers import answers, example
 from service.api.auth import Admin
+from service.api.examples_runs import NEW_TOKEN_EXAMPLE, TOKEN_EXAMPLE, TOKENS_EXAMPLE
 from service.api.schemas_runs import NewTokenBody, NewTokenView, TokenList, TokenView
 from service.api.services import services_of
 from service.api.times import iso_or_none
@@ -24,7 +25,12 @@ TokenId = Annotated[
 ]
 
 
-@router.get("/v1/tokens", summary="List tokens", response_model=TokenList, responses=refusals())
+@router.get(
+    "/v1/tokens",
+    summary="List tokens",
+    response_model=TokenList,
+    responses=answers({200: example(TOKENS_EXAMPLE)}),
+)
 async def listed(request: Request, _: Admin) -> Response:
     """All that were ever made, oldest first. The tokens themselves are known to nobody."""
     found = await asyncio.to_thread(services_of(request).tokens.listed)
@@ -32,7 +38,11 @@ async def listed(request: Request, _: Admin) -> Response:
 
 
 @router.post(
-    "/v1/tokens", summary="Make a token", status_code=201, response_model=NewTokenView, responses=refusals(507)
+    "/v1/tokens",
+    summary="Make a token",
+    status_code=201,
+    response_model=NewTokenView,
+    responses=answers({201: example(NEW_TOKEN_EXAMPLE)}, 507),
 )
 async def create(request: Request, principal: Admin, body: NewTokenBody) -> Response:
     """The answer holds the token, this once."""
@@ -46,7 +56,12 @@ async def create(request: Request, principal: Admin, body: NewTokenBody) -> Resp
     return JSONResponse(_view(token) | {"token": secret}, status_code=201, headers=headers)
 
 
-@router.delete("/v1/tokens/{id}", summary="Revoke a token", response_model=TokenView, responses=refusals())
+@router.delete(
+    "/v1/tokens/{id}",
+    summary="Revoke a token",
+    response_model=TokenView,
+    responses=answers({200: example(TOKEN_EXAMPLE)}),
+)
 async def revoke(request: Request, _: Admin, token_id: TokenId) -> Response:
     """It opens nothing any more, at once. It stays in the list."""
     try:

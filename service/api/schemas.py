@@ -125,6 +125,14 @@ class ArtifactList(Body):
     artifacts: list[ArtifactView]
 
 
+class Root(Body):
+    """What answers here, and addresses to begin with."""
+
+    name: Literal["causticmill"]
+    version: str
+    links: dict[str, str]
+
+
 class Alive(Body):
     alive: Literal[True]
 

@@ -18,9 +18,7 @@ ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
 
 PLAIN = r"^[^\x00-\x1f\x7f]+$"
 
-_RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
 _JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
-_HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 
 
 class NewRunBody(Body):
@@ -154,46 +152,3 @@ class NewTokenView(TokenView):
 
 class TokenList(Body):
     tokens: list[TokenView]
-
-
-RUN_EXAMPLE: dict[str, Any] = {
-    "id": _RUN_ID,
-    "machine": "shop-mill",
-    "job": _JOB_ID,
-    "program": {"number": 2, "name": "pass-2-rough.nc", "sha256": _HASH},
-    "state": "parked",
-    "open": True,
-    "words": "",
-    "unreachable": False,
-    "unreachable_words": "",
-    "share": 0.0,
-    "executed_line": 0,
-    "lines": 41210,
-    "time_s": 5400.0,
-    "time_left_s": 5400.0,
-    "operator": "",
-    "recoveries": 0,
-    "warnings": [],
-    "setup": {
-        "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
-        "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "material": "pmma"},
-        "zero": "X0 Y0: lower left corner of the lens, 8 mm in from the block's left and front edges; Z0: its top",
-        "change": {
-            "from_radius_mm": 3.0,
-            "to_radius_mm": 0.5,
-            "words": "change the tool from R 3 to R 0.5, set Z zero again; X and Y zero stay",
-        },
-    },
-    "required_checks": ["tool", "zero", "stock", "clear"],
-    "left_out": [],
-    "next": {"number": 3, "name": "pass-3-finish.nc", "sha256": _HASH},
-    "created_by": "shop-floor",
-    "created_at": "2026-11-21T08:00:00.000Z",
-    "started_at": None,
-    "ended_at": None,
-    "links": {"self": f"/v1/runs/{_RUN_ID}", "start": f"/v1/runs/{_RUN_ID}:start"},
-}
-RUN_EVENTS_EXAMPLE = (
-    'event: run\ndata: {"id":"' + _RUN_ID + '","state":"running","share":0.21,"executed_line":8654}\n\n'
-    'id: 5c1d-88\nevent: log\ndata: {"number":88,"at_s":1763712000.1,"kind":"state","words":"held"}\n\n'
-)

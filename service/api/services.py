@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import asyncio
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, cast
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Services:
     pictures: PictureChecker
     feed: Feed
     metrics: Metrics
+    # So many pictures are checked or wait for it at once: the others wait without a thread, which downloads need.
+    accepting: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(8))
 
 
 def services_of(connection: HTTPConnection) -> Services:

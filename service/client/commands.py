@@ -63,7 +63,7 @@ def submit(
         job_id = str(submitted(link, order)["id"])
         print(job_id, flush=True)
         if follow or output is not None:
-            _followed(link, job_id, quiet=quiet)
+            _followed(link, job_id, quiet=quiet, fetched=output is not None)
         if output is not None:
             _got(link, job_id, output, (), quiet)
 
@@ -146,7 +146,7 @@ def _told(job: str, verb: str, server: str | None, token_file: Path | None) -> N
     print(f"{job} {state_words(answer)}")
 
 
-def _followed(link: Any, job_id: str, *, quiet: bool) -> None:
+def _followed(link: Any, job_id: str, *, quiet: bool, fetched: bool = False) -> None:
     from service.client.follow import follow, require_success
     from service.client.job_screen import job_screen
     from service.client.jobs import program_lines
@@ -155,7 +155,8 @@ def _followed(link: Any, job_id: str, *, quiet: bool) -> None:
         job = follow(link, job_id, screen)
     require_success(job)
     if not quiet:
-        _print([f"succeeded; `causticmill get {job_id} -o DIR` downloads its files", *program_lines(job)])
+        hint = "" if fetched else f"; `causticmill get {job_id} -o DIR` downloads its files"
+        _print([f"succeeded{hint}", *program_lines(job)])
 
 
 def _got(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet: bool) -> None:

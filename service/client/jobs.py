@@ -58,8 +58,8 @@ def job_lines(job: dict[str, Any]) -> list[str]:
     if job.get("attempt", 1) > 1:
         lines.append(f"attempt:  {job['attempt']}")
     if error := job.get("error"):
-        where = f" in stage {shown(error['stage'])}" if error.get("stage") else ""
-        lines += [f"error:   {where} {shown(line)}" for line in str(error.get("detail", "")).split("\n")]
+        where = f"in stage {shown(error['stage'])}: " if error.get("stage") else ""
+        lines += [f"error:    {where}{shown(line)}" for line in str(error.get("detail", "")).split("\n")]
     stages = [(shown(stage["name"]), shown(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
     lines += ["", *table([("STAGE", "STATE", "TOOK"), *stages])] if stages else []
     return [*lines, *program_lines(job)]

@@ -106,7 +106,7 @@ def runs_recover(
 @runs_app.command("hold")
 def runs_hold(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Let the mill stand still. Not an emergency stop."""
-    _told(run, "hold", server, token_file)
+    _stopped(run, "hold", server, token_file)
 
 
 @runs_app.command("resume")
@@ -118,7 +118,7 @@ def runs_resume(run: RunArgument, server: ServerOption = None, token_file: Token
 @runs_app.command("abort")
 def runs_abort(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """End a run."""
-    _told(run, "abort", server, token_file)
+    _stopped(run, "abort", server, token_file)
 
 
 @runs_app.command("follow")
@@ -161,6 +161,19 @@ def _print_plan(plan: dict[str, Any]) -> None:
     if obstacles:
         raise InputError(*(shown(words) for words in obstacles))
     _print([shown(words) for words in plan.get("words", ())])
+
+
+def _stopped(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
+    """As `_told`; where the order may not have reached the mill, the person is sent to its own stop."""
+    from service.client.server import GoneError, RefusedError
+    from service.errors import FailedError
+
+    try:
+        _told(run, verb, server, token_file)
+    except (GoneError, RefusedError) as error:
+        if isinstance(error, RefusedError) and error.status < 500:
+            raise
+        raise FailedError(*str(error).split("\n"), f"the {verb} may not have arrived: use the stop of the mill") from None
 
 
 def _told(run: str, verb: str, server: str | None, token_file: Path | None) -> None:

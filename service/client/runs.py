@@ -113,9 +113,9 @@ def follow_run(server: Server, run_id: str) -> dict[str, Any]:
             on_lost=lambda words: print(f"{words}; trying again, the run goes on", flush=True),
             on_back=lambda: print("connected again", flush=True),
         ):
-            run = event.data if event is not None and {"state", "share"} <= set(event.data) else None
-            if run is None:
-                run = server.get(f"/v1/runs/{run_id}")
+            if event is not None and not {"state", "share"} <= set(event.data):
+                continue  # what happened at the mill; how the run stands comes by itself
+            run = event.data if event is not None else server.get(f"/v1/runs/{run_id}")
             key = f"{run['state']} {10 * float(run['share']):.0f} {run.get('words')} {run.get('unreachable')}"
             if key != told:
                 told = key

@@ -1,6 +1,7 @@
 """One mill's agent over HTTP: where it is, that it is the right one, and what can go wrong on the way to it.
 
-Nothing is ever sent twice by itself, except a hold or an abort of which no answer came.
+Nothing is ever sent twice by itself, except a hold or an abort of which no answer came. Answers are bounded in size
+and in time, and an agent's word that one should look elsewhere is not followed.
 """
 
 from __future__ import annotations
@@ -16,13 +17,17 @@ import httpx
 from service.agent.auth import read_token
 from service.agent.card import read_card
 from service.errors import InputError
+from service.fleet.agent_words import MOST_BYTES, json_object
 from service.fleet.machines import KnownMachine
 from service.web.problems import Problem
 
 ASK_S = 3.0
 TELL_S = 30.0  # a start asks the controller first
+URGENT_S = 3.0  # a person waits beside the mill
 _CONNECT_S = 2.0
 _QUIET_S = 60.0  # an event stream beats every 15 s
+
+_HTTP_ERRORS = (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError)
 
 Json = dict[str, Any]
 
@@ -54,12 +59,20 @@ class AgentLink:
     async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
         return await self._told("POST", path, timeout_s=timeout_s, json=body or {})
 
-    async def urgent(self, path: str) -> Json:
-        """A hold or an abort: to do it twice is better than not at all, so one that failed is sent once more."""
+    async def urgent(self, path: str, *, within_s: float = URGENT_S) -> Json:
+        """A hold or an abort: to do it twice is better than not at all, so one that failed is sent once more.
+
+        It is known within the time given whether it was taken: a person has to use the mill's own button otherwise.
+        """
         try:
-            return await self.post(path)
-        except AgentAwayError:
-            return await self.post(path)
+            async with asyncio.timeout(within_s):
+                try:
+                    return await self.post(path, timeout_s=within_s / 2)
+                except AgentAwayError:
+                    return await self.post(path, timeout_s=within_s / 2)
+        except TimeoutError:
+            words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
+            raise AgentAwayError(words, sent=True) from None
 
     async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
         headers = {"Content-Length": str(size)}
@@ -74,10 +87,9 @@ class AgentLink:
         try:
             async with self._client().stream("GET", f"{url}/v1/events", headers=headers, timeout=timeout) as answer:
                 if answer.status_code != 200:
-                    await answer.aread()
-                    raise self._refusal(answer)
-                yield answer.aiter_lines()
-        except httpx.HTTPError as error:
+                    raise self._refusal(answer.status_code, await _whole(answer, self.machine.name))
+                yield _lines(answer, self.machine.name)
+        except _HTTP_ERRORS as error:
             self._address = None
             raise AgentAwayError(self._words(error)) from None
 
@@ -116,20 +128,17 @@ class AgentLink:
     async def _require_right(self, url: str, token: str) -> None:
         """Who answers there? After a crash a card points to nobody, or to somebody else."""
         try:
-            answer = await self._client().get(
-                f"{url}/v1/machine", headers={"Authorization": f"Bearer {token}"}, timeout=_timeout(ASK_S)
-            )
-            said = answer.json().get("name") if answer.status_code == 200 else None
-        except (httpx.HTTPError, ValueError, AttributeError) as error:
+            status, content = await self._exchanged("GET", f"{url}/v1/machine", token, within_s=ASK_S)
+            said = json_object(content, self.machine.name).get("name") if status == 200 else None
+        except (*_HTTP_ERRORS, TimeoutError, Problem) as error:
             raise AgentAwayError(self._words(error)) from None
-        if answer.status_code in (401, 403):
+        if status in (401, 403):
             raise AgentAwayError(
                 f"machine '{self.machine.name}': the agent at {url} does not take the token we have for it"
             )
         if said != self.machine.name:
-            raise AgentAwayError(
-                f"machine '{self.machine.name}': at {url} there is {f'{said!r}' if said else 'no agent'}"
-            )
+            there = repr(said[:80]) if isinstance(said, str) and said else "no agent"
+            raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}")
 
     async def _told(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         """One that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent again."""
@@ -141,41 +150,37 @@ class AgentLink:
                 raise
             return await self._asked(method, path, timeout_s=timeout_s, **more)
 
-    async def _asked(self, method: str, path: str, *, timeout_s: float, headers: Any = None, **more: Any) -> Json:
+    async def _asked(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         url, token = await self.address()
-        headers = {"Authorization": f"Bearer {token}"} | (headers or {})
         try:
-            answer = await self._client().request(
-                method, url + path, headers=headers, timeout=_timeout(timeout_s), **more
-            )
-        except httpx.HTTPError as error:
+            status, content = await self._exchanged(method, url + path, token, within_s=timeout_s, **more)
+        except (*_HTTP_ERRORS, TimeoutError) as error:
             self._address = None
             unsent = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.PoolTimeout)
             raise AgentAwayError(self._words(error), sent=not unsent) from None
-        if answer.is_success:
-            return self._json(answer)
-        if answer.status_code in (401, 403):
+        if 200 <= status < 300:
+            return json_object(content, self.machine.name)
+        if status in (401, 403):
             self._address = None
-        raise self._refusal(answer)
+        raise self._refusal(status, content)
 
-    def _json(self, answer: httpx.Response) -> Json:
-        try:
-            values = answer.json() if answer.content else {}
-        except ValueError:
-            values = None
-        if not isinstance(values, dict):
-            raise Problem(502, f"the agent of '{self.machine.name}' answered with something that is not JSON")
-        return values
+    async def _exchanged(
+        self, method: str, url: str, token: str, *, within_s: float, headers: Json | None = None, **more: Any
+    ) -> tuple[int, bytes]:
+        """Status and content of one answer. The time is for all of it, but a program takes as long as it takes."""
+        own = {"Authorization": f"Bearer {token}", "Accept-Encoding": "identity"} | (headers or {})
+        timeout = httpx.Timeout(within_s, connect=_CONNECT_S)
+        async with asyncio.timeout(None if "content" in more else within_s + _CONNECT_S):
+            async with self._client().stream(method, url, headers=own, timeout=timeout, **more) as answer:
+                return answer.status_code, await _whole(answer, self.machine.name)
 
-    def _refusal(self, answer: httpx.Response) -> Problem:
+    def _refusal(self, status: int, content: bytes) -> Problem:
         """The agent's own refusal, passed on; what is between it and us only is not the caller's fault."""
         try:
-            told = answer.json()
-        except ValueError:
+            told = json_object(content, self.machine.name)
+        except Problem:
             told = {}
-        detail = str(told.get("detail", "")) if isinstance(told, dict) else ""
-        field = str(told.get("field", "")) if isinstance(told, dict) else ""
-        status = answer.status_code
+        detail, field = str(told.get("detail", ""))[:2000], str(told.get("field", ""))[:200]
         if status in (401, 403):
             return Problem(502, f"the agent of '{self.machine.name}' does not take the token we have for it")
         if not detail or status not in (404, 409, 413, 422, 503, 507):
@@ -183,9 +188,27 @@ class AgentLink:
         return Problem(status, detail, field=field)
 
     def _words(self, error: Exception) -> str:
-        reason = str(error) or type(error).__name__
+        reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(
+            type(error).__name__, type(error).__name__
+        )
         return f"the agent of '{self.machine.name}' cannot be reached: {reason}"
 
 
-def _timeout(timeout_s: float) -> httpx.Timeout:
-    return httpx.Timeout(timeout_s, connect=_CONNECT_S)
+async def _whole(answer: httpx.Response, machine: str) -> bytes:
+    content = bytearray()
+    async for piece in answer.aiter_raw():
+        content += piece
+        if len(content) > MOST_BYTES:
+            raise Problem(502, f"the agent of '{machine}' answered with more than {MOST_BYTES // 1_000_000} MB")
+    return bytes(content)
+
+
+async def _lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
+    """Lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
+    rest = b""
+    async for piece in answer.aiter_raw():
+        *lines, rest = (rest + piece).split(b"\n")
+        if len(rest) > MOST_BYTES:
+            raise Problem(502, f"the agent of '{machine}' sends an event without an end")
+        for line in lines:
+            yield line.rstrip(b"\r").decode("utf-8", "replace")

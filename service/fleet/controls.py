@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 
 from service.fleet.agent_link import AgentAwayError, AgentLink, Json
+from service.fleet.agent_words import run_view
 from service.fleet.core import FleetCore, Seen
 from service.fleet.run_book import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow, UnknownRunError
 from service.fleet.views import ORDER, Surroundings, required_checks
@@ -139,7 +140,7 @@ class Controls:
         return await self._written(run, view)
 
     async def _written(self, run: RunRow, view: Json) -> Seen:
-        return Seen(await self._core.do(self._core.runs.told, await self.row(run.id), view))
+        return Seen(await self._core.do(self._core.runs.told, await self.row(run.id), run_view(view, run.machine)))
 
     async def _given_up(self, run: RunRow, problem: Problem) -> Seen:
         """The agent is about another run by now. One that waits or was interrupted gives the mill's place free."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ import httpx
 import sqlalchemy as sa
 
 from service.fleet.agent_link import ASK_S, AgentAwayError, AgentLink
+from service.fleet.agent_words import run_view
 from service.fleet.machines import KnownMachine, known_machines
 from service.fleet.run_book import FINISHED, LOST, RunBook, RunRow
 from service.jobs.book import JobBook
@@ -84,7 +86,7 @@ class FleetCore:
             return Seen(run)
         try:
             link = await self.link_of(run)
-            view = await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s)
+            view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s), run.machine)
         except AgentAwayError as away:
             return Seen(run, away.words)
         except Problem as problem:
@@ -93,6 +95,13 @@ class FleetCore:
             await self.do(self.runs.close, run.id, LOST, "its agent no longer knows this run")
             return Seen(await self.do(self.runs.get, run.id))
         return Seen(await self.do(self.runs.told, run, view))
+
+    async def ended_within(self, seconds: float) -> bool:
+        """Wait so long, or until the server ends: then True."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self.ending.wait()
+        return self.ending.is_set()
 
     async def close(self) -> None:
         if self._http is not None:

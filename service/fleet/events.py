@@ -8,23 +8,30 @@ the run.
 from __future__ import annotations
 
 import asyncio
-import contextlib
 import json
+import re
 from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import replace
 from math import inf
 from typing import Any
 
 from service.fleet.agent_link import AgentAwayError
+from service.fleet.agent_words import json_object, run_view, table
 from service.fleet.core import FleetCore, Seen
 from service.fleet.run_book import ENDED, RunRow
 from service.fleet.views import live_json
 from service.web.problems import Problem
 
+_EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")
 _AGAIN_S = (0.2, 0.5, 1.0, 2.0)
 _PING = b": still here\n\n"
 
 Json = dict[str, Any]
+
+
+def known_id(text: str) -> str:
+    """The id of an event as agents give them; nothing for any other text."""
+    return text if _EVENT_ID.fullmatch(text) else ""
 
 
 async def run_events(core: FleetCore, seen: Seen, last_id: str) -> AsyncIterator[bytes]:
@@ -36,7 +43,7 @@ async def run_events(core: FleetCore, seen: Seen, last_id: str) -> AsyncIterator
         away = ""
         try:
             async for message in _until(core.ending, _of_agent(core, seen.run, last_id)):
-                failures, last_id = 0, message.get("id", last_id)
+                failures, last_id = 0, known_id(message.get("id", "")) or last_id
                 for kind, data in _told(seen.run, message):
                     if kind == "run" and data == shown:
                         continue
@@ -48,7 +55,7 @@ async def run_events(core: FleetCore, seen: Seen, last_id: str) -> AsyncIterator
                     return
         except (AgentAwayError, Problem) as error:
             away = str(error)
-        await _pause(core.ending, _AGAIN_S[min(failures, len(_AGAIN_S) - 1)])
+        await core.ended_within(_AGAIN_S[min(failures, len(_AGAIN_S) - 1)])
         failures += 1
         seen = await core.seen(await core.do(core.runs.get, seen.run.id))
         now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else "")))
@@ -76,11 +83,6 @@ async def _until(ending: asyncio.Event, messages: AsyncGenerator[dict[str, str]]
         await messages.aclose()
 
 
-async def _pause(ending: asyncio.Event, seconds: float) -> None:
-    with contextlib.suppress(TimeoutError):
-        await asyncio.wait_for(ending.wait(), seconds)
-
-
 async def _of_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[dict[str, str]]:
     """The messages of the agent's stream; an empty one for each of its heartbeats."""
     if run.agent_run is None:
@@ -103,20 +105,20 @@ def _told(run: RunRow, message: dict[str, str]) -> list[tuple[str, Json]]:
     """What of an agent's message is about this run."""
     if not message:
         return [("ping", {})]
-    try:
-        data = json.loads(message.get("data", ""))
-    except ValueError:
-        return []
-    if not isinstance(data, dict):
-        return []
+    data = json_object(message.get("data", "").encode(), run.machine)
     if message.get("event") != "status":
-        return [("log", data)] if data.get("at_s", inf) >= float((run.view or {}).get("created_s", 0.0)) else []
-    view = data.get("run")
-    if not isinstance(view, dict) or view.get("id") != run.agent_run:
+        return [("log", data)] if _time_of(data) >= ((run.view or {}).get("created_s") or 0.0) else []
+    view = table(data, "run")
+    if view.get("id") != run.agent_run:
         return []
-    state = str(view.get("state", ""))
-    now = replace(run, state=state, view=view, words=str(view.get("words", "")), open=state not in ENDED)
+    state = run_view(view, run.machine)["state"]
+    now = replace(run, state=state, view=view, words=view.get("words", ""), open=state not in ENDED)
     return [("run", live_json(Seen(now)))]
+
+
+def _time_of(entry: Json) -> float:
+    at_s = entry.get("at_s")
+    return at_s if isinstance(at_s, int | float) else inf
 
 
 def _event(kind: str, data: Json, event_id: str = "") -> bytes:

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import asyncio
-import re
 from collections.abc import AsyncIterator
 from typing import Any
 
 import sqlalchemy as sa
+import structlog
 
+from service.errors import printable
 from service.fleet.agent_link import AgentAwayError
 from service.fleet.controls import Controls
 from service.fleet.core import FleetCore, Seen
-from service.fleet.events import run_events
+from service.fleet.events import known_id, run_events
 from service.fleet.handover import Handovers
 from service.fleet.machines import KnownMachine
 from service.fleet.programs import programs_of
@@ -25,7 +26,8 @@ from service.store.store import Store
 from service.web.problems import Problem
 
 Json = dict[str, Any]
-_EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")  # as agents give them
+WATCH_S = 10.0
+_log = structlog.get_logger("api")
 
 
 class Fleet:
@@ -39,6 +41,15 @@ class Fleet:
     def end_streams(self) -> None:
         """The server ends: so do the event streams, which would not by themselves."""
         self._core.ending.set()
+
+    async def watch(self, every_s: float = WATCH_S) -> None:
+        """Look at every open run now and then: one that ends while nobody asks is closed all the same."""
+        while not await self._core.ended_within(every_s):
+            try:
+                rows = await self._core.do(self._core.runs.open_ones)
+                await asyncio.gather(*map(self._now, rows))
+            except Exception as error:  # the database or a mill is away, or an agent talks nonsense
+                _log.warning("runs were not looked at", error=printable(str(error))[:200])
 
     async def aclose(self) -> None:
         self.end_streams()
@@ -114,7 +125,7 @@ class Fleet:
         seen = await self._now(await self._controls.row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
-        return run_events(self._core, seen, last_id if _EVENT_ID.fullmatch(last_id) else "")
+        return run_events(self._core, seen, known_id(last_id))
 
     def require_no_open_run(self, job_id: str) -> None:
         """Problem 409 where a program of this job is on a mill. For a thread, not for the event loop."""

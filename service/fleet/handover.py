@@ -11,6 +11,7 @@ import hashlib
 from collections.abc import AsyncIterator, Iterator
 
 from service.fleet.agent_link import AgentAwayError, AgentLink
+from service.fleet.agent_words import run_view
 from service.fleet.core import FleetCore, Seen
 from service.fleet.machines import KnownMachine
 from service.fleet.programs import Program, programs_of
@@ -136,7 +137,7 @@ class Handovers:
             posted = True
             name = f"{run.program} of job {run.job_id}"
             body = {"program": run.sha256, "name": name, "key": run.id}
-            view = await link.post("/v1/runs", body, timeout_s=_PREFLIGHT_S)
+            view = run_view(await link.post("/v1/runs", body, timeout_s=_PREFLIGHT_S), run.machine)
         except Problem as problem:
             await self._refused(run, problem.detail)
             raise

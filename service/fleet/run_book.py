@@ -6,7 +6,7 @@ finds it again, and that a mill has one open run at a time, by a unique index.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 from uuid import uuid4
 
@@ -139,6 +139,10 @@ class RunBook:
             row = connection.execute(query).mappings().first()
             return None if row is None else RunRow.of(row)
 
+    def open_ones(self) -> list[RunRow]:
+        with reading(self._database) as connection:
+            return [RunRow.of(row) for row in connection.execute(sa.select(runs).where(runs.c.open)).mappings()]
+
     def listed(
         self, *, machine: str | None = None, job: str | None = None, limit: int = 50, before: str | None = None
     ) -> list[RunRow]:
@@ -182,7 +186,7 @@ class RunBook:
         values: Json = {"state": state, "view": view, "words": _words(view), "open": is_open}
         values["ended_at"] = view.get("ended_s") if not is_open else None
         if run.state == state and run.open == values["open"] and not _news(run.view, view):
-            return run
+            return replace(run, view=view)  # how far it is, though that is not written down
         try:
             self._write(run.id, values)
         except IntegrityError:

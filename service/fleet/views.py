@@ -9,6 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from machines.runs import RECOVER_CHECKS, START_CHECKS
+from service.fleet.agent_words import table
 from service.fleet.core import Seen
 from service.fleet.machines import KnownMachine
 from service.fleet.programs import Program, set_up
@@ -139,7 +140,7 @@ def _profile(values: Json) -> Json:
 
 
 def _mill(status: Json) -> Json:
-    told = status.get("status") or {}
+    told = table(status, "status")
     names = (
         "state",
         "detail",

@@ -26,7 +26,7 @@ from service.jobs.records import (
     UnknownArtifactError,
     UnknownJobError,
 )
-from service.jobs.states import RETRYABLE, TRANSITIONS, JobState, JobStateError
+from service.jobs.states import RETRYABLE, TRANSITIONS, JobOnMillError, JobState, JobStateError
 from service.jobs.tables import artifacts, idempotency_keys, jobs, progress, stage_runs
 from service.store.store import Store
 
@@ -82,12 +82,12 @@ class JobBook:
             return _job(connection, job_id)
 
     def delete(self, job_id: str) -> Job:
-        """Forget a job that is not running, its idempotency key included. Returns what it was."""
+        """Forget a job that neither runs nor is on a mill, its idempotency key included. Returns what it was."""
         with writing(self.database) as connection:
             job = locked_job(connection, job_id)
             if job.state == JobState.RUNNING:
                 raise JobStateError(job.state, "deleting", frozenset(JobState) - {JobState.RUNNING})
-            drop_job(connection, job_id)
+            drop_job(connection, job)
             return job
 
     # ------------------------------------------------------------------ reading
@@ -188,10 +188,14 @@ def end_job(connection: sa.Connection, job: Job, state: JobState, *, at: float, 
     write_event(connection, job.id, "ended", {"state": str(state), "attempt": job.attempt, "error": error}, at=at)
 
 
-def drop_job(connection: sa.Connection, job_id: str) -> None:
-    """Everything about a job but its place in the engine."""
-    connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job_id))
-    connection.execute(jobs.delete().where(jobs.c.id == job_id))
+def drop_job(connection: sa.Connection, job: Job) -> None:
+    """Everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
+    from service.fleet.run_book import open_run_of  # it imports this module
+
+    if (run_id := open_run_of(connection, job.id)) is not None:
+        raise JobOnMillError(job.state, run_id)
+    connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
+    connection.execute(jobs.delete().where(jobs.c.id == job.id))
 
 
 def _job(connection: sa.Connection, job_id: str) -> Job:

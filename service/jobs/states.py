@@ -50,6 +50,15 @@ class JobStateError(Exception):
         self.allowed = allowed
 
 
+class JobOnMillError(JobStateError):
+    """A run of one of the job's programs is open: what the mill is doing must stay explained."""
+
+    def __init__(self, before: JobState, run_id: str) -> None:
+        super().__init__(before, "deleting", ENDED)
+        self.run_id = run_id
+        self.args = (f"run {run_id} of a program of this job is open; abort it or let it finish first",)
+
+
 def require_move(before: JobState, after: JobState) -> None:
     """JobStateError unless the table allows it."""
     if after not in TRANSITIONS[before]:

@@ -9,7 +9,6 @@ from cam.gcode import read_program
 from cam.passes import PassSpec, Stock
 from machines.errors import ProgramRefusedError
 from machines.gcode.limits import MillLimits, limits_of
-from service import figures_paths
 from service.errors import FailedError
 from service.job_files import TOOLPATH, read_chunks
 from service.passes import cam_passes_of, cam_stock_of, machine_of
@@ -42,6 +41,8 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
 
 def _draw(shop: Workshop, programs: list[Path]) -> None:
     """toolpath.png, drawn from the text of the programs."""
+    from service import figures_paths  # what it stands on is slow to import
+
     stock = cam_stock_of(shop.spec)
     with shop.watch.stage("toolpath picture") as reached:
         samples = []

@@ -1,4 +1,7 @@
-"""Stages from the picture to the lens: each loads, calls the pure code and stores."""
+"""Stages from the picture to the lens: each loads, calls the pure code and stores.
+
+Drawing and the solid are imported where they are used: a worker that has just started can begin without them.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from math import isfinite
 from optics.design import LensDesign, LensSettings, design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
-from service import figures, figures_lens, solid
 from service.job_files import HEIGHTFIELD, MAP, SOLID
 from service.lens_facts import LensFacts, measure_lens
 from service.picture import read_picture
@@ -57,6 +59,8 @@ def image(shop: Workshop) -> None:
 
 def irradiance(shop: Workshop) -> None:
     """Linear light -> target irradiance (ny, nx) in the work frame; target.png."""
+    from service import figures
+
     linear = shop.receive(PICTURE, arrays.load_picture)
     viewed_from = shop.spec.optics.viewed_from
     with shop.watch.stage("target"):
@@ -76,6 +80,8 @@ def transport_map(shop: Workshop) -> None:
         shop.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
     _tell_of_design(shop, design)
     if design.flow is not None:
+        from service import figures_lens
+
         picture = figures_lens.flow_png(design.flow.snapshots, viewed_from=shop.spec.optics.viewed_from)
         shop.save("flow.png", picture)
 
@@ -91,6 +97,8 @@ def heightfield(shop: Workshop) -> None:
 
 def solid_block(shop: Workshop, lens: Heightfield) -> None:
     """lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is left."""
+    from service import figures_lens, solid
+
     stock = shop.spec.stock
     with shop.watch.stage("solid"):
         mesh = solid.lens_solid(
@@ -102,6 +110,8 @@ def solid_block(shop: Workshop, lens: Heightfield) -> None:
 
 def require_fit_in_stock(shop: Workshop, lens: Heightfield) -> None:
     """ReliefTooDeep unless enough of the block is left under the deepest point."""
+    from service import solid
+
     solid.require_floor(lens, thickness_mm=shop.spec.stock.thickness_mm, min_floor_mm=MIN_FLOOR_MM)
 
 

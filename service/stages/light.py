@@ -8,7 +8,6 @@ from optics.caustic import Caustic, simulate_caustic
 from optics.heightfield import Array
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import CausticScore, score_caustic
-from service import figures
 from service.job_files import HEIGHTFIELD, MAP
 from service.stages import arrays
 from service.stages.lens import lens_settings
@@ -43,6 +42,8 @@ def caustic(shop: Workshop) -> None:
 
 
 def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
+    from service import figures  # what it stands on is slow to import
+
     white = float(target.max())
     pictures = [_as_seen(shop, one.irradiance) for one in seen]
     in_focus = pictures[THROUGH_FOCUS.index(1.0)]

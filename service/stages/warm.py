@@ -1,6 +1,7 @@
-"""Importing this imports everything that a stage may need, so that a process forked afterwards starts at once.
+"""Importing this imports what the lens is computed with, so that a process forked afterwards starts at once.
 
-It starts no thread and compiles nothing.
+`LATER` is what other stages need, piece by piece, to be imported when there is time. Nothing of this starts a
+thread or compiles anything.
 """
 
 from __future__ import annotations
@@ -9,6 +10,22 @@ from service.kernel_cache import use_current_kernels
 
 use_current_kernels()  # before numba is imported
 
-from service.stages import final_check, lens, light, programs, run, sheet  # noqa: E402
+from service.stages import lens, run  # noqa: E402
 
-__all__ = ["final_check", "lens", "light", "programs", "run", "sheet"]
+LATER = (
+    "service.stages.light",
+    "service.stages.programs",
+    "service.stages.final_check",
+    "service.stages.sheet",
+    "networkx",
+    "trimesh",
+    "manifold3d",
+    "matplotlib.figure",
+    "matplotlib.axes",
+    "service.solid",
+    "service.figures",
+    "service.figures_lens",
+    "service.figures_paths",
+)
+
+__all__ = ["LATER", "lens", "run"]

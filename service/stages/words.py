@@ -8,11 +8,8 @@ from contextlib import contextmanager
 from cam.errors import CamError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
 from optics.errors import OpticsError
 from service.errors import FailedError, InputError
-from service.solid import ReliefTooDeep, SolidError
 
-_INPUT_ERRORS = (
-    OpticsError, ReliefTooDeep, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError,
-)  # fmt: skip
+_INPUT_ERRORS = (OpticsError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError)
 
 
 @contextmanager
@@ -20,6 +17,10 @@ def in_the_services_words() -> Iterator[None]:
     """InputError or FailedError, one line, in place of a package's own error."""
     try:
         yield
-    except (OpticsError, CamError, SolidError) as error:
-        kind = InputError if isinstance(error, _INPUT_ERRORS) else FailedError
+    except (OpticsError, CamError, ValueError) as error:  # SolidError is a ValueError
+        from service.solid import ReliefTooDeep, SolidError  # what it stands on is slow to import
+
+        if not isinstance(error, (OpticsError, CamError, SolidError)):
+            raise
+        kind = InputError if isinstance(error, (*_INPUT_ERRORS, ReliefTooDeep)) else FailedError
         raise kind(" ".join(str(error).split())) from error

@@ -94,7 +94,7 @@ class S3Store:
             raise FailedError(f"cannot fetch an artifact to {target}: {(error.strerror or '').lower()}") from None
 
     def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
-        """Signed for ten minutes. The bucket names what it serves by hash, and as bytes: the client names its file."""
+        """Signed for ten minutes. The bucket serves bytes named by their hash (obstore signs no other headers for it)."""
         import obstore
 
         with self._told("sign an address for", sha256):

@@ -1,6 +1,7 @@
 """uvicorn's HTTP/1.1, where the answers that it gives by itself are problems like all others of ours.
 
-A connection that brings no request is closed after a while; uvicorn waits for a first one for ever.
+A connection that brings no whole request head is closed after a while; uvicorn waits for one for ever. Where there are
+too many connections, those that ask for nothing make room for those that do.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.web.problems import Problem, problem_body, problem_response
 
-_FIRST_REQUEST_S = 30.0
+VERSION_HEADER = "Causticmill-Version"  # with every answer
+_REQUEST_HEAD_S = 30.0
 
 
 class ProblemProtocol(H11Protocol):
@@ -26,14 +28,32 @@ class ProblemProtocol(H11Protocol):
         self._app = self.app
         self._most, self.limit_concurrency = self.limit_concurrency, None
         self.app = self._admit
+        self._waits_since_s: float | None = None  # for a request's head; None: a request is being answered
+        self._patience: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(cast("asyncio.Transport", transport))
-        self.loop.call_later(_FIRST_REQUEST_S, self._close_if_silent)
+        self._await_head()
+        if self._most is not None and len(self.connections) > self._most:
+            self._make_room()
+
+    def data_received(self, data: bytes) -> None:
+        super().data_received(data)
+        self._note_request()
+
+    def on_response_complete(self) -> None:
+        self._await_head()
+        super().on_response_complete()
+        self._note_request()  # the next one may be here already
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._await_nothing()
 
     def send_400_response(self, msg: str) -> None:
         body = json.dumps(problem_body(Problem(400, f"this is not a request in HTTP/1.1: {msg}"))).encode()
         headers = [
+            *self.server_state.default_headers,
             (b"content-type", b"application/problem+json"),
             (b"content-length", str(len(body)).encode()),
             (b"connection", b"close"),
@@ -44,12 +64,31 @@ class ProblemProtocol(H11Protocol):
         self.transport.close()
 
     async def _admit(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if self._most is not None and max(len(self.connections), len(self.tasks)) > self._most:
-            problem = Problem(503, "too many connections at once", headers={"Retry-After": "5", "Connection": "close"})
+        if self._most is not None and len(self.tasks) > self._most:
+            problem = Problem(503, "too many requests at once", headers={"Retry-After": "5", "Connection": "close"})
             await problem_response(problem)(scope, receive, send)
             return
         await self._app(scope, receive, send)
 
-    def _close_if_silent(self) -> None:
-        if self.cycle is None and not self.transport.is_closing():
-            self.transport.close()
+    def _await_head(self) -> None:
+        self._await_nothing()
+        self._waits_since_s = self.loop.time()
+        self._patience = self.loop.call_later(_REQUEST_HEAD_S, self.transport.close)
+
+    def _note_request(self) -> None:
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._await_nothing()
+
+    def _await_nothing(self) -> None:
+        self._waits_since_s = None
+        if self._patience is not None:
+            self._patience.cancel()
+
+    def _make_room(self) -> None:
+        """Close the connection that has asked for nothing for the longest time."""
+        others = [each for each in self.connections if isinstance(each, ProblemProtocol) and each is not self]
+        idle = [(each._waits_since_s, id(each), each) for each in others if each._waits_since_s is not None]
+        if idle:
+            _, _, longest = min(idle)
+            longest._await_nothing()
+            longest.transport.abort()

@@ -17,7 +17,7 @@ from service.errors import JobError
 from service.jobs.states import JobState
 from service.jobs.work_book import Claim
 from service.worker.bench import AWAY, Bench, database_may_be_away, insist
-from service.worker.engine import Fenced, Ticket
+from service.worker.engine import Busy, Fenced, Ticket
 from service.worker.walk import Walk
 
 MEGA = 1_000_000
@@ -35,11 +35,16 @@ class Body:
 
     def __call__(self, ticket: Ticket) -> None:
         ids = structlog.contextvars.bound_contextvars(job=ticket.job_id, attempt=ticket.attempt)
-        with ids, self._alone(ticket), self._slots, database_may_be_away():
+        with ids, self._slot(), self._alone(ticket), database_may_be_away():
             self._require_fitness()
             claim = self._bench.work.claim(ticket, self._bench.executor)
             if claim is not None:
                 self._run(claim)
+
+    def in_hand(self) -> set[str]:
+        """Ids of the jobs that this worker is about: those it may be claiming just now included."""
+        with self._lock:
+            return set(self._active)
 
     def _run(self, claim: Claim) -> None:
         with self._bench.watch.over(claim) as watched:
@@ -65,6 +70,16 @@ class Body:
         if shutil.disk_usage(bench.settings.data).free < bench.settings.free_disk_mb * MEGA:
             log.warning("waiting: too little free disk space", needed_mb=bench.settings.free_disk_mb)
             raise Fenced("too little free disk space")
+
+    @contextmanager
+    def _slot(self) -> Iterator[None]:
+        """The engine counts, too, but may hand out one more while a ticket is on its way to a thread."""
+        if not self._slots.acquire(blocking=False):
+            raise Busy("all slots are taken")
+        try:
+            yield
+        finally:
+            self._slots.release()
 
     @contextmanager
     def _alone(self, ticket: Ticket) -> Iterator[None]:

@@ -16,9 +16,10 @@ from collections.abc import Callable
 from typing import Any
 
 from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, WorkflowStatus
+from dbos._dbos import _get_dbos_instance
 
 from service.settings import ServerSettings
-from service.worker.engine import Fenced, Ticket
+from service.worker.engine import Busy, Fenced, Ticket
 
 NAME = "causticmill"
 QUEUE = "jobs"
@@ -103,6 +104,10 @@ class DbosEngine:
         for ticket in self._runner.strays(self.owners()):
             self._clients().resume_workflow(ticket.text, queue_name=QUEUE)
 
+    def give_back(self, ticket: Ticket, executor: str) -> None:
+        """Queue it again, unless somebody else has it by now. As in the recovery of one that was cut short."""
+        _get_dbos_instance()._sys_db.reenqueue_for_recovery(ticket.text, [executor], QUEUE)
+
     def close(self) -> None:
         if self._serving:
             DBOS.destroy()
@@ -180,13 +185,20 @@ class _Runner:
         while True:
             try:
                 return self._body(ticket)
-            except Fenced:
-                self._pause.wait(FENCED_PAUSE_S)
-                if self._lost(ticket):
+            except Fenced as error:
+                if (isinstance(error, Busy) and self._given_back(ticket)) or self._paused_and_lost(ticket):
                     # DBOS sees for itself that the ticket is no longer ours, and records nothing.
                     return None
 
-    def _lost(self, ticket: Ticket) -> bool:
+    def _given_back(self, ticket: Ticket) -> bool:
+        try:
+            self._engine.give_back(ticket, self._executor)
+        except Exception:  # the database is away: it stays ours
+            return False
+        return True
+
+    def _paused_and_lost(self, ticket: Ticket) -> bool:
+        self._pause.wait(FENCED_PAUSE_S)
         try:
             return not self._engine.owns(ticket, self._executor)
         except Exception:  # the database is away: the body finds out

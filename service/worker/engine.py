@@ -34,6 +34,10 @@ class Fenced(Exception):
     """
 
 
+class Busy(Fenced):
+    """Raised by a body when every slot of this worker is taken: the ticket goes back to the queue, for whoever is free."""
+
+
 class JobEngine(Protocol):
     """The client's side may be used in any process; `serve` only in a worker."""
 

@@ -1,7 +1,8 @@
 """The nursery: a warm process with one thread that forks a child for each stage, watches over it and buries it.
 
 Theory of operation: numpy, numba and our own modules take a second to import, so they are imported once, here, before
-any fork; a fork copies a process safely only while it has one thread, so nothing here starts one (OPENBLAS_NUM_THREADS
+any fork; what only some stages need (LATER of the entry's module) is imported piece by piece while there is nothing
+else to do, and a child that needs it earlier imports it by itself. A fork copies a process safely only while it has one thread, so nothing here starts one (OPENBLAS_NUM_THREADS
 is 1, no kernel runs). The worker sends orders and beats over a socket; beats are handed on to the children. Each child
 leads a group of its own; descendants that lose their parent are adopted (subreaper). When a child has ended, or was
 silent too long, the rest of its group is killed, and its end is reported only when nobody of it is left. The leader is
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib
 import json
 import os
 import select
@@ -57,6 +59,7 @@ class _Nursery:
     def __init__(self, line: socket.socket, entry: str) -> None:
         self._line = line
         self._entry = entry
+        self._later = [*getattr(importlib.import_module(entry.partition(":")[0]), "LATER", ())][::-1]
         self._stages: dict[int, _Stage] = {}  # by process id
         self._pid = os.getpid()
 
@@ -68,12 +71,14 @@ class _Nursery:
         signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         signal.signal(signal.SIGTERM, lambda *_: self.end())
-        self._tell({"ready": True, "threads": thread_count()})
+        self._tell({"ready": True})
         poll = select.poll()
         poll.register(self._line, select.POLLIN)
         poll.register(wake, select.POLLIN)
         while True:
             ready = {number for number, _ in poll.poll(self._patience_s() * 1000)}
+            if not ready:
+                self._import_one_more()
             if wake.fileno() in ready:
                 with contextlib.suppress(BlockingIOError):
                     wake.recv(4096)
@@ -99,7 +104,16 @@ class _Nursery:
                 time.sleep(_BURYING_S)
         os._exit(0)
 
+    def _import_one_more(self) -> None:
+        if self._later:
+            importlib.import_module(self._later.pop())
+            if not self._later:
+                gc.freeze()
+                self._tell({"warm": True, "threads": thread_count()})
+
     def _patience_s(self) -> float:
+        if self._later:
+            return 0.0
         if any(stage.status is not None for stage in self._stages.values()):
             return _BURYING_S
         now = time.monotonic()

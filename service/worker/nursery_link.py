@@ -51,6 +51,7 @@ class _Life:
     def __init__(self, settings: ServerSettings, entry: str) -> None:
         self.ready = threading.Event()
         self.over = threading.Event()
+        self.threads = 0  # it had when it had imported everything; 0: it has not
         self.words = ""
         self.idle_since = time.monotonic()
         self.lock = threading.Lock()
@@ -155,6 +156,8 @@ class _Life:
             case {"ready": True}:
                 self.idle_since = time.monotonic()
                 self.ready.set()
+            case {"warm": True, "threads": threads}:
+                self.threads = threads
             case {"started": number, "pid": pid}:
                 self._children[number].pid = pid
                 self._children[number].answered.set()

@@ -20,8 +20,9 @@ from service.worker.ends import Crashed, Done, Failed, Refused, StageEnd, Stoppe
 from service.worker.nursery_link import Child, NurseryError, NurseryLink
 from service.worker.supervision import Supervision, Task
 
-__all__ = ["Crashed", "Done", "Failed", "Refused", "StageEnd", "StageProcesses", "Stopped"]
+__all__ = ["STAGE_ENTRY", "Crashed", "Done", "Failed", "Refused", "StageEnd", "StageProcesses", "Stopped"]
 
+STAGE_ENTRY = "service.worker.stage_entry:run_stage"
 _TICK_S = 0.1
 _STARTS = 3
 
@@ -32,7 +33,7 @@ class StageProcesses:
     entry : `module:function` called in the child as function(order, on_progress) -> result, both plain JSON
     """
 
-    def __init__(self, settings: ServerSettings, *, entry: str = "service.worker.stage_entry:run_stage") -> None:
+    def __init__(self, settings: ServerSettings, *, entry: str = STAGE_ENTRY) -> None:
         if sys.platform != "linux":
             raise FailedError("stages run under Linux only: elsewhere a stopped job could leave processes behind")
         self._settings = settings

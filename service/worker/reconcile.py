@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from itertools import islice
 
 import sqlalchemy as sa
 import structlog
 
-from service.jobs.book import end_job, locked_job
+from service.jobs.book import change_job, end_job, locked_job
 from service.jobs.database import clock, reading, writing
 from service.jobs.records import Job, Json, UnknownJobError
 from service.jobs.states import JobState
@@ -29,7 +30,7 @@ log = structlog.get_logger()
 
 
 class Reconciler:
-    """`running` tells which jobs this worker has in hand."""
+    """`in_hand` tells which jobs this worker is about."""
 
     def __init__(
         self,
@@ -38,22 +39,40 @@ class Reconciler:
         *,
         executor: str,
         lease_s: float,
-        running: Callable[[], set[str]],
+        in_hand: Callable[[], set[str]],
     ) -> None:
         self._database = database
         self._engine = engine
         self._executor = executor
         self._lease_s = lease_s
-        self._running = running
+        self._in_hand = in_hand
         self._known: set[Ticket] = set()
 
     def turn(self) -> None:
         """Look once at everything."""
+        self.let_go()
         self._submit_unknown()
         self._engine.pick_up()
         live = self._take_over_dead()
         self._end_cancelled(live)
         self._end_given_up(live)
+
+    def let_go(self) -> None:
+        """Jobs that stand under this worker's name although it is not about them: whoever has the ticket may claim them.
+
+        They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
+        """
+        query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)
+        with reading(self._database) as connection:
+            found = set(connection.execute(query).scalars()) - self._in_hand()
+        for job_id in found:
+            with writing(self._database) as connection, suppress(UnknownJobError):
+                job, at = locked_job(connection, job_id), clock(connection)
+                # Asked again under the lock: who is about to claim the job has said so before.
+                if job.owner == self._executor and job_id not in self._in_hand():
+                    log.info("let go", job=job_id)
+                    interrupt_tries(connection, job, at=at)
+                    change_job(connection, job, owner=None, fence=job.fence + 1)
 
     def _submit_unknown(self) -> None:
         """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
@@ -124,9 +143,7 @@ class Reconciler:
             end_job(connection, job, state, at=at, error=error)
 
     def _is_in_hand(self, job: Job, live: set[str]) -> bool:
-        if job.owner == self._executor or job.id in self._running():
-            return job.id in self._running()
-        return job.owner in live
+        return job.id in self._in_hand() or (job.owner != self._executor and job.owner in live)
 
 
 class Rounds:

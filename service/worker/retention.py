@@ -14,7 +14,7 @@ import structlog
 from service.jobs.book import drop_job, locked_job
 from service.jobs.database import clock, is_sqlite, reading, writing
 from service.jobs.records import Job, UnknownJobError
-from service.jobs.states import ENDED
+from service.jobs.states import ENDED, JobOnMillError
 from service.jobs.tables import artifacts, executors, jobs, runs, stage_results, stage_runs
 from service.settings import ServerSettings
 from service.store.store import Store
@@ -86,7 +86,10 @@ class Retention:
                 return False
             if not job.ended:
                 return False  # retried a moment ago
-            drop_job(connection, job_id)
+            try:
+                drop_job(connection, job)
+            except JobOnMillError:
+                return False  # handed to a mill a moment ago
         self._engine.forget(_tickets(job))
         log.info("job deleted", job=job_id, ended_at=job.ended_at)
         return True

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-import service.stages.warm  # noqa: F401 - everything that stages need, imported once for all children
 from service.settings import ServerSettings
 from service.stages.order import StageOrder
 from service.stages.run import run_order
+from service.stages.warm import LATER  # and what the lens is computed with, imported once for all children
 from service.store.opening import open_store
+
+__all__ = ["LATER", "run_stage"]
 
 
 def run_stage(order: dict[str, Any], on_progress: Callable[[float], None]) -> dict[str, Any]:

@@ -51,7 +51,7 @@ def test_volumes_secrets_and_services_that_are_named_are_there() -> None:
     assert set(FARM["volumes"]) <= used
 
 
-@pytest.mark.parametrize("name", [name for name, service in OURS.items() if service["command"]])
+@pytest.mark.parametrize("name", [name for name, service in OURS.items() if "entrypoint" not in service])
 def test_every_command_is_accepted_by_our_command_line(name: str) -> None:
     """Parsed in full by the real parser, which refuses unknown options and values; nothing is run."""
     command, *arguments = [substituted(word) for word in OURS[name]["command"]]
@@ -61,15 +61,30 @@ def test_every_command_is_accepted_by_our_command_line(name: str) -> None:
         assert context.params
 
 
-def test_the_one_line_program_runs(tmp_path: Path) -> None:
-    python, flag, program = OURS["mill-token"]["entrypoint"]
-    assert (python, flag) == ("python", "-c")
-    exec(program.replace("'/mill'", repr(str(tmp_path))))
+def test_one_variable_names_the_mill_for_api_and_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What runs before the agent writes the token and the list of agents that the API reads."""
+    from service.fleet.machines import remote_machines
+
+    files = SERVICES["mill-files"]
+    assert files["entrypoint"] == ["python", "-c"]
+    monkeypatch.setenv("MILL_MACHINE", "router")
+    for _ in range(2):  # it runs at every start
+        exec(files["command"][0].replace("/mill", str(tmp_path)).replace(f"http:/{tmp_path}", "http://mill"))
+    (machine,) = remote_machines(tmp_path / "agents.toml")
+    assert (machine.name, machine.url, machine.token_file) == ("router", "http://mill-agent:8765", tmp_path / "token")
     assert (tmp_path / "token").stat().st_mode & 0o777 == 0o600
+    assert SERVICES["api"]["environment"]["CAUSTICMILL_AGENTS_FILE"] == "/mill/agents.toml"
+    for name in ("agent", "sim-agent"):
+        command, after = SERVICES[name]["command"], SERVICES[name]["depends_on"]
+        assert command[command.index("--machine") + 1] == files["environment"]["MILL_MACHINE"] == "${MILL_MACHINE:-grbl}"
+        assert command[command.index("--bind-port") + 1] == "8765"
+        assert after["mill-files"]["condition"] == "service_completed_successfully"
+        assert SERVICES[name]["networks"]["default"]["aliases"] == ["mill-agent"]
 
 
 def test_every_setting_is_one_of_ours() -> None:
-    known = {f"CAUSTICMILL_{name.upper()}" for name in ServerSettings.model_fields} | {"CAUSTICMILL_SECRETS"}
+    known = {f"CAUSTICMILL_{name.upper()}" for name in ServerSettings.model_fields}
+    known |= {"CAUSTICMILL_SECRETS", "MILL_MACHINE"}
     for service in OURS.values():
         assert {key for key in service.get("environment", {}) if not key.startswith("AWS_")} <= known
 
@@ -101,15 +116,6 @@ def test_nobody_is_root_or_gains_rights() -> None:
 def test_the_api_is_published_on_this_computer_only() -> None:
     assert [service["ports"] for service in SERVICES.values() if "ports" in service] == [SERVICES["api"]["ports"]]
     assert all(port.startswith("127.0.0.1:") for port in SERVICES["api"]["ports"])
-
-
-def test_the_api_knows_the_agent() -> None:
-    from service.fleet.machines import remote_machines
-
-    (machine,) = remote_machines(FILE.parent / "agents.toml")
-    assert machine.url == "http://mill-agent:8765" and str(machine.token_file) == "/mill/token"
-    for name in ("agent", "sim-agent"):
-        assert SERVICES[name]["networks"]["default"]["aliases"] == ["mill-agent"]
 
 
 @pytest.mark.skipif(

@@ -1,21 +1,21 @@
-"""What the server's figures share: a caller, events with their times, and percentiles."""
+"""A caller of the server, and events with the times at which they came."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
 import httpx
 
-from tests.benchmarks.timing import Figure
+from tests.trials.server.customers import Order
 from tests.trials.server.pictures import picture
 
-SMALL = {"preset": "draft", "image": {"pixels": 64}, "optics": {"width_mm": 20, "height_mm": 20}}
-LONG = {"preset": "paper", "image": {"pixels": 512}}
+SMALL = Order(kind=0).spec  # a real job of a few seconds
+LONG = {"preset": "paper", "image": {"pixels": 512}}  # its stages take longer than anybody waits here
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,15 +59,20 @@ class Customer:
         give_up_s = time.monotonic() + patience_s
         while (job := self.job(job_id))["state"] in ("queued", "running"):
             assert time.monotonic() < give_up_s, job
-            time.sleep(0.1)
+            time.sleep(0.05)
+        return job
+
+    def done(self, spec: dict[str, Any], *, throw_mm: float = 100.0) -> dict[str, Any]:
+        """A job that has succeeded."""
+        job = self.ended(self.submit(spec, throw_mm=throw_mm))
+        assert job["state"] == "succeeded", job["error"]
         return job
 
     def events(self, job_id: str, *, read_s: float = 120.0) -> Iterator[Said]:
         """As they come, with those that have no number (progress), until the stream ends."""
         kind = ""
-        with self.http.stream(
-            "GET", f"/v1/jobs/{job_id}/events", timeout=httpx.Timeout(read_s, connect=10.0)
-        ) as answer:
+        limits = httpx.Timeout(read_s, connect=10.0)
+        with self.http.stream("GET", f"/v1/jobs/{job_id}/events", timeout=limits) as answer:
             for line in answer.iter_lines():
                 name, _, value = line.partition(": ")
                 if name == "event":
@@ -75,20 +80,12 @@ class Customer:
                 elif name == "data":
                     yield Said(kind, json.loads(value), time.time())
 
-    def first(self, job_id: str, *kinds: str) -> Said:
-        """The first event of one of these kinds."""
-        return next(said for said in self.events(job_id) if said.kind in kinds)
-
-
-def percentile(values: Sequence[float], share: float) -> float:
-    """The smallest value that so many are not above: of few values the largest."""
-    ordered = sorted(values)
-    return ordered[min(len(ordered) - 1, int(share * len(ordered)))]
-
-
-def spread(name: str, seconds: Sequence[float], *, unit: str = "ms", note: str = "") -> Iterator[Figure]:
-    """Median and 99th percentile."""
-    factor = 1000.0 if unit == "ms" else 1.0
-    words = f"n={len(seconds)}, most {factor * max(seconds):.3g} {unit}{'; ' + note if note else ''}"
-    yield Figure(f"{name}, p50", factor * percentile(seconds, 0.5), unit, words)
-    yield Figure(f"{name}, p99", factor * percentile(seconds, 0.99), unit, words)
+    def until(self, job_id: str, kind: str) -> dict[str, float]:
+        """When each kind of event happened, up to the first of this kind."""
+        found: dict[str, float] = {}
+        for said in self.events(job_id):
+            if "at" in said.data:
+                found.setdefault(said.kind, said.at)
+            if said.kind == kind:
+                return found
+        raise AssertionError(f"the stream of {job_id} ended without {kind}: {found}")

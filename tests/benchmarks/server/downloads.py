@@ -18,11 +18,13 @@ from service.jobs.tables import artifacts
 from service.store.local import LocalStore
 from tests.benchmarks.server.customer import SMALL, Customer
 from tests.benchmarks.server.footprint import pss_mb
+from tests.benchmarks.server.rows import row
+from tests.benchmarks.server.sizes import BIG_BYTES
 from tests.benchmarks.timing import Figure
-from tests.trials.server.deployment import embedded, free_port
+from tests.trials.server.deployment import Deployment, free_port
 from tests.trials.server.processes import wait_until
 
-_BYTES = 1_000_000_000
+_TIMES = 3
 _NAME = "big.npz"
 _PEER = """
 import sys, uvicorn
@@ -34,27 +36,25 @@ uvicorn.run(app, host="127.0.0.1", port=int(sys.argv[1]), log_level="critical")
 """
 
 
-def figures() -> Iterator[Figure]:
-    with tempfile.TemporaryDirectory() as folder, embedded(Path(folder)) as deployment, Customer(deployment.url) as one:
-        job_id = one.submit(SMALL)
-        one.ended(job_id)
+def figures(deployment: Deployment, customer: Customer) -> Iterator[Figure]:
+    job_id = customer.done(SMALL)["id"]
+    with tempfile.TemporaryDirectory(dir=deployment.folder) as folder:
         big = Path(folder) / _NAME
         _write(big)
         _offer(deployment.data[0], job_id, big)
+        size = f"of {BIG_BYTES / 1e9:g} GB"
         before = pss_mb(deployment, "api")
         rate = _rate(f"{deployment.url}/v1/jobs/{job_id}/artifacts/{_NAME}")
-        yield Figure("server: download of 1 GB", rate, "MB/s", "curl, loopback, budget 200 MB/s")
         growth = pss_mb(deployment, "api") - before
-        yield Figure("server: API memory after it, growth", growth, "MB")
+        yield row(f"download {size}", rate, "MB/s", n=_TIMES, least=200.0, note="best; curl, loopback")
+        yield row("API memory after that, growth", growth, "MB", n=1, note=f"before: {before:.0f} MB")
         whole = _rate(f"{deployment.url}/v1/jobs/{job_id}/archive.zip")
-        yield Figure("server: download of everything as a zip", whole, "MB/s", "made while it is sent")
-    with tempfile.TemporaryDirectory() as folder:
-        _write(Path(folder) / _NAME)
+        yield row("download of everything as a zip", whole, "MB/s", n=_TIMES, note="made while it is sent")
         for name, words in (
             ("uvicorn + FileResponse", [sys.executable, "-c", _PEER]),
             ("python -m http.server", [sys.executable, "-m", "http.server", "--bind", "127.0.0.1"]),
         ):
-            yield Figure(f"  the same from {name}", _peer_rate(words, Path(folder)), "MB/s")
+            yield row(f"  peer: the same from {name}", _peer_rate(words, Path(folder)), "MB/s", n=_TIMES)
 
 
 def _peer_rate(words: list[str], folder: Path) -> float:
@@ -80,7 +80,7 @@ def _answers(url: str) -> bool:
 def _rate(url: str) -> float:
     """MB/s as curl measures it, best of three."""
     rates = []
-    for _ in range(3):
+    for _ in range(_TIMES):
         done = subprocess.run(
             ["curl", "-fsS", "-o", os.devnull, "-w", "%{speed_download}", url],
             check=True,
@@ -94,7 +94,7 @@ def _rate(url: str) -> float:
 def _write(path: Path) -> None:
     piece = os.urandom(1_000_000)
     with path.open("wb") as file:
-        for _ in range(_BYTES // len(piece)):
+        for _ in range(BIG_BYTES // len(piece)):
             file.write(piece)
 
 

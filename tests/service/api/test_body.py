@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import asyncio
-import contextlib
-import socket
 
-import httpx
 import pytest
 from starlette.requests import Request
 from starlette.types import Message
 
 from service.api.body import Body
 from service.web.problems import Problem
-from tests.service.api.server import ApiServer, problem, wait_for
+from tests.service.api.server import ApiServer
 
 
 def test_a_client_that_stops_sending_is_given_up() -> None:
@@ -36,12 +33,3 @@ def test_a_json_body_is_small(server: ApiServer, path: str) -> None:
     answer = server.client.post(path, content=b'{"a": "' + b"x" * 200_000, headers={"Content-Type": "application/json"})
     assert answer.status_code in (401, 413)
     assert answer.headers["content-type"] == "application/problem+json"
-
-
-def test_too_many_connections_are_told_so(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(server.server.config, "limit_concurrency", 20)
-    with contextlib.ExitStack() as stack, httpx.Client(base_url=server.address) as late:
-        for _ in range(21):
-            stack.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=20))
-        assert "connections" in problem(late.get("/livez"), 503)["detail"]
-    wait_for(lambda: httpx.get(f"{server.address}/livez").status_code == 200)

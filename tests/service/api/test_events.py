@@ -118,6 +118,16 @@ def test_a_deleted_job_ends_its_streams(server: ApiServer) -> None:
     assert seen.over
 
 
+def test_an_id_from_another_life_of_the_database_begins_anew(server: ApiServer) -> None:
+    """After a restore the events are fewer: waiting for the one after it would never end."""
+    job_id = server.submit()["id"]
+    thread, seen = following(server, job_id, "900")
+    wait_for(lambda: seen.kinds)
+    end(server, job_id)
+    thread.join(10)
+    assert seen.over and seen.ids == [1, 2]
+
+
 @pytest.mark.parametrize("last_id", ["x", "-1", "1.5", "9" * 20])
 def test_a_wrong_last_event_id_is_named(server: ApiServer, last_id: str) -> None:
     job_id = server.submit()["id"]

@@ -39,9 +39,11 @@ def migrated(data: Path) -> None:
 
 
 @contextmanager
-def api_process(data: Path, **values: str) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]]:
+def api_process(
+    data: Path, command: list[str] = START, **values: str
+) -> Iterator[tuple[subprocess.Popen[str], httpx.Client]]:
     process = subprocess.Popen(
-        START, env=environment(data, **values), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        command, env=environment(data, **values), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
     try:
         assert process.stdout is not None

@@ -105,8 +105,11 @@ def test_what_was_given_up_stays_so(book: RunBook, new: NewRun) -> None:
 
 
 def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
+    """How far it is changes all the time: it is told, as the agent has it now, and not written down."""
     run = made(book, new, "running")
-    assert book.told(run, view("running", executed_line=5)) is run
+    seen = book.told(run, view("running", executed_line=5, share=0.5))
+    assert seen.view is not None and (seen.view["executed_line"], seen.view["share"]) == (5, 0.5)
+    assert book.get(run.id) == run
     assert book.told(run, view("held")).state == "held"
 
 

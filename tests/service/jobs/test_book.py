@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 import sqlalchemy as sa
 
+from service.fleet.run_book import NewRun, RunBook
 from service.jobs.book import JobBook
 from service.jobs.database import writing
 from service.jobs.records import KeyReusedError, NewJob, UnknownArtifactError, UnknownJobError
@@ -105,6 +106,17 @@ def test_what_the_table_of_states_forbids_is_refused(book: JobBook, work: WorkBo
     book.delete(claim.job.id)
     with pytest.raises(UnknownJobError):
         book.get(claim.job.id)
+
+
+def test_a_job_that_a_mill_has_in_hand_is_not_deleted(book: JobBook, work: WorkBook, database: sa.Engine) -> None:
+    claim = claimed(book, work)
+    work.finish(claim, JobState.SUCCEEDED)
+    new = NewRun(machine="m", job_id=claim.job.id, program="p.nc", number=1, sha256="0" * 64, created_by="me")
+    run, _ = RunBook(database).create(new)
+    with pytest.raises(JobStateError, match=run.id):
+        book.delete(claim.job.id)
+    RunBook(database).close(run.id, "aborted", "")
+    book.delete(claim.job.id)
 
 
 def test_the_list_goes_from_new_to_old_in_pages(book: JobBook) -> None:

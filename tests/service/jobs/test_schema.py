@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import sqlalchemy as sa
 from alembic.autogenerate import compare_metadata
 from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
 
 from service.errors import FailedError
 from service.jobs.database import open_database, reading, writing
-from service.jobs.schema import await_schema, upgrade_schema
+from service.jobs.schema import HEAD, alembic_config, await_schema, upgrade_schema
 from service.jobs.tables import metadata
 from service.settings import ServerSettings
 
@@ -21,6 +24,23 @@ def test_migrations_and_tables_agree(database: sa.Engine) -> None:
     with reading(database) as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, metadata) == []
+
+
+def test_the_version_that_is_waited_for_is_the_last_migration() -> None:
+    assert ScriptDirectory.from_config(alembic_config()).get_heads() == [HEAD]
+
+
+def test_a_database_that_is_up_to_date_costs_no_alembic(farm: ServerSettings, database: sa.Engine) -> None:
+    """It is slow to import, and the API would carry it for ever."""
+    code = """
+import sys
+from service.jobs.database import open_database
+from service.jobs.schema import await_schema
+from service.settings import ServerSettings
+await_schema(open_database(ServerSettings.load(), migrate=True), 0)
+sys.exit("alembic" in sys.modules)
+"""
+    assert subprocess.run([sys.executable, "-c", code], env=farm.environment()).returncode == 0
 
 
 def test_workers_that_start_together_upgrade_once(farm: ServerSettings) -> None:

@@ -1,7 +1,7 @@
 """A process that serves tickets, to be killed. Arguments: executor, folder for its notes, executors to take over.
 
 A ticket's body notes that it begins; one called "slow..." waits for the file "release" before it notes that it ends;
-one called "fenced..." is fenced the first time.
+one called "fenced..." is fenced the first time; one called "busy..." finds no slot at executor "a".
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 from service.settings import ServerSettings
 from service.worker.dbos_engine import DbosEngine
-from service.worker.engine import Fenced, Ticket
+from service.worker.engine import Busy, Fenced, Ticket
 
 executor, folder, dead = sys.argv[1], Path(sys.argv[2]), sys.argv[3:]
 
@@ -28,6 +28,8 @@ def body(ticket: Ticket) -> None:
     if ticket.job_id.startswith("fenced") and not (folder / "fenced").exists():
         (folder / "fenced").touch()
         raise Fenced("not now")
+    if ticket.job_id.startswith("busy") and executor == "a":
+        raise Busy
     while ticket.job_id.startswith("slow") and not (folder / "release").exists():
         time.sleep(0.02)
     note("end", ticket)

@@ -8,12 +8,12 @@ import sqlalchemy as sa
 from service.jobs.book import JobBook
 from service.jobs.database import clock, writing
 from service.jobs.records import Job, NewJob
-from service.jobs.states import JobState
+from service.jobs.states import JobState, StageState
 from service.jobs.tables import executors, jobs
 from service.jobs.work_book import WorkBook
 from service.settings import ServerSettings
 from service.worker.dbos_engine import DbosEngine
-from service.worker.engine import Ticket
+from service.worker.engine import Fenced, Ticket
 from service.worker.leases import Lease
 from service.worker.reconcile import Reconciler
 
@@ -32,7 +32,7 @@ class Stand:
         self.running: set[str] = set()
         self.me = Lease(database, "me", 10.0, pid=1, version="1")
         self.me.take()
-        self.loop = Reconciler(database, self.engine, executor="me", lease_s=10.0, running=lambda: self.running)
+        self.loop = Reconciler(database, self.engine, executor="me", lease_s=10.0, in_hand=lambda: self.running)
 
     def job(self, *, age_s: float = 60.0) -> Job:
         job, _ = self.book.create(NEW)
@@ -99,3 +99,36 @@ def test_a_job_that_the_engine_has_given_up_fails_with_words(stand: Stand) -> No
     assert found.error is not None
     assert "given it up" in found.error["detail"]
     assert stand.book.events(job.id)[-1].kind == "ended"
+
+
+def test_what_stands_under_my_name_without_being_in_my_hands_is_let_go(stand: Stand) -> None:
+    """A worker that was killed and is back: its ticket may be another's by now, who must be able to claim the job."""
+    job = stand.job()
+    before = stand.work.claim(Ticket(job.id, 1), "me")
+    assert before is not None
+    stand.work.begin_stage(before, "image", "k")
+    with pytest.raises(Fenced):
+        stand.work.claim(Ticket(job.id, 1), "other")
+    stand.running = {job.id}
+    stand.loop.turn()
+    assert stand.work.wanted([before])[job.id] == "go"
+    stand.running = set()
+    stand.loop.turn()
+    assert stand.work.wanted([before])[job.id] == "fenced"
+    assert [run.state for run in stand.book.stages(job.id)] == [StageState.INTERRUPTED]
+    assert stand.work.claim(Ticket(job.id, 1), "other") is not None
+
+
+def test_a_claim_in_the_same_moment_is_not_let_go(stand: Stand) -> None:
+    """Who claims has said before that he is about the job; what was read earlier is asked again under the lock."""
+    job = stand.job()
+    stand.work.claim(Ticket(job.id, 1), "me")
+    asked: list[None] = []
+
+    def in_hand() -> set[str]:
+        asked.append(None)
+        return {job.id} if len(asked) > 1 else set()
+
+    loop = Reconciler(stand.database, stand.engine, executor="me", lease_s=10.0, in_hand=in_hand)
+    loop.let_go()
+    assert stand.book.get(job.id).owner == "me"

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
+from service.fleet.run_book import NewRun, RunBook
 from service.jobs.book import JobBook
 from service.jobs.database import clock, writing
 from service.jobs.records import NewJob, UnknownJobError
@@ -124,6 +125,19 @@ def test_the_quota_takes_the_oldest_first_and_no_more_than_needed(stand: Stand) 
     assert [stand.has(file) for _, file in made] == [False, False, False, True]
     stand.turn(quota_mb=2)
     assert stand.lives(made[3][0])
+
+
+def test_a_job_that_a_mill_has_in_hand_stays(stand: Stand) -> None:
+    """Also where the mill got it after the old jobs were looked up."""
+    job_id, made = stand.job(1, ended_days_ago=8)
+    new = NewRun(machine="m", job_id=job_id, program="p.nc", number=1, sha256="0" * 64, created_by="me")
+    RunBook(stand.database).create(new)
+    stand.age_files()
+    stand.turn(keep_days=7.0, quota_mb=1)
+    retention = Retention(stand.database, stand.store, stand.engine, stand.settings)
+    assert not retention._drop_job(job_id)
+    assert stand.lives(job_id)
+    assert stand.has(made)
 
 
 def test_a_file_that_is_young_or_stored_again_is_not_swept(stand: Stand) -> None:

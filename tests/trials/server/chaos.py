@@ -1,51 +1,84 @@
-"""Faults at random moments: kill -9 of any process, frozen workers, database restarts."""
+"""Faults at random moments: kill -9 of any process, frozen workers and hosts, database restarts.
+
+What is to happen is a shuffled deck of cards, so that a storm holds enough of every kind. A card that finds no victim
+now goes back into the deck.
+"""
 
 from __future__ import annotations
 
 import random
 import signal
 import threading
+import time
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from tests.trials.server.deployment import Deployment
-from tests.trials.server.processes import Process, kill, of_kind, processes
+from tests.trials.server.processes import Process, kill, of_kind, processes, wait_until
 
-# How often each kind is the victim. A job's stages are hit at most twice: the third crash of one stage is a failed job,
-# by design. (Kills of its worker do not count.)
-WEIGHTS = {"api": 3, "worker": 3, "nursery": 2, "stage": 4, "host": 1, "picture": 1}
+# Share of each kind among the kills. "api in a POST": the API while it answers somebody who submits.
+SHARES = {"stage": 26, "worker": 24, "api in a POST": 14, "api": 8, "nursery": 11, "host": 9, "picture": 8}
+# A job's stages are hit at most twice: the third crash of one stage is a failed job, by design. (Kills of its worker do
+# not count.)
 _HITS_PER_JOB = 2
-_LOOK_S = 0.15
+_TICK_S = 0.1
+_POST_S = 6.0  # patience for somebody who submits
+
+
+def deck(kills: int, *, freezes: int = 0, restarts: int = 0) -> list[str]:
+    """So many cards of each kind, in no order."""
+    total = sum(SHARES.values())
+    cards = [kind for kind, share in SHARES.items() for _ in range(round(kills * share / total))]
+    cards += ["stage"] * (kills - len(cards))
+    return [*cards[:kills], *["freeze"] * freezes, *["database restart"] * restarts]
+
+
+@dataclass(slots=True)
+class Thaw:
+    """Processes that stand still, and when they shall go on."""
+
+    at: float
+    pids: list[int]
+    what: str
 
 
 @dataclass(kw_only=True)
 class Chaos:
-    """Runs in a thread of its own until so many kills are done or it is stopped.
+    """Runs in a thread of its own until the deck is used up or it is stopped.
 
-    freeze_s         : a worker is stopped for this long now and then (SIGSTOP, SIGCONT); 0: never
-    restart_database : called now and then; None: never
+    freeze_s         : how long a frozen worker or host stands still (SIGSTOP, SIGCONT)
+    restart_database : what a card "database restart" calls
+    posting          : is somebody being answered who submits?
     """
 
     deployment: Deployment
     seed: int
-    kills: int
+    cards: list[str]
     pause_s: tuple[float, float] = (0.3, 2.5)
     freeze_s: float = 0.0
     restart_database: Callable[[], None] | None = None
+    posting: Callable[[], bool] = lambda: True
     done: Counter[str] = field(default_factory=Counter)
-    doubled: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self._chance = random.Random(self.seed)
+        self._chance.shuffle(self.cards)
+        self._dealt = len(self.cards)
         self._hits: Counter[str] = Counter()
+        self._frozen: list[Thaw] = []
         self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._rage, name="chaos", daemon=True)
-        self._watch = threading.Thread(target=self._look, name="watch", daemon=True)
+        self._thread = threading.Thread(target=self._guarded, name="chaos", daemon=True)
 
     @property
     def killed(self) -> int:
-        return sum(count for kind, count in self.done.items() if kind in WEIGHTS)
+        return sum(count for kind, count in self.done.items() if kind in SHARES)
+
+    @property
+    def share(self) -> float:
+        """How much of the deck is used up."""
+        return 1 - len(self.cards) / max(1, self._dealt)
 
     @property
     def over(self) -> bool:
@@ -53,37 +86,70 @@ class Chaos:
 
     def begin(self) -> None:
         self._thread.start()
-        self._watch.start()
 
     def stop(self) -> None:
         self._stop.set()
         self._thread.join()
-        self._watch.join()
+
+    def _guarded(self) -> None:
+        """A trial whose faults have stopped by a fault of its own must not pass."""
+        try:
+            self._rage()
+        except Exception as error:
+            self.faults.append(f"the storm itself broke: {type(error).__name__}: {error}")
+        finally:
+            self._thaw(everything=True)
 
     def _rage(self) -> None:
-        while self.killed < self.kills and not self._stop.wait(self._chance.uniform(*self.pause_s)):
-            draw = self._chance.random()
-            if self.restart_database is not None and draw < 0.04:
-                self.restart_database()
-                self.done["database restart"] += 1
-            elif self.freeze_s and draw < 0.08:
-                self._freeze()
-            else:
-                self._strike()
+        while (self.cards or self._frozen) and not self._stop.is_set():
+            self._wait(self._chance.uniform(*self.pause_s))
+            if not self.cards or self._stop.is_set():
+                continue
+            card = self.cards.pop()
+            if not self._play(card):
+                self.cards.insert(self._chance.randrange(len(self.cards) + 1), card)
 
-    def _strike(self) -> None:
-        found = [process for process in processes(self.deployment.mark) if self._may_hit(process)]
-        kinds = sorted({process.kind for process in found})
-        if not kinds:
-            return
-        kind = self._chance.choices(kinds, [WEIGHTS[kind] for kind in kinds])[0]
-        victim = self._chance.choice([process for process in found if process.kind == kind])
-        if kill([victim.pid]):
-            self.done[kind] += 1
-            self._hits.update(self._jobs_of(victim))
+    def _wait(self, seconds: float) -> None:
+        until = time.monotonic() + seconds
+        while time.monotonic() < until and not self._stop.wait(_TICK_S):
+            self._thaw()
+
+    def _play(self, card: str) -> bool:
+        """False: nobody was there to be hit."""
+        if card == "freeze":
+            return self._freeze()
+        if card == "database restart":
+            assert self.restart_database is not None
+            self.restart_database()
+            self.done[card] += 1
+            return True
+        return self._strike(card)
+
+    def _strike(self, card: str) -> bool:
+        if card == "api in a POST":
+            if not wait_until(self.posting, _POST_S, every_s=0.002):
+                return False
+            time.sleep(self._chance.uniform(0.0, 0.04))
+            if not self.posting():
+                return False
+        kind = "api" if card == "api in a POST" else card
+        still = {pid for thaw in self._frozen for pid in thaw.pids}
+        found = [p for p in of_kind(self.deployment.mark, kind) if p.pid not in still and self._may_hit(p)]
+        if not found:
+            return False
+        victim = self._chance.choice(found)
+        jobs = self._jobs_of(victim)
+        if not kill([victim.pid]):
+            return False
+        self.done[card] += 1
+        self._hits.update(jobs)
+        return True
 
     def _may_hit(self, process: Process) -> bool:
-        return process.kind in WEIGHTS and all(self._hits[job] < _HITS_PER_JOB for job in self._jobs_of(process))
+        """A stage that has no job yet cannot be counted against its job."""
+        if process.kind == "stage" and not process.job:
+            return False
+        return all(self._hits[job] < _HITS_PER_JOB for job in self._jobs_of(process))
 
     def _jobs_of(self, process: Process) -> list[str]:
         """The jobs that lose a try when this process is killed."""
@@ -93,31 +159,36 @@ class Chaos:
             return [stage.job for stage in of_kind(self.deployment.mark, "stage") if stage.parent == process.pid]
         return []
 
-    def _freeze(self) -> None:
-        """A worker, or its stage and nursery with it, stands still for longer than its lease."""
+    def _freeze(self) -> bool:
+        """A worker, a worker with all it started, or a whole host stands still for longer than a lease."""
         workers = of_kind(self.deployment.mark, "worker")
-        if not workers:
-            return
-        pids = [self._chance.choice(workers).pid]
-        if self._chance.random() < 0.5:  # the whole host stands still
-            pids += [p.pid for p in of_kind(self.deployment.mark, "nursery", "stage") if p.parent in pids]
-        kill(pids, signal.SIGSTOP)
-        self._stop.wait(self.freeze_s)
-        kill(pids, signal.SIGCONT)
+        if not workers or self._frozen:
+            return False
+        worker = self._chance.choice(workers)
+        what = self._chance.choice(("worker", "worker and stages", "whole host"))
+        family = [worker.pid]
+        if what == "whole host":
+            family += [p.pid for p in of_kind(self.deployment.mark, "host") if p.pid == worker.parent]
+        pids = list(family) if what == "worker" else [p.pid for p in _kin(processes(self.deployment.mark), family)]
+        if not kill([worker.pid], signal.SIGSTOP):
+            return False
+        kill((pid for pid in pids if pid != worker.pid), signal.SIGSTOP)
+        self._frozen.append(Thaw(time.monotonic() + self.freeze_s, pids, what))
         self.done["freeze"] += 1
+        return True
 
-    def _look(self) -> None:
-        """Two living processes at one job at the same time: seen, or not seen."""
-        while not self._stop.wait(_LOOK_S):
-            first = self._at_work()
-            if any(len(pids) > 1 for pids in first.values()):
-                second = self._at_work()  # one look is no moment: the first may have died before the second began
-                both = {job: pids & second.get(job, set()) for job, pids in first.items()}
-                self.doubled += [f"job {job}: {sorted(pids)}" for job, pids in both.items() if len(pids) > 1]
+    def _thaw(self, *, everything: bool = False) -> None:
+        for thaw in list(self._frozen):
+            if everything or time.monotonic() > thaw.at:
+                if kill(thaw.pids[:1], signal.SIGCONT):  # nobody had killed it meanwhile
+                    self.done[f"thawed {thaw.what}"] += 1
+                kill(thaw.pids[1:], signal.SIGCONT)
+                self._frozen.remove(thaw)
 
-    def _at_work(self) -> dict[str, set[int]]:
-        found: dict[str, set[int]] = {}
-        for process in of_kind(self.deployment.mark, "stage"):
-            if process.job:
-                found.setdefault(process.job, set()).add(process.pid)
-        return found
+
+def _kin(all_of_it: list[Process], family: list[int]) -> list[Process]:
+    """These processes and everything they have started."""
+    found: list[Process] = [p for p in all_of_it if p.pid in family]
+    for process in found:
+        found += [p for p in all_of_it if p.parent == process.pid and p not in found]
+    return found

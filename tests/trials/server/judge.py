@@ -5,13 +5,17 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections import defaultdict
+import sqlite3
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import httpx
+import sqlalchemy as sa
 
+from service.jobs.states import StageState
+from service.jobs.tables import jobs, stage_runs
 from tests.trials.server.customers import Order
 
 _HASH = re.compile(r"[0-9a-f]{64}")
@@ -25,13 +29,18 @@ _MUST_HAVE = {
 
 @dataclass(slots=True)
 class Verdict:
-    """lost, doubled, run_again, half: lines, one for each fault. stages: how many were started and committed."""
+    """lost, doubled, run_again, half, differing: lines, one for each fault.
+
+    stages: how many were started, committed...; equal: how many jobs were compared with an equal one
+    """
 
     lost: list[str] = field(default_factory=list)
     doubled: list[str] = field(default_factory=list)
     run_again: list[str] = field(default_factory=list)
     half: list[str] = field(default_factory=list)
+    differing: list[str] = field(default_factory=list)
     jobs: int = 0
+    equal: int = 0
     files: int = 0
     stages: dict[str, int] = field(default_factory=lambda: defaultdict(int))
 
@@ -90,14 +99,23 @@ def _judge_files(
     if not [name for name in programs if name.endswith(".nc")]:
         verdict.half.append(f"job {job_id} has no program")
     for item in listing:
-        content = http.get(item["url"]).raise_for_status().content
+        content = _content(http, item["url"])
         verdict.files += 1
         if hashlib.sha256(content).hexdigest() != item["sha256"] or len(content) != item["bytes"]:
             verdict.half.append(f"job {job_id}: {item['name']} is not what its hash says")
     plain = {name: value for name, value in hashes.items() if not _OWN.fullmatch(name)}
+    verdict.equal += kind in kinds
     if (others := kinds.setdefault(kind, plain)) != plain:
         differ = sorted(name for name in {*plain, *others} if plain.get(name) != others.get(name))
-        verdict.half.append(f"job {job_id} differs from an equal job in {differ}")
+        verdict.differing.append(f"job {job_id} differs from an equal job in {differ}")
+
+
+def _content(http: httpx.Client, url: str) -> bytes:
+    """Nothing, where the server refuses, or breaks off: then the file is not what its hash says."""
+    try:
+        return http.get(url).raise_for_status().content
+    except httpx.HTTPError:
+        return b""
 
 
 def _events(http: httpx.Client, job_id: str) -> list[dict[str, Any]]:
@@ -132,3 +150,31 @@ def left_over(data: Path) -> list[str]:
     return [
         str(path.relative_to(data)) for place in places if place.is_dir() for path in place.rglob("*") if path.is_file()
     ]
+
+
+def tries_faults(database_url: str) -> list[str]:
+    """What the table of tries says by itself: in each attempt of a job every stage is done once, and then no more."""
+    engine = sa.create_engine(database_url.replace("postgresql://", "postgresql+psycopg://", 1))
+    query = sa.select(stage_runs.c.job_id, stage_runs.c.attempt, stage_runs.c.stage, stage_runs.c.state)
+    with engine.connect() as connection:
+        rows = connection.execute(query.order_by(stage_runs.c.id)).all()
+        ended = {*connection.execute(sa.select(jobs.c.id).where(jobs.c.ended_at.is_not(None))).scalars()}
+    engine.dispose()
+    done: Counter[tuple[str, int, str]] = Counter()
+    faults = []
+    for job_id, attempt, stage, state in rows:
+        if done[job_id, attempt, stage]:
+            faults.append(f"job {job_id}: a try of {stage} ({state}) after it was done")
+        if state == StageState.RUNNING and job_id in ended:
+            faults.append(f"job {job_id}: a try of {stage} is open, and the job has ended")
+        done[job_id, attempt, stage] += state in (StageState.COMMITTED, StageState.REUSED)
+    return faults
+
+
+def database_faults(path: Path) -> list[str]:
+    """SQLite's own word about a file of its."""
+    with sqlite3.connect(path) as connection:
+        found = [row[0] for row in connection.execute("PRAGMA integrity_check")]
+        found += [f"row without its parent: {row}" for row in connection.execute("PRAGMA foreign_key_check")]
+    connection.close()
+    return [f"{path.name}: {line}" for line in found if line != "ok"]

@@ -26,12 +26,16 @@ _ID = 36  # characters of a job's id
 
 @dataclass(frozen=True, slots=True)
 class Process:
-    """kind: host, api, worker, nursery, stage, picture or other; job: the one that a stage's process works for."""
+    """kind: host, api, worker, nursery, stage, picture or other; job: the one that a stage's process works for.
+
+    frozen: stopped by SIGSTOP
+    """
 
     pid: int
     parent: int
     kind: str
     job: str = ""
+    frozen: bool = False
 
 
 def processes(mark: str) -> list[Process]:
@@ -39,7 +43,9 @@ def processes(mark: str) -> list[Process]:
     found = [process for pid in _pids() if (process := _seen(pid, mark)) is not None]
     nurseries = {process.pid for process in found if process.kind == "nursery"}
     return [
-        Process(p.pid, p.parent, "stage", _job_of(p.pid)) if p.kind == "nursery" and p.parent in nurseries else p
+        Process(p.pid, p.parent, "stage", _job_of(p.pid), p.frozen)
+        if p.kind == "nursery" and p.parent in nurseries
+        else p
         for p in found
     ]
 
@@ -92,7 +98,7 @@ def _seen(pid: int, mark: str) -> Process | None:
     if after_name[0] in "ZX":
         return None
     kind = next((kind for word, kind in _KINDS if word in command), "other")
-    return Process(pid, int(after_name[1]), kind)
+    return Process(pid, int(after_name[1]), kind, frozen=after_name[0] in "Tt")
 
 
 def _job_of(pid: int) -> str:
