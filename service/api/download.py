@@ -39,7 +39,8 @@ async def download(
     headers = _headers(file, kind, tag)
     if matches(conditions.if_none_match, tag):
         return Response(status_code=304, headers=headers)
-    part = wanted_range(conditions.range, conditions.if_range, size=file.bytes, etag=tag)
+    asked = conditions.range if with_body else None  # RFC 9110, 14.2: GET is the only method that has ranges
+    part = wanted_range(asked, conditions.if_range, size=file.bytes, etag=tag)
     if with_body and elsewhere and kind not in _INLINE:
         url = await asyncio.to_thread(store.url, file.sha256, file_name=file.name, media_type=kind)
         if url is not None:

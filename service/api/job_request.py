@@ -50,7 +50,7 @@ def _resolved(text: bytes) -> dict[str, Any]:
         return resolve_spec(base=data).model_dump(mode="json")
     except SpecError:
         raise
-    except (TypeError, ValueError, KeyError, AttributeError, RecursionError) as error:
+    except (TypeError, ValueError, KeyError, AttributeError, RecursionError, ArithmeticError) as error:
         raise Problem(422, "the spec is not made as a spec is", field="spec", kind=Kind.SPEC) from error
 
 

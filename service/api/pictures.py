@@ -14,6 +14,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any
@@ -24,7 +25,7 @@ from service.picture_limits import PictureFacts
 __all__ = ["PictureChecker", "PictureFacts"]
 
 _ROOT = Path(__file__).parents[2]
-_START_S = 20.0
+_START_S, _LOOK_S = 20.0, 0.1
 _ANSWER_BYTES = 65536
 
 
@@ -69,7 +70,7 @@ class PictureChecker:
 
     def _keep(self) -> None:
         try:
-            self._child = _Child()
+            self._child = _Child(lambda: self._closed)
         except (OSError, _Died, _Late):
             self._child = None  # the first check tries again, and tells
         while (request := self._requests.get()) is not None:
@@ -97,7 +98,7 @@ class PictureChecker:
     def _ready_child(self) -> _Child:
         if self._child is None:
             try:
-                self._child = _Child()
+                self._child = _Child(lambda: False)
             except (OSError, _Died, _Late):
                 raise FailedError("pictures cannot be checked: the process for it does not start") from None
         return self._child
@@ -109,7 +110,7 @@ class PictureChecker:
 
 
 class _Child:
-    def __init__(self) -> None:
+    def __init__(self, given_up: Callable[[], bool]) -> None:
         places = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
         self._process = subprocess.Popen(
             [sys.executable, "-m", "service.api.picture_child", str(os.getpid())],
@@ -121,10 +122,19 @@ class _Child:
             bufsize=0,
         )
         try:
-            self._answer(_START_S)
+            self._await_start(given_up)
         except BaseException:
             self.end()
             raise
+
+    def _await_start(self, given_up: Callable[[], bool]) -> None:
+        """On a busy computer this takes long: a server that ends meanwhile does not wait for it."""
+        assert self._process.stdout is not None
+        until = time.monotonic() + _START_S
+        while not select.select([self._process.stdout], [], [], _LOOK_S)[0]:
+            if given_up() or time.monotonic() > until:
+                raise _Late
+        self._answer(_START_S)
 
     def ask(self, asked: dict[str, Any], within_s: float) -> dict[str, Any]:
         assert self._process.stdin is not None

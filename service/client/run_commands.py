@@ -173,7 +173,8 @@ def _stopped(run: str, verb: str, server: str | None, token_file: Path | None) -
     except (GoneError, RefusedError) as error:
         if isinstance(error, RefusedError) and error.status < 500:
             raise
-        raise FailedError(*str(error).split("\n"), f"the {verb} may not have arrived: use the stop of the mill") from None
+        doubt = f"the {verb} may not have arrived: use the mill's own stop"
+        raise FailedError(*str(error).split("\n"), doubt) from None
 
 
 def _told(run: str, verb: str, server: str | None, token_file: Path | None) -> None:

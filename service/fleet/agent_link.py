@@ -17,6 +17,7 @@ import httpx
 from service.agent.auth import read_token
 from service.agent.card import read_card
 from service.errors import InputError
+from service.fleet.agent_feed import AgentFeed
 from service.fleet.agent_words import MOST_BYTES, json_object
 from service.fleet.machines import KnownMachine
 from service.web.problems import Problem
@@ -52,6 +53,7 @@ class AgentLink:
         self._client = client
         self._address: tuple[str, str] | None = None  # where the right agent was met last, and its token
         self._finding = asyncio.Lock()
+        self.feed = AgentFeed(self.events, AgentAwayError)
 
     async def get(self, path: str, *, timeout_s: float = ASK_S) -> Json:
         return await self._told("GET", path, timeout_s=timeout_s)

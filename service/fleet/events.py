@@ -1,20 +1,23 @@
 """A run's own events, out of the stream of its mill's agent: how it stands, and what has happened at the mill since.
 
 The ids are the agent's, so a reader that comes back with Last-Event-ID, to this server or to the next one, misses
-nothing that the agent still has. While the agent is away the reader is told so and the stream goes on; it ends with
-the run.
+nothing that the agent still has, as long as the run is open. While the agent is away the reader is told so and the
+stream goes on; it ends with the run.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import re
+import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import replace
 from math import inf
 from typing import Any
 
+from service.fleet.agent_feed import Message
 from service.fleet.agent_link import AgentAwayError
 from service.fleet.agent_words import json_object, run_view, table
 from service.fleet.core import FleetCore, Seen
@@ -24,6 +27,7 @@ from service.web.problems import Problem
 
 _EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")
 _AGAIN_S = (0.2, 0.5, 1.0, 2.0)
+_LOOK_S = 1.0
 _PING = b": still here\n\n"
 
 Json = dict[str, Any]
@@ -34,36 +38,64 @@ def known_id(text: str) -> str:
     return text if _EVENT_ID.fullmatch(text) else ""
 
 
-async def run_events(core: FleetCore, seen: Seen, last_id: str) -> AsyncIterator[bytes]:
-    """Bytes of the event stream: `run` events hold how it stands, `log` events what happened."""
-    shown = live_json(seen)
-    yield b"retry: 1000\n\n" + _event("run", shown)
-    failures = 0
-    while seen.run.open and not core.ending.is_set():
-        away = ""
-        try:
-            async for message in _until(core.ending, _of_agent(core, seen.run, last_id)):
-                failures, last_id = 0, known_id(message.get("id", "")) or last_id
-                for kind, data in _told(seen.run, message):
-                    if kind == "run" and data == shown:
-                        continue
-                    shown = data if kind == "run" else shown
-                    if kind == "run" and data["state"] in ENDED:
-                        await core.seen(seen.run)  # written down before the reader learns of it
-                    yield _event(kind, data, last_id)
-                if shown["state"] in ENDED:
+class RunEvents:
+    """What one reader of a run is sent."""
+
+    def __init__(self, core: FleetCore, seen: Seen, last_id: str) -> None:
+        self._core = core
+        self._seen = seen
+        self._last_id = last_id
+        self._shown = live_json(seen)
+        self._looked_s = 0.0
+        self._failures = 0
+
+    async def stream(self) -> AsyncGenerator[bytes]:
+        """Bytes of the event stream: `run` events hold how it stands, `log` events what happened."""
+        core = self._core
+        yield b"retry: 1000\n\n" + _event("run", self._shown)
+        while self._shown["open"] and not core.ending.is_set():
+            away = ""
+            try:
+                async for piece in self._live():
+                    yield piece
+                if not self._shown["open"]:
                     return
-        except (AgentAwayError, Problem) as error:
-            away = str(error)
-        await core.ended_within(_AGAIN_S[min(failures, len(_AGAIN_S) - 1)])
-        failures += 1
-        seen = await core.seen(await core.do(core.runs.get, seen.run.id))
-        now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else "")))
-        yield _event("run", now) if now != shown else _PING
-        shown = now
+            except (AgentAwayError, Problem) as error:
+                away = str(error)
+            await core.ended_within(_AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)])
+            self._failures += 1
+            seen = self._seen = await self._now()
+            now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else "")))
+            yield _event("run", now) if now != self._shown else _PING
+            self._shown = now
+
+    async def _live(self) -> AsyncIterator[bytes]:
+        """As long as the agent's stream goes on and the run has not ended."""
+        async for message in _until(self._core.ending, _of_agent(self._core, self._seen.run, self._last_id)):
+            self._failures, self._last_id = 0, known_id(message.get("id", "")) or self._last_id
+            for kind, data in _told(self._seen.run, message):
+                if kind != "run":
+                    yield _event(kind, data, self._last_id)
+                elif (now := data or await self._looked()) != self._shown:
+                    self._shown = now
+                    if not now["open"]:
+                        await self._now()  # written down before the reader learns of it
+                    yield _event("run", now, self._last_id)
+            if not self._shown["open"]:
+                return
+
+    async def _looked(self) -> Json:
+        """The mill's next run is there, so the end of this one may never be told; asked for once a second."""
+        if time.monotonic() - self._looked_s < _LOOK_S:
+            return self._shown
+        self._looked_s = time.monotonic()
+        return live_json(await self._now())
+
+    async def _now(self) -> Seen:
+        return await self._core.seen(await self._core.do(self._core.runs.get, self._seen.run.id))
 
 
-async def _until(ending: asyncio.Event, messages: AsyncGenerator[dict[str, str]]) -> AsyncIterator[dict[str, str]]:
+async def _until(ending: asyncio.Event, messages: AsyncGenerator[Message]) -> AsyncIterator[Message]:
     """The messages, as long as the server does not end."""
     over = asyncio.ensure_future(ending.wait())
     try:
@@ -83,26 +115,18 @@ async def _until(ending: asyncio.Event, messages: AsyncGenerator[dict[str, str]]
         await messages.aclose()
 
 
-async def _of_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[dict[str, str]]:
-    """The messages of the agent's stream; an empty one for each of its heartbeats."""
+async def _of_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
+    """The messages of the agent's stream."""
     if run.agent_run is None:
         raise AgentAwayError("the run is being prepared")
     link = await core.link_of(run)
-    async with link.events(last_id) as lines:
-        message: dict[str, str] = {}
-        async for line in lines:
-            if line.startswith(":"):
-                yield {}
-            elif line:
-                name, _, value = line.partition(": ")
-                message[name] = value
-            elif message:
-                yield message
-                message = {}
+    async with contextlib.aclosing(link.feed.messages(last_id)) as messages:
+        async for message in messages:
+            yield message
 
 
-def _told(run: RunRow, message: dict[str, str]) -> list[tuple[str, Json]]:
-    """What of an agent's message is about this run."""
+def _told(run: RunRow, message: Message) -> list[tuple[str, Json]]:
+    """What of an agent's message is about this run; an empty `run` where it tells of another one."""
     if not message:
         return [("ping", {})]
     data = json_object(message.get("data", "").encode(), run.machine)
@@ -110,7 +134,7 @@ def _told(run: RunRow, message: dict[str, str]) -> list[tuple[str, Json]]:
         return [("log", data)] if _time_of(data) >= ((run.view or {}).get("created_s") or 0.0) else []
     view = table(data, "run")
     if view.get("id") != run.agent_run:
-        return []
+        return [("run", {})]
     state = run_view(view, run.machine)["state"]
     now = replace(run, state=state, view=view, words=view.get("words", ""), open=state not in ENDED)
     return [("run", live_json(Seen(now)))]

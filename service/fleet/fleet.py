@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -13,7 +14,7 @@ from service.errors import printable
 from service.fleet.agent_link import AgentAwayError
 from service.fleet.controls import Controls
 from service.fleet.core import FleetCore, Seen
-from service.fleet.events import known_id, run_events
+from service.fleet.events import RunEvents, known_id
 from service.fleet.handover import Handovers
 from service.fleet.machines import KnownMachine
 from service.fleet.programs import programs_of
@@ -27,6 +28,7 @@ from service.web.problems import Problem
 
 Json = dict[str, Any]
 WATCH_S = 10.0
+_MOST_FOLLOWERS = 300
 _log = structlog.get_logger("api")
 
 
@@ -37,6 +39,7 @@ class Fleet:
         self._core = FleetCore(settings, database, store, book)
         self._handovers = Handovers(self._core)
         self._controls = Controls(self._core)
+        self._followers = 0
 
     def end_streams(self) -> None:
         """The server ends: so do the event streams, which would not by themselves."""
@@ -125,7 +128,9 @@ class Fleet:
         seen = await self._now(await self._controls.row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
-        return run_events(self._core, seen, known_id(last_id))
+        if self._followers >= _MOST_FOLLOWERS:
+            raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
+        return self._followed(RunEvents(self._core, seen, known_id(last_id)))
 
     def require_no_open_run(self, job_id: str) -> None:
         """Problem 409 where a program of this job is on a mill. For a thread, not for the event loop."""
@@ -133,6 +138,15 @@ class Fleet:
             raise Problem(409, f"run {run_id} of a program of this job is open; abort it or let it finish first")
 
     # ------------------------------------------------------------------
+
+    async def _followed(self, events: RunEvents) -> AsyncIterator[bytes]:
+        self._followers += 1
+        try:
+            async with contextlib.aclosing(events.stream()) as pieces:
+                async for piece in pieces:
+                    yield piece
+        finally:
+            self._followers -= 1
 
     async def _now(self, run: RunRow) -> Seen:
         return await self._core.seen((await self._handovers.repaired(Seen(run))).run)

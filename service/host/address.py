@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import errno
+import json
 import socket
 
-from service.errors import InputError
+from service.errors import InputError, printable
 
 
 def bound(host: str, port: int) -> socket.socket:
@@ -33,13 +34,33 @@ def url_of(listener: socket.socket) -> str:
 
 def answers(listener: socket.socket, path: str, *, patience_s: float) -> bool:
     """True where GET of the path is answered with 200. Any other answer, or none in time, is False."""
+    return _answer(listener, path, patience_s, most_bytes=64).split(b" ")[1:2] == [b"200"]
+
+
+def complaint(listener: socket.socket, path: str, *, patience_s: float) -> str | None:
+    """What /readyz finds wrong, e.g. `disk: 3 MB are free`; None where it does not say so."""
+    body = _answer(listener, path, patience_s, most_bytes=65536).partition(b"\r\n\r\n")[2]
+    try:
+        checks = json.loads(body)["checks"]
+        return "; ".join(printable(f"{name}: {words}") for name, words in checks.items() if words != "ok") or None
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return None
+
+
+def _answer(listener: socket.socket, path: str, patience_s: float, *, most_bytes: int) -> bytes:
+    """The beginning of the answer to GET of the path; nothing where none comes in time."""
     host, port = _nearest(listener)
+    come = b""
     try:
         with socket.create_connection((host, port), timeout=patience_s) as link:
-            link.sendall(f"GET {path} HTTP/1.0\r\nHost: {_authority(host, port)}\r\n\r\n".encode("ascii"))
-            return link.recv(64).split(b" ")[1:2] == [b"200"]
+            link.sendall(
+                f"GET {path} HTTP/1.1\r\nHost: {_authority(host, port)}\r\nConnection: close\r\n\r\n".encode("ascii")
+            )
+            while len(come) < most_bytes and (piece := link.recv(most_bytes)):
+                come += piece
     except OSError:
-        return False
+        pass
+    return come
 
 
 def _nearest(listener: socket.socket) -> tuple[str, int]:

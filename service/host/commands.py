@@ -169,8 +169,11 @@ def verify(data: DataOption = None) -> None:
 
 
 def _settings(**given: object) -> ServerSettings:
+    from service.host.variables import unknown_settings
     from service.settings import ServerSettings
 
+    for line in unknown_settings(os.environ):
+        print(f"warning: {line}", file=sys.stderr)
     return ServerSettings.load(**given)
 
 

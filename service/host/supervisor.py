@@ -31,6 +31,8 @@ _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _GRACE_S = 20.0
 _FIRST_FAILURES = 5
 _PROBE_S = 0.05
+_LONG_S = 10.0  # no server takes so long to be ready where all is well
+_LONG_PROBE_S = 2.0
 _ANSWER_S = 1.0
 _AWAY_S = 2.0
 _TICK_S = 60.0
@@ -43,6 +45,7 @@ class Supervisor:
         self._listener = listener
         self._began = began
         self._ready = False
+        self._announced = False
         self._signals = 0
         self._heeded = 0
         self._code: int | None = None
@@ -100,24 +103,30 @@ class Supervisor:
         if self._ready:
             return None
         for child in self._children:
-            if child.failures >= _FIRST_FAILURES:
-                _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
+            if child.failed or child.failures >= _FIRST_FAILURES:
+                if not child.failed:
+                    _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
                 return self._stop(EXIT_FAILURE)
         if address.answers(self._listener, self._probe, patience_s=_ANSWER_S):
             self._ready = True
             for child in self._children:
                 child.trusted = True
-            self._announce()
+            self._announce(f"ready in {time.time() - self._began:.1f} s")
+        elif not self._announced and time.time() - self._began > _LONG_S:
+            words = address.complaint(self._listener, self._probe, patience_s=_ANSWER_S)
+            if words is not None:
+                self._announce(f"not ready: {words}")
         return None
 
-    def _announce(self) -> None:
+    def _announce(self, words: str) -> None:
+        """Where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
         where, folder = address.url_of(self._listener), _setting("DATA", "")
         with contextlib.suppress(OSError):
-            took_s = time.time() - self._began
-            print(f"causticmill on {where} (data: {folder}), ready in {took_s:.1f} s", flush=True)
-        if self._starts is not None and _setting("START_AGENTS", "true") == "true":
+            print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
+        if not self._announced and self._starts is not None and _setting("START_AGENTS", "true") == "true":
             command = [sys.executable, "-P", "-m", self._starts]
             self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
+        self._announced = True
 
     def _stop(self, code: int) -> None:
         self._code = code
@@ -129,7 +138,7 @@ class Supervisor:
     def _patience_s(self) -> float:
         """How long nothing needs to be looked at unless a signal comes."""
         if self._code is None and not self._ready:
-            return _PROBE_S
+            return _LONG_PROBE_S if self._announced else _PROBE_S
         due = [child.due_at for child in self._children if child.due_at is not None]
         if self._code is not None:
             due.append(self._kill_at if self._kill_at else time.monotonic() + _PROBE_S)

@@ -40,8 +40,8 @@ _SERVER = """\
 Description=causticmill job server
 Documentation=man:systemd.service(5)
 After=network.target
-StartLimitIntervalSec=300
-StartLimitBurst=10
+# a database or a store that comes later than we do is waited for
+StartLimitIntervalSec=0
 
 [Service]
 Type=exec
@@ -49,7 +49,7 @@ ExecStart={command} serve --data {data} --no-agents
 Environment=PYTHONUNBUFFERED=1 "XDG_CACHE_HOME={cache}"
 EnvironmentFile=-{settings}
 {account}Restart=on-failure
-RestartSec=2
+RestartSec=5
 # 2: its configuration was refused, which another start does not change
 RestartPreventExitStatus=2
 # the supervisor ends its children well; what it leaves after that is killed

@@ -16,7 +16,7 @@ Say = Callable[[str], None]
 _FIRST_WAIT_S = 0.1
 _LONGEST_WAIT_S = 10.0
 _LIVED_WELL_S = 5.0
-REFUSED = 2
+FAILED, REFUSED = 1, 2
 
 
 class Watched:
@@ -60,6 +60,11 @@ class Watched:
     def refused(self) -> bool:
         """It will not have its configuration. One that it had before is not at fault: then it is started again."""
         return self.code == REFUSED and not self.running and not self._proven
+
+    @property
+    def failed(self) -> bool:
+        """It ended by itself and has said why, before the server was ready with it: the same would come again."""
+        return self.code == FAILED and not self.trusted
 
     @property
     def pid(self) -> int | None:
@@ -127,7 +132,7 @@ class Watched:
         self.code, self._process = self._process.returncode, None
         os.close(self.beats)
         self.beats = None
-        if not wanted or self.refused:
+        if not wanted or self.refused or self.failed:
             return
         self.failures += 1
         self._wait_s = _FIRST_WAIT_S if lived_well else min(max(2 * self._wait_s, _FIRST_WAIT_S), _LONGEST_WAIT_S)

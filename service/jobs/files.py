@@ -1,4 +1,8 @@
-"""The files that a job offers: those of its committed stages, programs only once all of them have been checked."""
+"""The files that a job offers: those of its committed stages, programs only once all of them have been checked.
+
+An attempt that was begun by one version of the program and goes on with another does stages again that were done: a
+check is worth nothing for programs that were made after it.
+"""
 
 from __future__ import annotations
 
@@ -28,8 +32,10 @@ def _is_program(artifact: Artifact) -> bool:
 
 def _is_checked(connection: sa.Connection, job_id: str) -> bool:
     query = (
-        sa.select(stage_runs.c.id)
+        sa.select(stage_runs.c.stage)
         .join(jobs, sa.and_(jobs.c.id == stage_runs.c.job_id, jobs.c.attempt == stage_runs.c.attempt))
-        .where(stage_runs.c.job_id == job_id, stage_runs.c.stage == CHECK, stage_runs.c.state.in_(DONE))
+        .where(stage_runs.c.job_id == job_id, stage_runs.c.state.in_(DONE))
+        .where(sa.or_(stage_runs.c.stage == CHECK, stage_runs.c.stage.startswith(PASS)))
+        .order_by(stage_runs.c.id.desc())
     )
-    return connection.execute(query).first() is not None
+    return connection.execute(query).scalars().first() == CHECK

@@ -243,15 +243,15 @@ def _add_try(
 
 
 def _is_done(connection: sa.Connection, claim: Claim, stage: str, key: str) -> bool:
+    """Has this attempt done it, and none of the stages before it once more since?"""
     table = stage_runs.c
-    done = sa.select(table.id).where(
-        table.job_id == claim.job.id,
-        table.attempt == claim.job.attempt,
-        table.stage == stage,
-        table.key == key,
-        table.state.in_(DONE),
-    )
-    return connection.execute(done).first() is not None
+    mine = sa.and_(table.job_id == claim.job.id, table.attempt == claim.job.attempt, table.state.in_(DONE))
+    rows = connection.execute(sa.select(table.stage, table.key).where(mine).order_by(table.id)).all()
+    places = [place for place, row in enumerate(rows) if row == (stage, key)]
+    if not places:
+        return False
+    before, after = rows[: places[-1]], rows[places[-1] + 1 :]
+    return {row.stage for row in before}.isdisjoint(row.stage for row in after)
 
 
 def _is_closed(connection: sa.Connection, begun: StageTry) -> bool:

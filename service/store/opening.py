@@ -10,11 +10,14 @@ from service.settings import ServerSettings
 from service.store.local import LocalStore
 from service.store.store import Store
 
+_DATABASES = ("postgresql", "postgres")
 _ALLOWED = "allowed: file:///folder, s3://bucket/prefix, or nothing for a folder beside the database"
 
 
 def open_store(settings: ServerSettings) -> Store:
     """InputError where it is none, or where workers on other hosts could not reach it; FailedError where it fails."""
+    if settings.database_url is not None and urlsplit(settings.database_url).scheme not in _DATABASES:
+        raise InputError("CAUSTICMILL_DATABASE_URL: allowed: postgresql://..., or nothing for a SQLite file")
     store = _store(settings)
     if not settings.embedded and not store.shared:
         raise InputError(

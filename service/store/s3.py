@@ -34,6 +34,8 @@ _AT_ONCE = 4
 _LINK_LIFE = timedelta(minutes=10)
 _YOUNG_S = 600.0
 _HASH = re.compile(r"[0-9a-f]{64}")
+_NOBODY = re.compile(r"//169\.254\.(169\.254|170\.2)/")  # the computer's own identity was asked for last, and in vain
+_NOISE = re.compile(r"^Generic \w+ error: | in [\d.]+m?s\b(, after \d+ retries, max_retries.*?retry_timeout: \w+)? ?")
 _RETRY = {"max_retries": 5, "retry_timeout": timedelta(seconds=20)}
 
 
@@ -94,7 +96,7 @@ class S3Store:
             raise FailedError(f"cannot fetch an artifact to {target}: {(error.strerror or '').lower()}") from None
 
     def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
-        """Signed for ten minutes. The bucket serves bytes named by their hash (obstore signs no other headers for it)."""
+        """Signed for ten minutes. The bucket serves bytes named by their hash: obstore signs no other headers."""
         import obstore
 
         with self._told("sign an address for", sha256):
@@ -188,4 +190,8 @@ def _opened(bucket: str, prefix: str) -> Bucket:
 
 
 def _first_words(error: Exception) -> str:
-    return printable(str(error).split("\n")[0])[:300]
+    """Without what only the library's authors can use."""
+    text = str(error).split("\n")[0]
+    if _NOBODY.search(text):
+        return "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+    return printable(_NOISE.sub("", text).strip())[:300]

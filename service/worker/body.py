@@ -32,6 +32,7 @@ class Body:
         self._slots = threading.BoundedSemaphore(bench.settings.slots)
         self._active: set[str] = set()
         self._lock = threading.Lock()
+        self._disk_is_full = False
 
     def __call__(self, ticket: Ticket) -> None:
         ids = structlog.contextvars.bound_contextvars(job=ticket.job_id, attempt=ticket.attempt)
@@ -67,8 +68,11 @@ class Body:
         bench = self._bench
         if bench.watch.stopping.is_set() or not bench.lease.safe():
             raise Fenced("this worker may not work now")
-        if shutil.disk_usage(bench.settings.data).free < bench.settings.free_disk_mb * MEGA:
-            log.warning("waiting: too little free disk space", needed_mb=bench.settings.free_disk_mb)
+        needed_mb, was_full = bench.settings.free_disk_mb, self._disk_is_full
+        self._disk_is_full = shutil.disk_usage(bench.settings.data).free < needed_mb * MEGA
+        if self._disk_is_full:
+            if not was_full:
+                log.warning("jobs wait: too little free disk space", needed_mb=needed_mb)
             raise Fenced("too little free disk space")
 
     @contextmanager

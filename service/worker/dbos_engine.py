@@ -186,7 +186,8 @@ class _Runner:
             try:
                 return self._body(ticket)
             except Fenced as error:
-                if (isinstance(error, Busy) and self._given_back(ticket)) or self._paused_and_lost(ticket):
+                self._pause.wait(FENCED_PAUSE_S)
+                if (isinstance(error, Busy) and self._given_back(ticket)) or self._lost(ticket):
                     # DBOS sees for itself that the ticket is no longer ours, and records nothing.
                     return None
 
@@ -197,8 +198,7 @@ class _Runner:
             return False
         return True
 
-    def _paused_and_lost(self, ticket: Ticket) -> bool:
-        self._pause.wait(FENCED_PAUSE_S)
+    def _lost(self, ticket: Ticket) -> bool:
         try:
             return not self._engine.owns(ticket, self._executor)
         except Exception:  # the database is away: the body finds out

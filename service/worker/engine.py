@@ -35,7 +35,7 @@ class Fenced(Exception):
 
 
 class Busy(Fenced):
-    """Raised by a body when every slot of this worker is taken: the ticket goes back to the queue, for whoever is free."""
+    """Raised by a body when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
 
 
 class JobEngine(Protocol):

@@ -31,13 +31,18 @@ class NameTakenError(Exception):
 
 @dataclass
 class Lease:
-    """The row of one worker. `boot` tells its process from others of the same name."""
+    """The row of one worker. `boot` tells its process from others of the same name.
+
+    alone : nobody can take over, as a lock makes this process the only worker of the database; then it need not stop
+            where the database is away for longer (a backup that locks the file), and `safe` is about the row only
+    """
 
     database: sa.Engine
     executor: str
     lease_s: float
     pid: int
     version: str
+    alone: bool = False
     monotonic: Callable[[], float] = time.monotonic
     boot: str = field(default_factory=lambda: uuid4().hex)
     _good_at: float = field(default=float("-inf"), init=False)
@@ -70,7 +75,8 @@ class Lease:
 
     def safe(self) -> bool:
         """May this worker still work? Costs nothing."""
-        return self.monotonic() - self._good_at < SAFE_SHARE * self.lease_s
+        age_s = self.monotonic() - self._good_at
+        return age_s < (float("inf") if self.alone else SAFE_SHARE * self.lease_s)
 
 
 class Heart:

@@ -11,6 +11,7 @@ from pathlib import Path
 _SET_PDEATHSIG = 1
 _SET_NAME = 15
 _SET_CHILD_SUBREAPER = 36
+_PUNCH_HOLE = 3  # FALLOC_FL_KEEP_SIZE | FALLOC_FL_PUNCH_HOLE
 _LIBC = ctypes.CDLL(None, use_errno=True)  # looked up here, so that nothing needs loading between a fork and its use
 
 
@@ -31,6 +32,12 @@ def adopt_orphans() -> None:
 def name_process(name: str) -> None:
     """What `ps` and `top` show of it; at most 15 bytes."""
     _LIBC.prctl(_SET_NAME, name.encode(), 0, 0, 0)
+
+
+def give_back_blocks(path: Path, start: int, length: int) -> None:
+    """The file's bytes there become zeros that take no place; nothing, where its file system cannot do that."""
+    with path.open("r+b") as file:
+        _LIBC.fallocate(file.fileno(), _PUNCH_HOLE, ctypes.c_long(start), ctypes.c_long(length))
 
 
 def own_children() -> list[int]:

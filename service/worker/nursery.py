@@ -2,12 +2,12 @@
 
 Theory of operation: numpy, numba and our own modules take a second to import, so they are imported once, here, before
 any fork; what only some stages need (LATER of the entry's module) is imported piece by piece while there is nothing
-else to do, and a child that needs it earlier imports it by itself. A fork copies a process safely only while it has one thread, so nothing here starts one (OPENBLAS_NUM_THREADS
-is 1, no kernel runs). The worker sends orders and beats over a socket; beats are handed on to the children. Each child
-leads a group of its own; descendants that lose their parent are adopted (subreaper). When a child has ended, or was
-silent too long, the rest of its group is killed, and its end is reported only when nobody of it is left. The leader is
-not waited for before its group was signalled, so its number cannot belong to anybody else. When the worker goes, the
-socket ends, and so does everything here.
+else to do, and a child that needs it earlier imports it by itself. A fork copies a process safely only while it has one
+thread, so nothing here starts one (OPENBLAS_NUM_THREADS is 1, no kernel runs). The worker sends orders and beats over a
+socket; beats are handed on to the children. Each child leads a group of its own; descendants that lose their parent are
+adopted (subreaper). When a child has ended, or was silent too long, the rest of its group is killed, and its end is
+reported only when nobody of it is left. The leader is not waited for before its group was signalled, so its number
+cannot belong to anybody else. When the worker goes, the socket ends, and so does everything here.
 """
 
 from __future__ import annotations

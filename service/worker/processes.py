@@ -18,6 +18,7 @@ from service.errors import FailedError
 from service.settings import ServerSettings
 from service.worker.ends import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.worker.nursery_link import Child, NurseryError, NurseryLink
+from service.worker.stage_log import StageLog
 from service.worker.supervision import Supervision, Task
 
 __all__ = ["STAGE_ENTRY", "Crashed", "Done", "Failed", "Refused", "StageEnd", "StageProcesses", "Stopped"]
@@ -67,7 +68,7 @@ class StageProcesses:
             if not isinstance(child, Child):
                 return child
             files.hand_over()
-            task = Task(settings=self._settings, on_progress=on_progress, stop=stop)
+            task = Task(settings=self._settings, log=StageLog(log), on_progress=on_progress, stop=stop)
             return Supervision(self._link, child, files.words, task).follow()
 
     def _child(self, files: _Files, stop: Callable[[], str | None]) -> Child | StageEnd:

@@ -58,7 +58,7 @@ class Reconciler:
         self._end_given_up(live)
 
     def let_go(self) -> None:
-        """Jobs that stand under this worker's name although it is not about them: whoever has the ticket may claim them.
+        """Jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
 
         They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
         """

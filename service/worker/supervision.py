@@ -18,6 +18,7 @@ from service.worker.child import out_of_memory
 from service.worker.ends import Crashed, Done, Failed, Refused, StageEnd, Stopped
 from service.worker.linux import living_members, signal_group, signal_stage
 from service.worker.nursery_link import Child, NurseryLink
+from service.worker.stage_log import StageLog
 
 _TICK_S = 0.1
 _GRACE_S = 1.0  # between SIGTERM and SIGKILL
@@ -31,6 +32,7 @@ class Task:
     """What one supervision is about."""
 
     settings: ServerSettings
+    log: StageLog
     on_progress: Callable[[float], None]
     stop: Callable[[], str | None]
 
@@ -51,8 +53,10 @@ class Supervision:
             while not self._child.gone.is_set():
                 self._wait()
                 self._judge()
+                self._task.log.look()
         finally:
             self._leave_nobody()
+        self._task.log.end()
         self._words.drain()
         return self._verdict or self._told() or self._unexpected()
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import structlog
 
-from service.errors import printable
+from service.errors import FailedError, printable
 from service.jobs.states import JobState, StageState
 from service.jobs.work_book import STOPPED, Claim, StageClose, StageTry
 from service.spec_files import validated
@@ -170,7 +170,7 @@ class Walk:
                 return None
             stored = self._bench.store.put_file(path)
             return FileRef(stored.sha256, stored.bytes)
-        except OSError:
+        except (OSError, FailedError):  # a full disk: the stage is worth more than its words
             return None
         finally:
             path.unlink(missing_ok=True)

@@ -53,7 +53,8 @@ def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator
         # The engine's tables first: who finds ours up to date may use both.
         engine.prepare()
         open_database(settings, migrate=True).dispose()
-        lease = Lease(database, executor, settings.lease_s, pid=os.getpid(), version=version("causticmill"))
+        ours = version("causticmill")
+        lease = Lease(database, executor, settings.lease_s, pid=os.getpid(), version=ours, alone=settings.embedded)
         work = WorkBook(database, lease_s=settings.lease_s)
         watch = Watch(work, lease)
         bench = Bench(settings, executor, work, store, processes, lease, watch)
@@ -123,4 +124,3 @@ class Worker:
         """Another process works under our name: end, with everything that runs, before it is in its way."""
         self.bench.processes.close()
         os._exit(EXIT_NAME_TAKEN)
-

@@ -67,6 +67,7 @@ def test_one_variable_names_the_mill_for_api_and_agent(tmp_path: Path, monkeypat
 
     files = SERVICES["mill-files"]
     assert files["entrypoint"] == ["python", "-c"]
+    assert files["environment"] == {"MILL_MACHINE": "${MILL_MACHINE:-grbl}"}
     monkeypatch.setenv("MILL_MACHINE", "router")
     for _ in range(2):  # it runs at every start
         exec(files["command"][0].replace("/mill", str(tmp_path)).replace(f"http:/{tmp_path}", "http://mill"))
@@ -76,7 +77,9 @@ def test_one_variable_names_the_mill_for_api_and_agent(tmp_path: Path, monkeypat
     assert SERVICES["api"]["environment"]["CAUSTICMILL_AGENTS_FILE"] == "/mill/agents.toml"
     for name in ("agent", "sim-agent"):
         command, after = SERVICES[name]["command"], SERVICES[name]["depends_on"]
-        assert command[command.index("--machine") + 1] == files["environment"]["MILL_MACHINE"] == "${MILL_MACHINE:-grbl}"
+        assert (
+            command[command.index("--machine") + 1] == files["environment"]["MILL_MACHINE"] == "${MILL_MACHINE:-grbl}"
+        )
         assert command[command.index("--bind-port") + 1] == "8765"
         assert after["mill-files"]["condition"] == "service_completed_successfully"
         assert SERVICES[name]["networks"]["default"]["aliases"] == ["mill-agent"]

@@ -67,7 +67,7 @@ def test_a_working_day_with_curl(tmp_path: Path) -> None:
     script = replaced(working_day(), ":8000", f":{port}")
     script = replaced(script, "serve --data", f"serve --port {port} --data")
     script = replaced(script, ":8620", f":{free_port()}")
-    script = replaced(script, "--time-factor 10", f"--time-factor {_TIME_FACTOR}")
+    script = replaced(script, "--time-factor 100", f"--time-factor {_TIME_FACTOR}")
     script = replaced(script, '{"preset": "draft"}', SMALL)
     assert not re.search(r"causticmill (?!sim-mill|serve|token create)", script), "only curl, after the start"
     with shell(script, tmp_path) as (process, mark):

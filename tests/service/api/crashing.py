@@ -1,4 +1,4 @@
-"""The API process with traps: it is killed as by kill -9 at the point that the file $CRASH_AT names, once it gets there.
+"""The API process with traps: killed as by kill -9 at the point that the file $CRASH_AT names.
 
 A point is `before` or `after` and a step of POST jobs or POST runs. As long as there is no such file nothing happens.
 """
@@ -42,16 +42,18 @@ def _set(owner: object, name: str, step: str) -> None:
     @functools.wraps(function)
     def trapped(*arguments: Any, **named: Any) -> Any:
         _trap(f"before {step}")
-        found = function(*arguments, **named)
-        _trap(f"after {step}")
-        return found
+        try:
+            return function(*arguments, **named)
+        finally:  # the engine has no tables where no worker was ever started
+            _trap(f"after {step}")
 
     @functools.wraps(function)
     async def trapped_async(*arguments: Any, **named: Any) -> Any:
         _trap(f"before {step}")
-        found = await function(*arguments, **named)
-        _trap(f"after {step}")
-        return found
+        try:
+            return await function(*arguments, **named)
+        finally:
+            _trap(f"after {step}")
 
     setattr(owner, name, trapped_async if inspect.iscoroutinefunction(function) else trapped)
 

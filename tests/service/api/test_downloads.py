@@ -56,7 +56,7 @@ def test_a_range_is_exactly_that_part(server: ApiServer, job: str, asked: str, s
     first = start if start >= 0 else len(CONTENT) + start
     assert got.headers["content-range"] == f"bytes {first}-{first + len(got.content) - 1}/{len(CONTENT)}"
     head = server.client.head(f"{job}/artifacts/heightfield.npz", headers={"Range": asked})
-    assert head.status_code == 206 and head.headers["content-length"] == str(len(got.content))
+    assert head.status_code == 200 and head.headers["content-length"] == str(len(CONTENT))  # ranges are of GET only
 
 
 @pytest.mark.parametrize("asked", ["bytes=3000000-", "bytes=3000000-3000001", "bytes=-0", "bytes=9999999999-"])

@@ -155,10 +155,22 @@ def test_what_runs_or_succeeded_cannot_be_changed_at_will(server: ApiServer) -> 
 
 @pytest.mark.parametrize(
     ("method", "path", "status"),
-    [("GET", "/", 404), ("GET", "/v1/jobs/", 404), ("GET", "/v1/jobs/1", 404), ("PUT", "/v1/jobs", 405),
+    [("GET", "/v2", 404), ("GET", "/v1/jobs/", 404), ("GET", "/v1/jobs/1", 404), ("PUT", "/v1/jobs", 405),
      ("GET", f"/v1/jobs/{uuid.uuid4()}:cancel", 405), ("POST", f"/v1/jobs/{uuid.uuid4()}:explode", 404),
      ("GET", "/v1/jobs/%2e%2e/%2e%2e/etc/passwd", 404), ("GET", f"/v1/jobs/{uuid.uuid4()}", 404),
      ("GET", f"/v1/jobs/{uuid.uuid4()}/artifacts/..%2f..%2fsecret", 404), ("GET", "/docs", 404)],
 )  # fmt: skip
 def test_what_is_not_there_is_a_problem_too(server: ApiServer, method: str, path: str, status: int) -> None:
     problem(server.client.request(method, path), status)
+
+
+@pytest.mark.parametrize(
+    "spec",
+    ['{"optics":{"width_mm":1e-320,"height_mm":2000}}', '{"optics":{"width_mm":1e999}}',
+     '{"optics":{"screen_width_mm":1e-320}}', '{"machine":{"profile":"\\ud800"}}', '{"optics":{"width_mm":1e-320}}',
+     '{"image":{"pixels":' + "9" * 400 + "}}", '{"image":{"pixels":' + "9" * 5000 + "}}"],
+    ids=str,
+)  # fmt: skip
+def test_numbers_that_no_lens_has_are_refused_or_taken_but_are_no_fault(server: ApiServer, spec: str) -> None:
+    answer = server.client.post("/v1/jobs", files={"image": png()}, data={"spec": spec})
+    assert answer.status_code in (202, 422), answer.text

@@ -36,6 +36,7 @@ def test_a_killed_post_is_a_job_or_nothing_and_can_be_sent_again(
             trap.write_text(point, encoding="ascii")
             with pytest.raises(httpx.TransportError):
                 _post(client, *before)
+                pytest.fail(f"'{point}' was not reached")
             trap.unlink()
             assert process.wait(20) == -signal.SIGKILL, point
     assert len(set(made.values())) == len(points(JOB_STEPS))

@@ -322,3 +322,17 @@ def test_the_child_dies_with_a_killed_server(tmp_path: Path) -> None:
     while child.exists() and child.joinpath("stat").read_text().rpartition(")")[2].split()[0] != "Z":
         assert time.monotonic() < until
         time.sleep(0.01)
+
+
+def test_a_checker_that_is_closed_does_not_wait_for_its_process_to_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a busy computer that may take many seconds, which the end of the server would take, too."""
+    slow = tmp_path / "python"
+    slow.write_text("#!/bin/sh\nexec sleep 60\n")
+    slow.chmod(0o755)
+    monkeypatch.setattr("sys.executable", str(slow))
+    checker = PictureChecker()
+    began = time.monotonic()
+    checker.close()
+    assert time.monotonic() - began < 5

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import os
-import uuid
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
@@ -15,8 +15,10 @@ from schemathesis import checks
 from schemathesis.schemas import APIOperation
 
 from service.jobs.tokens import TokenScope
-from tests.service.api.server import ApiServer, api_server, png
+from tests.service.api.server import png
 from tests.service.api.test_health import beat
+from tests.service.fleet.shop import MACHINE, Shop, kill_agents, own_folders, shop, write_profile
+from tests.service.mills import bench
 
 EXAMPLES = int(os.environ.get("CAUSTICMILL_FUZZ_EXAMPLES", "12"))  # of each operation
 CHECKS = [
@@ -32,40 +34,75 @@ CHECKS = [
 ]
 
 
+@dataclass
+class Fuzzed:
+    """A shop, a token for everything, two jobs that have something to show, and a run that is over."""
+
+    floor: Shop
+    headers: dict[str, str]
+    ended: list[str]
+    over: str
+    turns: Iterator[int] = field(default_factory=itertools.count)
+
+    def placed(self, case: schemathesis.Case) -> None:
+        """Most of the time ask for something that is there: to look at, or new, to be changed."""
+        turn = next(self.turns)
+        if turn % 4 == 3:
+            return
+        looks = case.method.upper() in ("GET", "HEAD")
+        if "/jobs/{id}" in case.path:
+            case.path_parameters["id"] = self.ended[turn % 2] if looks else self._new_job()
+        elif "/runs/{id}" in case.path:
+            case.path_parameters["id"] = self.over if case.path.endswith("/events") else self._open_run()
+        elif "{machine}" in case.path:
+            case.path_parameters["machine"] = MACHINE
+            if isinstance(case.body, dict) and "job" in case.body:
+                case.body["job"] = self.ended[0]
+
+    def _new_job(self) -> str:
+        posted = self.floor.server.client.post("/v1/jobs", files={"image": png()}, headers=self.headers)
+        return str(posted.json()["id"])
+
+    def _open_run(self) -> str:
+        taken = self.floor.get(f"/v1/machines/{MACHINE}")["run"]
+        return str(taken["id"] if taken else self.floor.park(self.ended[0], program=1)["id"])
+
+
 @pytest.fixture(scope="module")
-def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ApiServer, dict[str, str], list[str]]]:
-    """A server, a token for everything, and two jobs that have something to show."""
-    data: Path = tmp_path_factory.mktemp("fuzz") / "data"
-    with api_server(data, max_upload_mb=1) as server:
-        beat(server, ago_s=-3600)
-        ended = [server.submit()["id"] for _ in range(2)]
-        for job_id in ended:
-            server.put_artifact(job_id, "report.json", b"{}", stage="report")
-            server.put_artifact(job_id, "pass-1-rough.nc", b"M2\n", stage="pass-1")
-            server.put_stage(job_id, "check")
-            server.put_state(job_id, "succeeded", ended_at=1.0)
-            server.put_event(job_id, "ended", state="succeeded")
-        secret = server.services.tokens.create("fuzz", list(TokenScope))[1]
-        yield server, {"Authorization": f"Bearer {secret}"}, ended
+def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzed]:
+    folder: Path = tmp_path_factory.mktemp("fuzz")
+    with pytest.MonkeyPatch.context() as patch, bench(8.0) as mill:
+        own_folders(patch, folder)
+        write_profile(mill.url)
+        try:
+            with shop(folder / "data", mill, max_upload_mb=1) as floor:
+                beat(floor.server, ago_s=-3600)
+                ended = [floor.job((6, 4)) for _ in range(2)]
+                for job_id in ended:
+                    floor.server.put_artifact(job_id, "report.json", b"{}", stage="report")
+                    floor.server.put_event(job_id, "ended", state="succeeded")
+                over = floor.park(ended[0])["id"]
+                floor.post(f"/v1/runs/{over}:abort", 202)
+                yield Fuzzed(floor, {"Authorization": f"Bearer {floor.token(*TokenScope)}"}, ended, over)
+        finally:
+            kill_agents(folder)
 
 
-def test_the_server_keeps_to_its_document(fuzzed: tuple[ApiServer, dict[str, str], list[str]]) -> None:
-    server, headers, ended = fuzzed
-    schema = schemathesis.openapi.from_url(f"{server.address}/openapi.json", headers=headers)
+def test_the_server_keeps_to_its_document(fuzzed: Fuzzed) -> None:
+    address = fuzzed.floor.server.address
+    schema = schemathesis.openapi.from_url(f"{address}/openapi.json", headers=fuzzed.headers)
     told: list[str] = []
     for found in schema.get_all_operations():
         operation = found.ok()
         try:
-            _tried(operation, server, headers, ended)
+            _tried(operation, fuzzed)
         except Exception as error:  # each operation is tried, and all that fail are told of
             told.append(f"{operation.label}: {error}")
     assert not told, "\n\n".join(told)
-    assert server.client.get("/livez").status_code == 200
+    assert fuzzed.floor.server.client.get("/livez").status_code == 200
 
 
-def _tried(operation: APIOperation, server: ApiServer, headers: dict[str, str], ended: list[str]) -> None:
-    turns = itertools.count()
-
+def _tried(operation: APIOperation, fuzzed: Fuzzed) -> None:
     @given(operation.as_strategy())
     @settings(
         max_examples=EXAMPLES,
@@ -76,18 +113,8 @@ def _tried(operation: APIOperation, server: ApiServer, headers: dict[str, str], 
         phases=[Phase.generate],
     )
     def tried(case: schemathesis.Case) -> None:
-        if "/jobs/{id}" in case.path:
-            case.path_parameters["id"] = _job_for(next(turns), case, server, headers, ended)
-        case.call_and_validate(base_url=server.address, headers=headers, checks=CHECKS, timeout=20)
+        fuzzed.placed(case)
+        address = fuzzed.floor.server.address
+        case.call_and_validate(base_url=address, headers=fuzzed.headers, checks=CHECKS, timeout=40)
 
     tried()
-
-
-def _job_for(turn: int, case: schemathesis.Case, server: ApiServer, headers: dict[str, str], ended: list[str]) -> str:
-    """A job that is there, most of the time: one to look at, or a new one to be changed."""
-    if turn % 4 == 3:
-        return str(uuid.uuid4())
-    if case.method.upper() in ("GET", "HEAD"):
-        return ended[turn % 2]
-    answer = server.client.post("/v1/jobs", files={"image": png()}, headers=headers)
-    return str(answer.json()["id"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,6 +79,8 @@ def test_a_program_is_parked_confirmed_and_cut(mill_shop: MillShop) -> None:
     code, out, errors = mill_shop.run(*words)
     assert code == 0, errors
     assert "finished" in out and "next:     program 2" in out
+    shares = [float(share) for share in re.findall(r"([\d.]+) % of", out)]
+    assert shares == sorted(shares), "how far it is never goes back"
     assert mill_shop.mill.recording.cuts() != []
     code, out, _ = mill_shop.run("list", "--machine", "router")
     assert code == 0 and run_id in out
@@ -110,3 +113,9 @@ def test_who_may_only_read_moves_nothing(mill_shop: MillShop) -> None:
 def test_a_mill_that_is_not_there_is_named(mill_shop: MillShop, tmp_path: Path) -> None:
     code, _, errors = mill_shop.run("park", mill_shop.job, "--machine", "lathe")
     assert code == 2 and "lathe" in errors
+
+
+@pytest.mark.parametrize("verb", ["hold", "abort"])
+def test_a_stop_that_may_not_have_arrived_sends_the_person_to_the_mill(verb: str) -> None:
+    done = run("runs", verb, "0f3c", server="http://127.0.0.1:9")
+    assert done.returncode == 1 and "use the mill's own stop" in done.stderr.splitlines()[-1]

@@ -40,6 +40,7 @@ def test_a_killed_hand_over_is_one_parked_run_or_none(
             trap.write_text(point, encoding="ascii")
             with pytest.raises(httpx.TransportError):
                 _post(client, point, jobs[point])
+                pytest.fail(f"'{point}' was not reached")
             trap.unlink()
             assert process.wait(20) == -signal.SIGKILL, point
             before = point

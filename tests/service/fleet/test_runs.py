@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import concurrent.futures
-import json
 import sqlite3
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
+from service.fleet.fleet import Fleet
 from service.fleet.launching import start_agents
-from tests.service.api.server import api_server
+from tests.service.api.server import api_server, wait_for
 from tests.service.fleet.shop import CHECKS, LINES, MACHINE, Shop, await_agent, kill_agents, shop, write_profile
 from tests.service.mills import Bench, ends
 
@@ -237,31 +235,15 @@ def test_two_servers_of_one_database_see_the_same_runs(tmp_path: Path, mill: Ben
         floor.until_state(run, "held")
 
 
-def test_a_run_is_followed_through_an_agents_restart_to_its_end(floor: Shop) -> None:
-    run = floor.park(floor.job((200,)))
-    states: list[str] = []
-    with floor.operator.stream("GET", f"/v1/runs/{run['id']}/events") as answer:
-        assert answer.headers["content-type"].startswith("text/event-stream")
-        lines = answer.iter_lines()
-        _follow(lines, states, lambda now: now["state"] == "parked")
-        kill_agents(floor.data)
-        _follow(lines, states, lambda now: now["unreachable"])
-        start_agents(floor.settings)
-        await_agent(floor.folder)
-        _follow(lines, states, lambda now: not now["unreachable"])
-        floor.until_idle()
+def test_a_run_that_ends_while_nobody_asks_is_closed(
+    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the server's own look now and then: figures, deletion and retention see it."""
+    monkeypatch.setattr(Fleet.watch, "__defaults__", (0.2,))
+    with shop(tmp_path / "data", mill) as floor:
+        run = floor.park(floor.job((20,)))
         floor.start(run)
-        last = _follow(lines, states, lambda now: now["state"] == "finished")
-        assert last["share"] == 1.0 and not any(lines)
-    assert "running" in states
-    again = floor.operator.get(f"/v1/runs/{run['id']}/events", headers={"Last-Event-ID": "x-1"})
-    assert again.status_code == 204
-
-
-def _follow(lines: Iterator[str], states: list[str], good: Any) -> Any:
-    for line in lines:
-        if line.startswith("data: ") and "state" in (now := json.loads(line[6:])) and "unreachable" in now:
-            states.append(now["state"])
-            if good(now):
-                return now
-    raise AssertionError(f"the stream ended; states seen: {states}")
+        book = floor.server.services.fleet._core.runs
+        wait_for(lambda: not book.get(run["id"]).open, patience_s=60)
+        assert book.get(run["id"]).state == "finished"
+        assert "causticmill_open_runs 0.0" in floor.server.client.get("/metrics").text

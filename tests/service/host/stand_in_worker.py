@@ -18,14 +18,19 @@ def main() -> int:
         sys.stderr.write("error: CAUSTICMILL_SLOTS: this worker wants another value\n")
         return 2
     if does == "fails":
+        sys.stderr.write("error: the database cannot be used: no such host\n")
         return 1
+    if does == "crashes":
+        return 3
     if does == "sick":
         from service.host import lifeline
 
         lifeline.healthy = lambda: False
-    code = "import ctypes,os,signal,time; ctypes.CDLL(None).prctl(1, signal.SIGKILL); time.sleep(600)"
-    stage = subprocess.Popen([sys.executable, "-c", code])
-    Path(os.environ["CAUSTICMILL_DATA"], "stage.pid").write_text(str(stage.pid))
+    code = (
+        "import ctypes,os,signal,time; ctypes.CDLL(None).prctl(1, signal.SIGKILL); print(flush=True); time.sleep(600)"
+    )
+    stage = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    assert stage.stdout is not None and stage.stdout.readline(), "it dies with us from now on"
 
     def stop(*_: object) -> None:
         if does == "deaf":
@@ -36,6 +41,7 @@ def main() -> int:
         sys.exit(0)
 
     signal.signal(signal.SIGTERM, stop)
+    Path(os.environ["CAUSTICMILL_DATA"], "stage.pid").write_text(str(stage.pid))
     while True:
         time.sleep(60)
 

@@ -83,6 +83,28 @@ def test_what_cannot_be_is_refused_in_one_line(
         assert serving.out == []
 
 
+def test_a_misspelt_setting_is_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAUSTICMILL_QOUTA_MB", "100")
+    monkeypatch.setenv("CAUSTICMILL_TOKEN", "of the client")
+    assert run(["service", "install", "--print"]) == 0
+    warned = [line for line in capsys.readouterr().err.splitlines() if line.startswith("warning:")]
+    assert warned == ["warning: CAUSTICMILL_QOUTA_MB is no setting; CAUSTICMILL_QUOTA_MB is one"]
+
+
+def test_a_full_disk_is_told_and_the_mills_have_their_agents(tmp_path: Path) -> None:
+    """What keeps the server from being ready is said with its address; it does not keep agents from mills."""
+    profile = tmp_path / "config/machines/router.toml"
+    profile.parent.mkdir(parents=True)
+    profile.write_text('extends = "grbl"\n[link]\nport = "socket://127.0.0.1:1"\n')
+    wanted = {"CAUSTICMILL_FREE_DISK_MB": "1000000000000", "CAUSTICMILL_CONFIG_DIR": str(tmp_path / "config")}
+    with served(data=tmp_path / "data", **wanted) as serving:
+        until(lambda: serving.out, what="a line", within_s=60)
+        assert "not ready: disk:" in serving.out[0] and "1000000000000 MB" in serving.out[0]
+        until(lambda: [line for line in serving.err if "agent started" in line], what="an agent")
+        (started,) = [line for line in serving.err if "agent started" in line]
+        serving.kill(int(started.split("process ")[1].split(";")[0]))
+
+
 @pytest.mark.parametrize("word", [signal.SIGTERM, signal.SIGKILL])
 def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path: Path, word: signal.Signals) -> None:
     with served("--no-agents", data=tmp_path) as serving:

@@ -48,12 +48,15 @@ def test_a_busy_port_is_one_line(tmp_path: Path) -> None:
             assert len(serving.err) == 1 and str(port) in serving.err[0] and "in use" in serving.err[0]
 
 
-@pytest.mark.parametrize("folder", ["file/data", "/proc/causticmill"])
-def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path, folder: str) -> None:
+@pytest.mark.parametrize(
+    ("folder", "code", "words"),
+    [("file/data", 1, "data folder"), ("/proc/causticmill", 1, "data folder"), ("file", 2, "is a file")],
+)
+def test_a_folder_that_cannot_be_is_one_line(tmp_path: Path, folder: str, code: int, words: str) -> None:
     (tmp_path / "file").touch()
     with supervised(tmp_path / folder) as serving:
-        assert serving.ended() == 1
-        assert len(serving.err) == 1 and "data folder" in serving.err[0]
+        assert serving.ended() == code
+        assert len(serving.err) == 1 and words in serving.err[0]
 
 
 @pytest.mark.parametrize("module", [API, WORKER])
@@ -148,6 +151,7 @@ def test_the_second_word_ends_what_does_not_listen(tmp_path: Path) -> None:
 def test_a_stopped_child_ends_well_too(tmp_path: Path) -> None:
     with supervised(tmp_path) as serving:
         serving.until_ready()
+        until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
         serving.kill(serving.child(WORKER), signal.SIGSTOP)
         serving.kill(serving.pid, signal.SIGTERM)
         assert serving.ended(within_s=10) == 0
@@ -175,9 +179,17 @@ def test_a_refusal_of_what_was_good_before_is_tried_again(tmp_path: Path) -> Non
 
 def test_a_child_that_never_lives_ends_it(tmp_path: Path) -> None:
     """As long as it was never ready; later on it is patient for ever."""
-    with supervised(tmp_path, "API=stand_in_worker", WORKER_DOES="fails") as serving:
+    with supervised(tmp_path, "API=stand_in_worker", WORKER_DOES="crashes") as serving:
         assert serving.ended() == 1
         assert serving.err[-1].startswith("error: the ") and "5 times" in serving.err[-1]
+
+
+def test_what_a_child_says_at_the_first_start_is_said_once(tmp_path: Path) -> None:
+    """A database that is not there, or not one: another start would find the same."""
+    with supervised(tmp_path, "API=", WORKER_DOES="fails") as serving:
+        assert serving.ended() == 1
+        assert serving.err == ["error: the database cannot be used: no such host"]
+        assert (tmp_path / "starts").read_text() == "x"
 
 
 def test_the_supervisor_is_small(tmp_path: Path) -> None:

@@ -160,6 +160,21 @@ def test_a_retried_job_offers_no_program_before_it_is_checked_again(book: JobBoo
     assert book.artifact(claim.job.id, "pass.nc")
 
 
+def test_a_check_is_worth_nothing_for_programs_made_after_it(book: JobBook, work: WorkBook) -> None:
+    """The worker was stopped, updated and started again in the middle of a job: its stages have other keys now."""
+    first = claimed(book, work)
+    commit(work, first, "pass-1", "old", result(pass_nc=FILE))
+    commit(work, first, "check", "k", result(toolpath_png=FILE))
+    again = work.claim(Ticket(first.job.id, 1), "here")
+    assert again is not None
+    assert book.artifact(first.job.id, "pass.nc")
+    commit(work, again, "pass-1", "new", result(pass_nc=replace(FILE, sha256="b" * 64)))
+    with pytest.raises(UnknownArtifactError):
+        book.artifact(first.job.id, "pass.nc")
+    assert work.reuse_stage(again, "check", "k", whole=0.5) is not None  # the same programs after all
+    assert book.artifact(first.job.id, "pass.nc").sha256 == "b" * 64
+
+
 def test_a_dead_owner_changes_nothing_any_more(book: JobBook, work: WorkBook, database: sa.Engine) -> None:
     """Every late write of a worker whose job was claimed by another raises Fenced, and leaves no trace."""
     old = claimed(book, work)

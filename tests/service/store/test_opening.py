@@ -121,3 +121,19 @@ def test_memory_does_not_grow_with_the_object(tmp_path: Path, s3_urls: Iterator[
     ).stdout.split()
     assert int(said[0]) == 200 << 20
     assert float(said[1]) < 60
+
+
+def test_a_database_of_another_kind_is_named_as_such(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"CAUSTICMILL_DATABASE_URL: allowed: postgresql://"):
+        open_store(ServerSettings(data=tmp_path, database_url="mysql://me:secret@db/x"))
+
+
+def test_missing_credentials_are_named() -> None:
+    """What the library says then is about an address that asks the cloud who this computer is."""
+    from service.store.s3 import _first_words
+
+    asked = "Generic S3 error: Error performing PUT http://169.254.169.254/latest/api/token in 7.5ms - refused"
+    assert _first_words(Exception(asked)) == "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
+    tries = "in 67.9ms, after 5 retries, max_retries: 5, retry_timeout: 20s "
+    lost = f"Generic S3 error: Error performing PUT http://s3/b/k {tries} - HTTP error: no route"
+    assert _first_words(Exception(lost)) == "Error performing PUT http://s3/b/k - HTTP error: no route"

@@ -24,7 +24,7 @@ class Bench:
     """StageProcesses with the odd stages, and what a test wants to know about them."""
 
     def __init__(self, folder: Path, entry: str = "odd_stages:run", **settings: Any) -> None:
-        given = {"data": folder, "lease_s": 2.0, "stage_memory_mb": 600, **settings}
+        given = {"data": folder, "lease_s": 20.0, "stage_memory_mb": 600, **settings}
         self.folder = folder
         self.log = folder / "stage.log"
         self.processes = StageProcesses(ServerSettings.load(**given), entry=entry)
@@ -61,7 +61,7 @@ def lives(pid: int) -> bool:
     return state not in "ZX"
 
 
-def until(what: Callable[[], object], within_s: float = 10.0) -> float:
+def until(what: Callable[[], object], within_s: float = 30.0) -> float:
     """Wait for it; the seconds that took."""
     begun = time.monotonic()
     while not what():
@@ -80,7 +80,7 @@ def nursery_pid() -> int:
     return pid
 
 
-def start_worker(folder: Path, do: str, lease_s: float = 2.0, entry: str = "odd_stages:run") -> subprocess.Popen[str]:
+def start_worker(folder: Path, do: str, lease_s: float = 20.0, entry: str = "odd_stages:run") -> subprocess.Popen[str]:
     """A real worker process that runs one stage."""
     order = json.dumps({"do": do, "tell": str(folder / "pids")})
     return subprocess.Popen(
@@ -92,7 +92,7 @@ def start_worker(folder: Path, do: str, lease_s: float = 2.0, entry: str = "odd_
     )
 
 
-def a_worker(folder: Path, do: str, lease_s: float = 2.0) -> tuple[subprocess.Popen[str], list[int]]:
+def a_worker(folder: Path, do: str, lease_s: float = 20.0) -> tuple[subprocess.Popen[str], list[int]]:
     """A worker whose stage runs; the worker, and the numbers that the stage told."""
     worker, told = start_worker(folder, do, lease_s), folder / "pids"
     until(told.exists)

@@ -54,6 +54,17 @@ def test_a_lease_is_safe_for_six_tenths_of_it_after_a_good_beat(database: sa.Eng
     assert not mine.safe()
 
 
+def test_who_cannot_be_taken_over_need_not_stop_while_the_database_is_away(database: sa.Engine) -> None:
+    time = Clock()
+    mine = Lease(database, "a", 10.0, pid=1, version="1", alone=True, monotonic=time)
+    assert not mine.safe()
+    mine.take()
+    time.now += 1000.0
+    assert mine.safe()
+    mine.give_back()
+    assert not mine.safe()
+
+
 def test_the_time_that_a_beat_took_counts_against_it(database: sa.Engine) -> None:
     """The answer came 5 s after the question: 1 s is left of 6."""
 

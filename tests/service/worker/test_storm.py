@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 
 import pytest
 
 from service.settings import ServerSettings
 from tests.service.worker.postgres import Postgres, missing, running_postgres
-from tests.service.worker.storm import Storm, rage
+from tests.service.worker.storm import Storm, rage, until
 
 LEASE_S = 2.0
 
@@ -36,6 +37,27 @@ def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
         broken = storm.broken(jobs)
         storm.stop()
         assert broken + storm.left_over() == []
+
+
+def test_two_live_workers_both_work(tmp_path: Path) -> None:
+    """Also after each of them was killed, whoever has got its tickets since."""
+    if reason := missing():
+        pytest.skip(reason)
+    with running_postgres(durable=True) as server:
+        storm = Storm(tmp_path, two_workers(tmp_path, server), pause_s=1.0)
+        jobs = storm.submit(6)
+
+        def at_work(since: float) -> set[str]:
+            runs = [run for job in jobs for run in storm.book.stages(job)]
+            return {run.executor for run in runs if run.state == "running" and run.started_at > since}
+
+        for name in ("one", "two", "one", None):
+            killed_at = time.time()
+            until(lambda: at_work(killed_at) == {"one", "two"}, doing="both workers at work")  # noqa: B023
+            if name is not None:
+                storm.kill(name)
+        storm.stop()
+        assert storm.left_over() == []
 
 
 def two_workers(folder: Path, server: Postgres) -> dict[str, ServerSettings]:

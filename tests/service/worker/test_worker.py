@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import os
 import signal
+import sqlite3
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from service.jobs.states import JobState, StageState
 from service.settings import ServerSettings
+from service.worker.engine import Ticket
 from tests.service.worker.storm import Storm, until
 
 
@@ -20,7 +23,7 @@ def make(farm: ServerSettings) -> Iterator[Callable[[float], Storm]]:
     made: list[Storm] = []
 
     def storm(pause_s: float) -> Storm:
-        settings = farm.model_copy(update={"lease_s": 2.0, "free_disk_mb": 0, "executor": "one"})
+        settings = farm.model_copy(update={"lease_s": 15.0, "free_disk_mb": 0, "executor": "one"})
         made.append(Storm(settings.data.parent / "work", {"one": settings}, pause_s=pause_s))
         return made[-1]
 
@@ -72,6 +75,38 @@ def test_cancel_ends_the_stage_and_the_job(make: Callable[[float], Storm]) -> No
     assert took_s < 10  # the figure itself is for the benchmarks
     storm.stop()
     assert storm.left_over() == []
+
+
+def test_a_database_that_is_locked_for_long_costs_no_work(tmp_path: Path) -> None:
+    """By a backup of the file, for longer than a lease: nobody else could take over, so the stage goes on."""
+    settings = ServerSettings(data=tmp_path / "data", lease_s=3.0, free_disk_mb=0)
+    storm = Storm(tmp_path, {"one": settings}, pause_s=4.0)
+    (job_id,) = storm.submit(1, first=1)
+    stage_pid(storm)
+    with closing(sqlite3.connect(settings.sqlite)) as other:
+        other.execute("BEGIN IMMEDIATE")
+        until(lambda: len(storm.noted("end")) == 1, doing="the end of the stage")
+        time.sleep(settings.lease_s)
+        other.rollback()
+    until(lambda: storm.book.stages(job_id)[0].ended_at is not None, doing="its commit")
+    assert storm.book.stages(job_id)[0].state == StageState.COMMITTED
+    storm.stop()
+
+
+def test_on_a_full_disk_nothing_is_begun_and_the_log_says_so_once(tmp_path: Path) -> None:
+    settings = ServerSettings(data=tmp_path / "data", free_disk_mb=1_000_000_000)
+    storm = Storm(tmp_path, {"one": settings})
+    (job_id,) = storm.submit(1, first=1)
+
+    def told() -> int:
+        return (tmp_path / "one.log").read_text().count("too little free disk space")
+
+    until(lambda: told() > 0, doing="the warning")
+    until(lambda: storm.engine.owners() == {Ticket(job_id, 1): "local"}, doing="the ticket's beginning")
+    time.sleep(1.5)  # some more calls of the body
+    assert told() == 1
+    assert storm.book.get(job_id).state == JobState.QUEUED
+    storm.stop()
 
 
 def test_a_stage_that_crashes_three_times_fails_the_job(make: Callable[[float], Storm]) -> None:

@@ -30,6 +30,15 @@ def echo(order, on_progress):
     }
 
 
+def chat(order, on_progress):
+    """Many lines, of which the first and the last are known."""
+    print("the first line")
+    for number in range(order["lines"]):
+        print(f"line {number} " + "x" * 90)
+    print("the last line", flush=True)
+    return {}
+
+
 def sleep(order, on_progress):
     _tell(order)
     time.sleep(60)

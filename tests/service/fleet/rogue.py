@@ -1,0 +1,67 @@
+"""An agent that is none: says whatever a test wants, over real HTTP."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import threading
+from collections.abc import Callable, Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any
+
+Answer = tuple[int, dict[str, str], bytes]
+
+
+class Rogue:
+    """`answers` gives the answer to a method and path; None: the connection hangs until the end."""
+
+    def __init__(self, name: str) -> None:
+        self.asked: list[tuple[str, str]] = []
+        self.answers: Callable[[str, str], Answer | None] = lambda _method, _path: (404, {}, b"{}")
+        self.over = threading.Event()
+        rogue = self
+
+        class Handler(BaseHTTPRequestHandler):
+            protocol_version = "HTTP/1.1"
+
+            def log_message(self, *_: Any) -> None: ...
+
+            def answer(self) -> None:
+                rogue.asked.append((self.command, self.path))
+                self.rfile.read(int(self.headers.get("Content-Length") or 0))
+                told = as_json({"name": name}) if self.path == "/v1/machine" else rogue.answers(self.command, self.path)
+                if told is None:
+                    rogue.over.wait(60)
+                    self.close_connection = True
+                    return
+                status, headers, body = told
+                self.send_response(status)
+                for key, value in ({"Content-Length": str(len(body))} | headers).items():
+                    self.send_header(key, value)
+                self.end_headers()
+                with contextlib.suppress(OSError):
+                    self.wfile.write(body)
+
+            do_GET = do_POST = do_PUT = answer
+
+        self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+        self.server.daemon_threads = True
+        self.url = f"http://127.0.0.1:{self.server.server_port}"
+
+
+@contextlib.contextmanager
+def rogue_agent(name: str) -> Iterator[Rogue]:
+    rogue = Rogue(name)
+    thread = threading.Thread(target=rogue.server.serve_forever, daemon=True)
+    thread.start()
+    try:
+        yield rogue
+    finally:
+        rogue.over.set()
+        rogue.server.shutdown()
+        rogue.server.server_close()
+        thread.join()
+
+
+def as_json(values: object, status: int = 200) -> Answer:
+    return status, {"Content-Type": "application/json"}, json.dumps(values).encode()
