@@ -62,15 +62,6 @@ _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spa
 
 
 def make_app(services: Services) -> FastAPI:
-    @asynccontextmanager
-    async def life(_app: FastAPI) -> AsyncIterator[None]:
-        watching = asyncio.create_task(services.fleet.watch(), name="fleet watch")
-        yield
-        services.feed.close()
-        watching.cancel()
-        await asyncio.gather(watching, return_exceptions=True)
-        await services.fleet.aclose()
-
     app = FastAPI(
         title="causticmill",
         version=metadata.version("causticmill"),
@@ -80,7 +71,7 @@ def make_app(services: Services) -> FastAPI:
         redoc_url=None,
         redirect_slashes=False,
         telemetry=_QUIET,
-        lifespan=life,
+        lifespan=lambda _app: _life(services),
         middleware=[
             Middleware(Measured, metrics=services.metrics),
             Middleware(Guard, services=services),
@@ -94,6 +85,17 @@ def make_app(services: Services) -> FastAPI:
         app.include_router(module.router)
     app.openapi = lambda: _document(app)  # type: ignore[method-assign]
     return app
+
+
+@asynccontextmanager
+async def _life(services: Services) -> AsyncIterator[None]:
+    """Runs are looked at as long as the server serves; then streams and links to the mills' agents end."""
+    watching = asyncio.create_task(services.fleet.watch(), name="fleet watch")
+    yield
+    services.feed.close()
+    watching.cancel()
+    await asyncio.gather(watching, return_exceptions=True)
+    await services.fleet.aclose()
 
 
 def _document(app: FastAPI) -> dict[str, Any]:

@@ -140,7 +140,7 @@ class Walk:
         field: str | None = None
         match end:
             case Refused(lines, name):
-                words, field = "\n".join(lines), f"spec.{name}" if name else None
+                words, field = "\n".join(lines), name or None
             case Failed(lines):
                 words = "\n".join(lines)
             case Crashed(crash):

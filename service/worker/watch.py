@@ -55,11 +55,6 @@ class Watch:
     def start(self) -> None:
         self._thread.start()
 
-    def running(self) -> set[str]:
-        """Ids of the jobs that run here."""
-        with self._change:
-            return set(self._jobs)
-
     def is_idle_within(self, timeout_s: float) -> bool:
         """Wait until no job runs here."""
         with self._change:

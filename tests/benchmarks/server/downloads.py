@@ -43,11 +43,14 @@ def figures(deployment: Deployment, customer: Customer) -> Iterator[Figure]:
         _write(big)
         _offer(deployment.data[0], job_id, big)
         size = f"of {BIG_BYTES / 1e9:g} GB"
+        url = f"{deployment.url}/v1/jobs/{job_id}/artifacts/{_NAME}"
         before = pss_mb(deployment, "api")
-        rate = _rate(f"{deployment.url}/v1/jobs/{job_id}/artifacts/{_NAME}")
-        growth = pss_mb(deployment, "api") - before
-        yield row(f"download {size}", rate, "MB/s", n=_TIMES, least=200.0, note="best; curl, loopback")
-        yield row("API memory after that, growth", growth, "MB", n=1, note=f"before: {before:.0f} MB")
+        first, after_one = _rate(url, times=1), pss_mb(deployment, "api")
+        rate = max(first, _rate(url))
+        growth = pss_mb(deployment, "api") - after_one
+        yield row(f"download {size}", rate, "MB/s", n=_TIMES + 1, least=200.0, note="best; curl, loopback")
+        words = f"{before:.0f} MB before the first, {after_one:.0f} MB after it"
+        yield row(f"API memory, growth by {_TIMES} more downloads", growth, "MB", n=_TIMES, note=words)
         whole = _rate(f"{deployment.url}/v1/jobs/{job_id}/archive.zip")
         yield row("download of everything as a zip", whole, "MB/s", n=_TIMES, note="made while it is sent")
         for name, words in (
@@ -77,10 +80,10 @@ def _answers(url: str) -> bool:
         return False
 
 
-def _rate(url: str) -> float:
-    """MB/s as curl measures it, best of three."""
+def _rate(url: str, times: int = _TIMES) -> float:
+    """MB/s as curl measures it, the best."""
     rates = []
-    for _ in range(_TIMES):
+    for _ in range(times):
         done = subprocess.run(
             ["curl", "-fsS", "-o", os.devnull, "-w", "%{speed_download}", url],
             check=True,

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import sqlite3
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.benchmarks.server.customer import SMALL, Customer, Said
+from tests.benchmarks.server.customer import LONG, SMALL, Customer, Said
 from tests.benchmarks.server.rows import spread
 from tests.benchmarks.server.sizes import FOLLOWERS
 from tests.benchmarks.timing import Figure
@@ -41,27 +40,37 @@ class _Noted:
 
 
 def figures(deployment: Deployment, customer: Customer) -> Iterator[Figure]:
+    """The job waits behind another one until all have heard that it is queued."""
+    other = customer.submit(LONG, pixels=512, throw_mm=76)
+    customer.until(other, "stage.started")
     job_id = customer.submit(SMALL, throw_mm=77)
     noted = _Noted(deployment.data[0] / "causticmill.sqlite", job_id)
+    there = threading.Barrier(FOLLOWERS + 1, timeout=60.0)
     heard: list[list[Said]] = []
 
-    def follow(begun: float) -> None:
+    def follow() -> None:
         with Customer(deployment.url) as reader:
-            heard.append([said for said in reader.events(job_id) if "at" not in said.data or said.at > begun])
+            stream = reader.events(job_id)
+            assert next(stream).kind == "queued"
+            there.wait()
+            heard.append(list(stream))
 
-    readers = [threading.Thread(target=follow, args=(time.time() + 0.5,)) for _ in range(FOLLOWERS)]
+    readers = [threading.Thread(target=follow, daemon=True) for _ in range(FOLLOWERS)]
     for reader in readers:
         reader.start()
+    there.wait()
+    customer.cancel(other)
     for reader in readers:
         reader.join()
     noted.stop()
-    late = [said.came - said.at for said_to in heard for said in said_to if "at" in said.data]
+    assert len(heard) == FOLLOWERS
+    said = [each for heard_by_one in heard for each in heard_by_one]
+    late = [each.came - each.at for each in said if "at" in each.data]
     yield from spread(f"events to {FOLLOWERS} followers, late by", late, unit="s", most=1.0)
     steps = [
-        said.came - noted.at[step]
-        for said_to in heard
-        for said in said_to
-        if said.kind == "progress" and (step := (said.data["stage"], said.data["share"])) in noted.at
+        each.came - noted.at[step]
+        for each in said
+        if each.kind == "progress" and (step := (each.data["stage"], each.data["share"])) in noted.at
     ]
     words = "from the worker's note, itself made at most twice a second"
     yield from spread(f"progress to {FOLLOWERS} followers, late by", steps, unit="s", most=1.0, note=words)
