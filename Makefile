@@ -31,8 +31,9 @@ PORT ?= 8000
 serve: $(READY)
 	@exec $(BIN)/causticmill serve --data $(DATA) --port $(PORT)
 
+# A file of tests stays in one process, so that what its tests share is made once.
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -53,7 +54,7 @@ lock:
 	uv pip compile pyproject.toml --extra dev --generate-hashes --no-header --universal --python-version 3.11 -o requirements-dev.lock
 	uv pip compile pyproject.toml docker/build.in --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock --generate-hashes --no-header --universal --python-version 3.11 -o docker/requirements.lock
 
-# Long trials of the streamer against the simulated mill (an hour and more): out/soak.json and out/soak.md.
+# Long trials (two hours): the streamer against the simulated mill, the job server under kill -9: out/soak.json, out/soak.md.
 soak: $(READY)
 	$(BIN)/python -m tests.trials
 

@@ -27,11 +27,12 @@ def test_nothing_is_lost_in_a_storm_on_sqlite(tmp_path: Path) -> None:
 @pytest.mark.skipif(bool(missing()), reason=missing())
 def test_nothing_is_lost_in_a_storm_on_postgresql(tmp_path: Path) -> None:
     """Two workers; the database is restarted in the middle, and an owner stands still for longer than its lease."""
-    size = Size(jobs=5, kinds=4, kills=8, pause_s=(0.2, 1.5), freeze_s=6.0, patience_s=180.0)
+    size = Size(jobs=5, kinds=4, kills=10, freezes=1, restarts=1, pause_s=(0.2, 1.5), freeze_s=6.0, patience_s=180.0)
     lease = {"CAUSTICMILL_LEASE_S": "4"}
-    with running_postgres(durable=True) as database, farm(tmp_path, database.url(), environment=lease) as deployment:
-        restart = database.crash_and_restart
-        result = storm(deployment, tmp_path / "store", size, seed=12, restart_database=restart)
+    with running_postgres(durable=True) as database:
+        url, restart = database.url(), database.crash_and_restart
+        with farm(tmp_path, url, environment=lease) as deployment:
+            result = storm(deployment, tmp_path / "store", size, seed=12, restart_database=restart, database_url=url)
     assert result.broken == [], result.faults
     assert result.kills >= size.kills
 

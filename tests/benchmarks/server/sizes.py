@@ -1,10 +1,10 @@
-"""How often each figure is measured. CAUSTICMILL_BENCH_SHARE=0.2 makes all of it that much shorter."""
+"""How often each figure is measured. BENCH_SHARE=0.2 makes all of it that much shorter."""
 
 from __future__ import annotations
 
 import os
 
-SHARE = float(os.environ.get("CAUSTICMILL_BENCH_SHARE", "1"))
+SHARE = float(os.environ.get("BENCH_SHARE", "1"))
 
 
 def times(full: int) -> int:

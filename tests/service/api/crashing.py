@@ -26,7 +26,8 @@ RUN_STEPS = ("row", "ask", "put", "post", "parked", "handed")
 
 
 def points(steps: tuple[str, ...]) -> list[str]:
-    return [f"{when} {step}" for step in steps for when in ("before", "after")]
+    """Before the first step and after each: the others lie before the same writes."""
+    return [f"before {steps[0]}", *(f"after {step}" for step in steps)]
 
 
 def _trap(point: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import subprocess
 import sys
@@ -26,6 +27,22 @@ def test_a_picture_becomes_files_with_one_command(shop: Shop, tmp_path: Path) ->
     for stage in ("image", "map", "heightfield", "pass-1", "check", "report"):
         assert any(line.startswith(f"{stage}:") for line in lines), done.stdout
     assert {"report.html", "heightfield.npz", "pass-1-rough.nc"} <= {path.name for path in out.iterdir()}
+
+
+def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: Shop) -> None:
+    """By the events of the second job: the lens, its light and the roughing are taken over, the rest is made."""
+    pitches = ("0.2", "0.3")
+    for pitch in pitches:
+        words = ("submit", str(shop.picture(7)), *SMALL, "--set", f"passes.1.pitch_mm={pitch}", "--follow", "--quiet")
+        done = run(*words, server=shop.url)
+        assert done.returncode == 0, done.stderr
+    events = httpx.get(f"{shop.url}/v1/jobs/{done.stdout.strip()}/events", trust_env=False).text
+    kinds: dict[str, list[str]] = {"stage.reused": [], "stage.committed": []}
+    for kind, stage in re.findall(r'^event: (\S+)\ndata: {"stage":"(\S+?)"', events, flags=re.MULTILINE):
+        if kind in kinds:
+            kinds[kind].append(stage)
+    assert kinds["stage.reused"] == ["image", "irradiance", "map", "heightfield", "caustic", "pass-1"]
+    assert kinds["stage.committed"] == ["pass-2", "check", "report"]
 
 
 def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: Shop) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-MARK = "CAUSTICMILL_TRIAL"
+MARK = "TRIAL_MARK"
 
 _KINDS = (
     ("service.host.supervisor", "host"),
