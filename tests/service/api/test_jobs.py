@@ -10,6 +10,7 @@ import pytest
 
 from tests.service.api.server import ApiServer, png, problem, sha256
 
+UNKNOWN_ID = "d0c2cc5f-d592-4b4d-8554-150a7f903e7c"  # one for all processes: it is part of tests' names
 SPEC = {"preset": "draft", "optics": {"width_mm": 40, "height_mm": 40}}
 
 
@@ -112,7 +113,7 @@ def test_the_list_is_walked_page_by_page(server: ApiServer) -> None:
 @pytest.mark.parametrize(
     ("query", "field"),
     [("limit=0", "limit"), ("limit=201", "limit"), ("limit=x", "limit"), ("state=done", "state.0"),
-     ("cursor=x", "cursor"), (f"cursor={uuid.uuid4()}", "cursor")],
+     ("cursor=x", "cursor"), (f"cursor={UNKNOWN_ID}", "cursor")],
 )  # fmt: skip
 def test_a_wrong_query_names_the_parameter(server: ApiServer, query: str, field: str) -> None:
     problem(server.client.get(f"/v1/jobs?{query}"), 422, field)
@@ -156,9 +157,9 @@ def test_what_runs_or_succeeded_cannot_be_changed_at_will(server: ApiServer) -> 
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [("GET", "/v2", 404), ("GET", "/v1/jobs/", 404), ("GET", "/v1/jobs/1", 404), ("PUT", "/v1/jobs", 405),
-     ("GET", f"/v1/jobs/{uuid.uuid4()}:cancel", 405), ("POST", f"/v1/jobs/{uuid.uuid4()}:explode", 404),
-     ("GET", "/v1/jobs/%2e%2e/%2e%2e/etc/passwd", 404), ("GET", f"/v1/jobs/{uuid.uuid4()}", 404),
-     ("GET", f"/v1/jobs/{uuid.uuid4()}/artifacts/..%2f..%2fsecret", 404), ("GET", "/docs", 404)],
+     ("GET", f"/v1/jobs/{UNKNOWN_ID}:cancel", 405), ("POST", f"/v1/jobs/{UNKNOWN_ID}:explode", 404),
+     ("GET", "/v1/jobs/%2e%2e/%2e%2e/etc/passwd", 404), ("GET", f"/v1/jobs/{UNKNOWN_ID}", 404),
+     ("GET", f"/v1/jobs/{UNKNOWN_ID}/artifacts/..%2f..%2fsecret", 404), ("GET", "/docs", 404)],
 )  # fmt: skip
 def test_what_is_not_there_is_a_problem_too(server: ApiServer, method: str, path: str, status: int) -> None:
     problem(server.client.request(method, path), status)
