@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import signal
 
+import pytest
 from hypothesis import settings
 
 from service.kernel_cache import use_current_kernels
@@ -16,3 +18,12 @@ settings.load_profile("causticmill")
 
 # A runner under nohup hands its ignored SIGHUP down to every command that the tests start.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """`make test` stays under ten minutes on two cores; what a shorter test shows as well is run where time is."""
+    if "CAUSTICMILL_SLOW" not in os.environ:
+        skip = pytest.mark.skip(reason="thorough: runs with CAUSTICMILL_SLOW=1, as in .ci/run")
+        for item in items:
+            if item.get_closest_marker("thorough"):
+                item.add_marker(skip)

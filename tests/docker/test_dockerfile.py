@@ -61,8 +61,7 @@ def health_check() -> list[str]:
     return list(json.loads(rest.partition("CMD ")[2]))
 
 
-@pytest.mark.slow
-@pytest.mark.skipif("CAUSTICMILL_SLOW" not in os.environ, reason="minutes; CAUSTICMILL_SLOW=1, as in .ci/run")
+@pytest.mark.thorough
 def test_its_steps_make_a_server_that_serves(tmp_path: Path) -> None:
     """pip's cache of this computer is used, and sources are not compiled ahead: the rest is what the image does."""
     environment = {key: os.environ[key] for key in os.environ if not key.startswith(("CAUSTICMILL_", "PYTHON"))}

@@ -24,7 +24,7 @@ from tests.trials.server.watching import Watching
 SIZE = Size(jobs=0, kinds=0, kills=0, patience_s=120.0)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_judge_sees_each_broken_law(tmp_path: Path) -> None:
     with embedded(tmp_path) as deployment:
         customers = Customers(deployment.url, [Order(kind=0) for _ in range(8)])

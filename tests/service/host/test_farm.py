@@ -32,7 +32,7 @@ def settings(postgres: Postgres, store_url: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.parametrize("kind", ["folder", "s3"])
+@pytest.mark.parametrize("kind", ["folder", pytest.param("s3", marks=pytest.mark.thorough)])
 def test_a_dead_hosts_job_goes_on_at_another(
     postgres: Postgres, tmp_path: Path, kind: str, request: pytest.FixtureRequest
 ) -> None:

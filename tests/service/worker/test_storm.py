@@ -14,6 +14,7 @@ from tests.service.worker.storm import Storm, rage, until
 LEASE_S = 2.0
 
 
+@pytest.mark.thorough
 def test_storm_on_sqlite(tmp_path: Path) -> None:
     """One worker, ten kills of it and of its stages."""
     storm = Storm(tmp_path, {"only": ServerSettings(data=tmp_path / "data", lease_s=LEASE_S, free_disk_mb=0)})
@@ -25,6 +26,7 @@ def test_storm_on_sqlite(tmp_path: Path) -> None:
     assert broken + storm.left_over() == []
 
 
+@pytest.mark.thorough
 def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
     """Kills, an owner frozen for two leases, the database crashed: the other worker takes over."""
     if reason := missing():
