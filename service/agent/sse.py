@@ -17,10 +17,10 @@ from dataclasses import dataclass, field
 
 from starlette.types import Receive, Scope, Send
 
+from service.web.open_answer import sent, while_connected
 from service.web.problems import Problem, problem_response
 
 _QUEUE = 256
-_SEND_WAIT_S = 20.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,16 +125,10 @@ class EventStream:
         except Problem as problem:
             await problem_response(problem)(scope, receive, send)
             return
-        gone = asyncio.ensure_future(_disconnected(receive))
-        writing = asyncio.ensure_future(self._write(reader, first, send))
         try:
-            await asyncio.wait({gone, writing}, return_when=asyncio.FIRST_COMPLETED)
+            await while_connected(receive, self._write(reader, first, send))
         finally:
             self._hub.leave(reader)
-            for task in (gone, writing):
-                task.cancel()
-                with contextlib.suppress(asyncio.CancelledError, TimeoutError, OSError):
-                    await task
 
     async def _write(self, reader: Reader, first: list[Message], send: Send) -> None:
         headers = [
@@ -143,27 +137,17 @@ class EventStream:
             (b"x-accel-buffering", b"no"),
         ]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
-        await _sent(send, b"retry: 1000\n\n" + b"".join(map(self._hub.text, first)))
+        await sent(send, b"retry: 1000\n\n" + b"".join(map(self._hub.text, first)))
         while not reader.dropped:
             try:
                 message = await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)
             except TimeoutError:
-                await _sent(send, b": still here\n\n")
+                await sent(send, b": still here\n\n")
                 continue
             if message is None:
                 break
-            await _sent(send, self._hub.text(message))
-        await _sent(send, b"", more=False)
-
-
-async def _sent(send: Send, body: bytes, *, more: bool = True) -> None:
-    """Send a piece; TimeoutError where the other side has not read for long."""
-    await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": more}), _SEND_WAIT_S)
-
-
-async def _disconnected(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass
+            await sent(send, self._hub.text(message))
+        await sent(send, b"", more=False)
 
 
 def _gap(words: str) -> Message:

@@ -11,8 +11,8 @@ from starlette.types import Receive, Scope, Send
 from service.api.feed import Feed, Follower
 from service.jobs.book import JobBook
 from service.jobs.records import UnknownJobError
+from service.web.open_answer import sent, while_connected
 
-_SEND_WAIT_S = 20.0
 _MOST_AT_ONCE = 64
 _HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
@@ -34,24 +34,17 @@ class EventStream(Response):
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         async with self._feed.follow(self._job_id, self._after) as follower:
-            tasks = {asyncio.ensure_future(_disconnected(receive)), asyncio.ensure_future(self._write(follower, send))}
-            try:
-                await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                for task in tasks:
-                    task.cancel()
-                    with contextlib.suppress(asyncio.CancelledError, TimeoutError, OSError):
-                        await task
+            await while_connected(receive, self._write(follower, send))
 
     async def _write(self, follower: Follower, send: Send) -> None:
         await send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
-        await _sent(send, b"retry: 1000\n\n")
+        await sent(send, b"retry: 1000\n\n")
         going = True
         while going:
             try:
                 message = await asyncio.wait_for(follower.queue.get(), self._heartbeat_s)
             except TimeoutError:
-                await _sent(send, b": still here\n\n")
+                await sent(send, b": still here\n\n")
                 going = await self._still_there()
                 continue
             texts: list[bytes] = []
@@ -63,8 +56,8 @@ class EventStream(Response):
             else:
                 going = message is not None and not message.last
                 texts.extend([] if message is None else [message.text])
-            await _sent(send, b"".join(texts))
-        await _sent(send, b"", more=False)
+            await sent(send, b"".join(texts))
+        await sent(send, b"", more=False)
 
     async def _still_there(self) -> bool:
         """False for a job that was deleted by another process."""
@@ -74,13 +67,3 @@ class EventStream(Response):
             except UnknownJobError:
                 return False
         return True
-
-
-async def _sent(send: Send, body: bytes, *, more: bool = True) -> None:
-    """Send a piece; TimeoutError where the other side has not read for long."""
-    await asyncio.wait_for(send({"type": "http.response.body", "body": body, "more_body": more}), _SEND_WAIT_S)
-
-
-async def _disconnected(receive: Receive) -> None:
-    while (await receive())["type"] != "http.disconnect":
-        pass

@@ -10,6 +10,7 @@ from starlette.types import Message as AsgiMessage
 
 from service.agent import sse
 from service.agent.sse import EventStream, Hub
+from service.web import open_answer
 from service.web.problems import Problem
 
 
@@ -105,7 +106,7 @@ def test_the_stream_has_ids_heartbeats_and_an_end() -> None:
 
 
 def test_a_connection_that_is_stuck_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sse, "_SEND_WAIT_S", 0.01)
+    monkeypatch.setattr(open_answer, "_SEND_WAIT_S", 0.01)
 
     async def trial() -> None:
         hub = Hub(ring=10, readers=1)
