@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
+from optics.bench import Bench
 from optics.heightfield import Heightfield
 from optics.refraction import refracted_tangent
-from optics.screen import Screen
 from optics.spline import Array, spline_weights
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
@@ -227,19 +227,18 @@ def _splat(
 
 def simulate_caustic(
     heightfield: Heightfield,
+    bench: Bench,
     *,
-    throw_mm: float,
-    refractive_index: float,
-    screen: Screen,
     pixels: tuple[int, int],
     tubes_per_cell: int = 4,
 ) -> Caustic:
-    """Irradiance that collimated light through the heightfield makes on a screen throw_mm above Z0.
+    """Irradiance that the light of the bench makes on its screen by way of the heightfield.
 
     pixels         : (ny, nx) of the screen
     tubes_per_cell : tubes along each side of a heightfield cell; fewer than 4 flatter the score
     """
     ny, nx = pixels
+    screen = bench.screen
     spline = heightfield.spline()
     cell_rows = heightfield.y_mm.size - 1
     cells = cell_rows * (heightfield.x_mm.size - 1)
@@ -251,7 +250,7 @@ def simulate_caustic(
         reflected = _splat(
             spline.coefs, spline.x0_mm, spline.y0_mm, spline.dx_mm, spline.dy_mm,
             int(bounds[strip]), int(bounds[strip + 1]), tubes_per_cell,
-            throw_mm, refractive_index, screen.left_mm, screen.bottom_mm,
+            bench.throw_mm, bench.refractive_index, screen.left_mm, screen.bottom_mm,
             nx / screen.width_mm, ny / screen.height_mm, flux, acc,
         )  # fmt: skip
         return acc, reflected

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -19,55 +19,15 @@ from optics.flow import PaperFlow
 from optics.heightfield import Heightfield
 from optics.map_inversion import screen_positions
 from optics.metrics import CausticScore, score_caustic
-from optics.optical_path import Bench, heights_mm
+from optics.optical_path import heights_mm
 from optics.paper_surface import paper_lens
-from optics.screen import Screen
+from optics.settings import LensSettings
 from optics.spline import Array
 from optics.transport import TOLERANCE, OpticalPath, solve_transport
 from optics.transport_map import TransportMap
 
 CLOSING_PER_BALL = 1.5  # the closing lets curvature of 1.5 / radius through, so it closes wider than the ball
 _MOST_LOST = 0.05  # of the light, for a lens that counts as converged
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LensSettings:
-    """The optical task. Lengths in mm; the aperture's lower left corner is the origin, the screen is centred on it."""
-
-    width_mm: float
-    height_mm: float
-    throw_mm: float
-    refractive_index: float
-    screen_width_mm: float
-    screen_height_mm: float
-    skim_mm: float
-    method: Literal["transport", "paper"] = "transport"
-    corrections: int = 2
-    min_radius_mm: float = 0.0
-    vertices_per_pixel: int = 2
-
-    @property
-    def screen(self) -> Screen:
-        return Screen(
-            width_mm=self.screen_width_mm,
-            height_mm=self.screen_height_mm,
-            centre_x_mm=self.width_mm / 2,
-            centre_y_mm=self.height_mm / 2,
-        )
-
-    @property
-    def bench(self) -> Bench:
-        return Bench(
-            width_mm=self.width_mm,
-            height_mm=self.height_mm,
-            throw_mm=self.throw_mm,
-            refractive_index=self.refractive_index,
-            screen=self.screen,
-        )
-
-    def vertices(self, pixels: int) -> int:
-        """Heightfield vertices along a side of that many pixels."""
-        return self.vertices_per_pixel * pixels + 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -98,12 +58,12 @@ def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> Le
     ny, nx = target.shape
     lens = paper_lens(
         target,
-        width_mm=settings.width_mm,
-        height_mm=settings.height_mm,
-        throw_mm=settings.throw_mm,
-        refractive_index=settings.refractive_index,
-        screen_width_mm=settings.screen_width_mm,
-        screen_height_mm=settings.screen_height_mm,
+        width_mm=settings.bench.width_mm,
+        height_mm=settings.bench.height_mm,
+        throw_mm=settings.bench.throw_mm,
+        refractive_index=settings.bench.refractive_index,
+        screen_width_mm=settings.bench.screen.width_mm,
+        screen_height_mm=settings.bench.screen.height_mm,
         skim_mm=settings.skim_mm,
         vertices_x=settings.vertices(nx),
         vertices_y=settings.vertices(ny),
@@ -169,22 +129,15 @@ def _by_transport(target: Array, settings: LensSettings, report: Progress) -> Le
 
 def _seen(path: OpticalPath, target: Array, settings: LensSettings) -> _Pass:
     lens = _surface(path, settings)
-    caustic = simulate_caustic(
-        lens,
-        throw_mm=settings.throw_mm,
-        refractive_index=settings.refractive_index,
-        screen=settings.screen,
-        pixels=target.shape,
-        tubes_per_cell=2,
-    )
+    caustic = simulate_caustic(lens, settings.bench, pixels=target.shape, tubes_per_cell=2)
     return _Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
 
 
 def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
     """Heights at the lens vertices: invert the map, then the closed form of optical_path.heights_mm."""
     ny, nx = path.path_mm.shape
-    x_mm = np.linspace(0.0, settings.width_mm, settings.vertices(nx))
-    y_mm = np.linspace(0.0, settings.height_mm, settings.vertices(ny))
+    x_mm = np.linspace(0.0, settings.bench.width_mm, settings.vertices(nx))
+    y_mm = np.linspace(0.0, settings.bench.height_mm, settings.vertices(ny))
     corners = path.transport_map().lens_mm
     u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
     t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench)

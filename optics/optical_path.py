@@ -14,57 +14,12 @@ frame, so that mirror images continue it and cosines fit it.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
-from optics.screen import Screen
+from optics.bench import Bench
 from optics.spline import Array, BicubicSpline
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bench:
-    """The fixed geometry: aperture (lower left corner at the origin), screen, distance and glass. Lengths in mm."""
-
-    width_mm: float
-    height_mm: float
-    throw_mm: float
-    refractive_index: float
-    screen: Screen
-
-    def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:
-        """Path, less its constant, that spreads the aperture about evenly over the screen; at points of it (broadcast).
-
-        Shift (kx x, ky y) with k = 1 - aperture / screen and x, y from the centre; S = sqrt(|shift|^2 + H^2). Of a thin
-        lens the path's gradient is shift / S; for kx = ky that is the path (kx x^2 + ky y^2) / (S + H).
-        """
-        s = self.screen
-        kx, ky = 1 - self.width_mm / s.width_mm, 1 - self.height_mm / s.height_mm
-        x, y = qx_mm - s.centre_x_mm, qy_mm - s.centre_y_mm
-        ray = np.sqrt((kx * x) ** 2 + (ky * y) ** 2 + self.throw_mm**2)
-        return np.asarray((kx * x**2 + ky * y**2) / (ray + self.throw_mm))
-
-    def pixel_centres_mm(self, nx: int, ny: int) -> tuple[Array, Array]:
-        s = self.screen
-        return (
-            s.left_mm + (np.arange(nx) + 0.5) * s.width_mm / nx,
-            s.bottom_mm + (np.arange(ny) + 0.5) * s.height_mm / ny,
-        )
-
-    def kernel_arguments(self, nx: int, ny: int) -> tuple[float, ...]:
-        """throw, index, screen left and bottom, pixel size, aperture size: what the kernels below take."""
-        s = self.screen
-        return (
-            self.throw_mm,
-            self.refractive_index,
-            s.left_mm,
-            s.bottom_mm,
-            s.width_mm / nx,
-            s.height_mm / ny,
-            self.width_mm,
-            self.height_mm,
-        )
 
 
 @njit(cache=True, nogil=True, inline="always")

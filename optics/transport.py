@@ -22,8 +22,9 @@ from numba import njit
 from scipy import fft
 from scipy.ndimage import map_coordinates
 
+from optics.bench import Bench
 from optics.errors import TotalReflectionError
-from optics.optical_path import Bench, preimage_areas, preimages_of_corners, rim_slopes
+from optics.optical_path import preimage_areas, preimages_of_corners, rim_slopes
 from optics.spline import Array
 from optics.threads import over_rows, thread_count
 from optics.transport_map import TransportMap

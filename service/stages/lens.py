@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import isfinite
 
-from optics.design import LensDesign, LensSettings, design_lens
+from optics.bench import Bench
+from optics.design import LensDesign, design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.settings import LensSettings
 from service.job_files import HEIGHTFIELD, MAP, SOLID
 from service.lens_facts import LensFacts, measure_lens
 from service.picture import read_picture
@@ -24,14 +26,15 @@ PICTURE, TARGET, HEIGHTS = ".picture.npz", ".target.npz", ".heights.npz"
 def lens_settings(spec: JobSpec) -> LensSettings:
     """The optical task of a job."""
     optics = spec.optics
-    screen_width_mm, screen_height_mm = optics.screen_size_mm
-    return LensSettings(
+    bench = Bench.centred(
         width_mm=optics.width_mm,
         height_mm=optics.height_mm,
         throw_mm=optics.throw_mm,
         refractive_index=optics.refractive_index,
-        screen_width_mm=screen_width_mm,
-        screen_height_mm=screen_height_mm,
+        screen_mm=optics.screen_size_mm,
+    )
+    return LensSettings(
+        bench=bench,
         skim_mm=spec.stock.skim_mm,
         method=optics.method,
         corrections=optics.corrections,

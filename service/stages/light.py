@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import isfinite
 
 from optics.caustic import Caustic, simulate_caustic
@@ -20,16 +21,14 @@ def caustic(shop: Workshop) -> None:
     """Simulated light: scores into report `optics`, caustic.png, comparison.png, through-focus.png."""
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = shop.receive(MAP, arrays.load_target)
-    settings = lens_settings(shop.spec)
+    bench = lens_settings(shop.spec).bench
     with shop.watch.stage("caustic") as reached:
         seen = []
         for number, factor in enumerate(THROUGH_FOCUS, 1):
             seen.append(
                 simulate_caustic(
                     heightfield,
-                    throw_mm=factor * settings.throw_mm,
-                    refractive_index=settings.refractive_index,
-                    screen=settings.screen,
+                    replace(bench, throw_mm=factor * bench.throw_mm),
                     pixels=(target.shape[0], target.shape[1]),
                     tubes_per_cell=4 if factor == 1.0 else 2,
                 )

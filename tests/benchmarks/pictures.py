@@ -8,19 +8,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from optics.design import LensSettings
+from optics.bench import Bench
 from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
+from optics.settings import LensSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAPER_SETTING = LensSettings(
-    width_mm=100.0,
-    height_mm=100.0,
-    throw_mm=100.0,
-    refractive_index=1.49,
-    screen_width_mm=100.0,
-    screen_height_mm=100.0,
-    skim_mm=0.1,
+    bench=Bench.centred(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49), skim_mm=0.1
 )
 
 

@@ -30,9 +30,7 @@ def figures() -> Iterator[Figure]:
             )
             walls.append(wall)
             lens = designs[-1].heightfield
-            light = simulate_caustic(
-                lens, throw_mm=100, refractive_index=1.49, screen=settings.screen, pixels=goal.shape
-            )
+            light = simulate_caustic(lens, settings.bench, pixels=goal.shape)
             score = score_caustic(light.irradiance, goal)
             note = (
                 f"CPU {cpu:.2f} s; {score.psnr_db:.2f} dB, SSIM {score.ssim:.4f}, "
@@ -43,9 +41,5 @@ def figures() -> Iterator[Figure]:
         yield Figure(f"growth of that time, {name}, {corrections} corrections", growth, "power of the picture's side")
     goal = target("camera", 512)
     lens = design_lens(goal, PAPER_SETTING).heightfield
-    wall, cpu = seconds(
-        lambda: simulate_caustic(
-            lens, throw_mm=100, refractive_index=1.49, screen=PAPER_SETTING.screen, pixels=goal.shape
-        )
-    )
+    wall, cpu = seconds(lambda: simulate_caustic(lens, PAPER_SETTING.bench, pixels=goal.shape))
     yield Figure("caustic of a 1025 x 1025 lens, 4 x 4 tubes a cell", wall, "s", f"CPU {cpu:.2f} s")

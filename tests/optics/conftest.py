@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from optics.design import LensSettings
+from optics.bench import Bench
 from optics.screen import Screen
+from optics.settings import LensSettings
 
 
 @pytest.fixture
@@ -17,15 +18,8 @@ def screen() -> Screen:
 @pytest.fixture
 def settings() -> LensSettings:
     """A 20 mm lens for a picture of the same size."""
-    return LensSettings(
-        width_mm=20.0,
-        height_mm=20.0,
-        throw_mm=40.0,
-        refractive_index=1.49,
-        screen_width_mm=20.0,
-        screen_height_mm=20.0,
-        skim_mm=0.1,
-    )
+    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49)
+    return LensSettings(bench=bench, skim_mm=0.1)
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
+from optics.bench import Bench
 from optics.caustic import add_edge, simulate_caustic
 from optics.heightfield import Heightfield
 from optics.refraction import refracted_tangent
@@ -24,9 +25,14 @@ def lens_of(height, vertices: int = 81) -> Heightfield:
     return Heightfield.on_aperture(height(*np.meshgrid(axis, axis)), width_mm=20.0, height_mm=20.0)
 
 
+def facing(screen: Screen, *, throw_mm: float) -> Bench:
+    """Collimated light; what the aperture measures is the heightfield's affair."""
+    return Bench(width_mm=20.0, height_mm=20.0, throw_mm=throw_mm, refractive_index=N, screen=screen)
+
+
 def test_flat_lens_shows_nothing(screen: Screen) -> None:
     flat = lens_of(lambda x, y: 0 * x - 0.3)
-    caustic = simulate_caustic(flat, throw_mm=40, refractive_index=N, screen=screen, pixels=(30, 20))
+    caustic = simulate_caustic(flat, facing(screen, throw_mm=40), pixels=(30, 20))
     np.testing.assert_allclose(caustic.irradiance, 1.0, atol=1e-12)
     assert abs(caustic.outside_share) < 1e-12
 
@@ -37,7 +43,7 @@ def test_prism_shifts_and_stretches_by_exact_snell(slope: float) -> None:
     throw, m = 40.0, refracted_tangent(slope**2, N)
     prism = lens_of(lambda x, y: -12 + slope * x)
     wide = Screen(width_mm=80.0, height_mm=20.0, centre_x_mm=10.0, centre_y_mm=10.0)
-    light = simulate_caustic(prism, throw_mm=throw, refractive_index=N, screen=wide, pixels=(20, 800)).irradiance[10]
+    light = simulate_caustic(prism, facing(wide, throw_mm=throw), pixels=(20, 800)).irradiance[10]
     left = m * slope * (throw + 12)
     right = 20 + m * slope * (throw + 12 - slope * 20)
     edges = np.linspace(-30, 50, 801)
@@ -51,7 +57,7 @@ def test_paraxial_parabola_changes_the_light_by_the_square_of_its_magnification(
     lens = lens_of(lambda x, y: -((x - 10) ** 2 + (y - 10) ** 2) / (2 * (N - 1) * focal_mm))
     spot = Screen(width_mm=0.2, height_mm=0.2, centre_x_mm=10.0, centre_y_mm=10.0)
     throw = 20.0
-    caustic = simulate_caustic(lens, throw_mm=throw, refractive_index=N, screen=spot, pixels=(2, 2), tubes_per_cell=8)
+    caustic = simulate_caustic(lens, facing(spot, throw_mm=throw), pixels=(2, 2), tubes_per_cell=8)
     per_area = caustic.irradiance.sum() / 4 / (0.2 * 0.2 / 400.0)
     assert per_area == pytest.approx((1 - throw / focal_mm) ** -2, rel=0.01)
 
@@ -67,7 +73,7 @@ def test_hyperboloid_focuses_on_one_point() -> None:
 
     lens = lens_of(height, vertices=161)
     screen = Screen(width_mm=20.0, height_mm=20.0, centre_x_mm=10.0, centre_y_mm=10.0)
-    caustic = simulate_caustic(lens, throw_mm=throw - 3, refractive_index=N, screen=screen, pixels=(200, 200))
+    caustic = simulate_caustic(lens, facing(screen, throw_mm=throw - 3), pixels=(200, 200))
     assert caustic.irradiance[99, 100] == pytest.approx(200 * 200, rel=1e-6)
 
 
@@ -81,9 +87,7 @@ def test_tubes_agree_with_an_independent_ray_tracer(vertices: tuple[int, int], t
     x, y = np.meshgrid(x_mm, y_mm)
     lens = Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=-6 + 0.5 * np.sin(0.4 * x + 0.2 * y) * np.cos(0.5 * y) + 0.05 * x)
     screen = Screen(width_mm=30.0, height_mm=14.0, centre_x_mm=11.0, centre_y_mm=9.0)
-    light = simulate_caustic(
-        lens, throw_mm=25.0, refractive_index=N, screen=screen, pixels=(14, 20), tubes_per_cell=tubes
-    )
+    light = simulate_caustic(lens, facing(screen, throw_mm=25.0), pixels=(14, 20), tubes_per_cell=tubes)
     surface = RectBivariateSpline(y_mm, x_mm, lens.z_mm)
     at_x, at_y = (np.arange(1200) + 0.5) * 24 / 1200, (np.arange(800) + 0.5) * 16 / 800
     z = surface(at_y, at_x)
@@ -104,7 +108,7 @@ def test_tubes_agree_with_an_independent_ray_tracer(vertices: tuple[int, int], t
 
 def test_45_degree_prism_reflects_everything(screen: Screen) -> None:
     prism = lens_of(lambda x, y: -25 + x)
-    caustic = simulate_caustic(prism, throw_mm=40, refractive_index=N, screen=screen, pixels=(10, 10))
+    caustic = simulate_caustic(prism, facing(screen, throw_mm=40), pixels=(10, 10))
     assert caustic.reflected_share == pytest.approx(1.0, abs=1e-12)
     assert caustic.irradiance.sum() == 0
 
@@ -116,9 +120,7 @@ def test_no_light_is_lost_or_made(seed: int, tubes: int, strength: float) -> Non
     bumps = strength * np.random.default_rng(seed).random((12, 12))
     lens = Heightfield.on_aperture(bumps - 4.0, width_mm=20.0, height_mm=20.0)
     hall = Screen(width_mm=2000.0, height_mm=2000.0, centre_x_mm=10.0, centre_y_mm=10.0)
-    caustic = simulate_caustic(
-        lens, throw_mm=40, refractive_index=N, screen=hall, pixels=(64, 64), tubes_per_cell=tubes
-    )
+    caustic = simulate_caustic(lens, facing(hall, throw_mm=40), pixels=(64, 64), tubes_per_cell=tubes)
     assert caustic.irradiance.min() > -1e-9
     assert caustic.irradiance.sum() / 64**2 + caustic.reflected_share == pytest.approx(1.0, abs=1e-11)
 
@@ -146,9 +148,7 @@ def test_more_tubes_converge() -> None:
     lens = lens_of(lambda x, y: -1 + 0.02 * np.sin(2 * x) * np.cos(1.5 * y))
     screen = Screen(width_mm=20.0, height_mm=20.0, centre_x_mm=10.0, centre_y_mm=10.0)
     pictures = [
-        simulate_caustic(
-            lens, throw_mm=20, refractive_index=N, screen=screen, pixels=(40, 40), tubes_per_cell=k
-        ).irradiance
+        simulate_caustic(lens, facing(screen, throw_mm=20), pixels=(40, 40), tubes_per_cell=k).irradiance
         for k in (4, 8)
     ]
     assert math.sqrt(np.mean((pictures[0] - pictures[1]) ** 2)) < 0.01

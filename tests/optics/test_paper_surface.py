@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.errors import TotalReflectionError
 from optics.metrics import score_caustic
 from optics.paper_surface import paper_lens, solve_paper_surface
 from optics.refraction import slope_for_shift
-from optics.screen import Screen
 
 INDEX = 1.49
 
@@ -38,15 +38,11 @@ def lens_for(picture, *, width_mm=40.0, height_mm=40.0, throw_mm=60.0, screen=(4
 
 
 def score(lens, picture, *, throw_mm=60.0, screen=(40.0, 40.0)):
-    rectangle = Screen(
-        width_mm=screen[0],
-        height_mm=screen[1],
-        centre_x_mm=lens.heightfield.width_mm / 2,
-        centre_y_mm=lens.heightfield.height_mm / 2,
+    made = lens.heightfield
+    bench = Bench.centred(
+        width_mm=made.width_mm, height_mm=made.height_mm, throw_mm=throw_mm, refractive_index=INDEX, screen_mm=screen
     )
-    caustic = simulate_caustic(
-        lens.heightfield, throw_mm=throw_mm, refractive_index=INDEX, screen=rectangle, pixels=picture.shape
-    )
+    caustic = simulate_caustic(made, bench, pixels=picture.shape)
     return score_caustic(caustic.irradiance, picture)
 
 
@@ -121,10 +117,8 @@ def test_a_stuck_mesh_still_gives_a_lens_whose_picture_is_recognisable():
     lens = lens_for(picture)
     assert not lens.converged and "stuck" in lens.message
     assert lens.heightfield.z_mm.max() <= -0.2 + 1e-12
-    rectangle = Screen(width_mm=40.0, height_mm=40.0, centre_x_mm=20.0, centre_y_mm=20.0)
-    caustic = simulate_caustic(
-        lens.heightfield, throw_mm=60.0, refractive_index=INDEX, screen=rectangle, pixels=(48, 48)
-    )
+    bench = Bench.centred(width_mm=40.0, height_mm=40.0, throw_mm=60.0, refractive_index=INDEX)
+    caustic = simulate_caustic(lens.heightfield, bench, pixels=(48, 48))
     assert np.corrcoef(caustic.irradiance.ravel(), picture.ravel())[0, 1] > 0.8
     assert lens.history()[-1]["stage"] == "surface"
 

@@ -10,25 +10,28 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
+from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.design import LensSettings, design_lens
+from optics.design import design_lens
 from optics.errors import TotalReflectionError
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
 from optics.optical_path import rim_slopes
 from optics.refraction import refracted_tangent
+from optics.settings import LensSettings
 from optics.transport import box_averaged, level_shapes, solve_transport
+
+
+def on_screen(settings: LensSettings, screen_mm: tuple[float, float], **changes: float) -> LensSettings:
+    """The same lens, or one of another height or throw, before a centred screen of that size."""
+    of = settings.bench
+    sizes = {"width_mm": of.width_mm, "height_mm": of.height_mm, "throw_mm": of.throw_mm} | changes
+    return replace(settings, bench=Bench.centred(refractive_index=of.refractive_index, screen_mm=screen_mm, **sizes))
 
 
 def scored(target: np.ndarray, settings: LensSettings) -> CausticScore:
     lens = design_lens(target, settings).heightfield
-    caustic = simulate_caustic(
-        lens,
-        throw_mm=settings.throw_mm,
-        refractive_index=settings.refractive_index,
-        screen=settings.screen,
-        pixels=target.shape,
-    )
+    caustic = simulate_caustic(lens, settings.bench, pixels=target.shape)
     return score_caustic(caustic.irradiance, target)
 
 
@@ -70,9 +73,7 @@ def test_viewer_sees_the_picture_the_right_way_round(
     """The bright blob is upper left in the picture; by hand: +Y is up, and from the lens's side +X is to the left."""
     target = target_irradiance(soft_picture, viewed_from=viewed_from)  # type: ignore[arg-type]
     lens = design_lens(target, settings).heightfield
-    light = simulate_caustic(
-        lens, throw_mm=40, refractive_index=1.49, screen=settings.screen, pixels=target.shape
-    ).irradiance
+    light = simulate_caustic(lens, settings.bench, pixels=target.shape).irradiance
     row, column = np.unravel_index(light.argmax(), light.shape)
     assert row > 30  # high Y
     assert (column > 30) if viewed_from == "lens" else (column < 18)
@@ -109,7 +110,7 @@ def test_black_areas_converge_without_a_floor(settings: LensSettings) -> None:
 def test_other_screen_sizes_and_shapes(settings: LensSettings, soft_picture: np.ndarray) -> None:
     """A 20 x 10 mm lens onto a 30 x 15 mm screen: the frame lands on the frame."""
     target = target_irradiance(soft_picture[:24], viewed_from="lens")
-    wide = replace(settings, height_mm=10.0, screen_width_mm=30.0, screen_height_mm=15.0)
+    wide = on_screen(settings, (30.0, 15.0), height_mm=10.0)
     score = scored(target, wide)
     assert score.psnr_db > 38
     assert score.misplaced_light < 0.005
@@ -121,7 +122,7 @@ def test_another_screen_takes_hardly_more_steps(
 ) -> None:
     """Rim slopes and piston come to rest with the map: 5 steps for the same screen as the aperture, here under 20."""
     target = target_irradiance(soft_picture[:24], viewed_from="lens")
-    task = replace(settings, height_mm=10.0, screen_width_mm=screen_mm[0], screen_height_mm=screen_mm[1])
+    task = on_screen(settings, screen_mm, height_mm=10.0)
     solution = solve_transport(target, task.bench, skim_mm=0.1)
     assert solution.converged
     assert sum(level.iterations for level in solution.levels) < 20
@@ -135,13 +136,11 @@ def test_light_from_p_lands_on_q(
     settings: LensSettings, soft_picture: np.ndarray, screen_mm: tuple[float, float]
 ) -> None:
     """The map read off the optical path is the one that Snell's law finds on the surface, to 2 % of a pixel."""
-    task = replace(
-        settings, screen_width_mm=screen_mm[0], screen_height_mm=screen_mm[1], corrections=0, vertices_per_pixel=4
-    )
+    task = replace(on_screen(settings, screen_mm), corrections=0, vertices_per_pixel=4)
     design = design_lens(target_irradiance(soft_picture, viewed_from="lens"), task)
     p, q = design.transport_map.lens_mm[1:-1, 1:-1], design.transport_map.screen_mm[1:-1, 1:-1]
     z, zx, zy, *_ = design.heightfield.spline().jets(p[..., 0], p[..., 1])
-    way_mm = (task.throw_mm - z) * np.vectorize(refracted_tangent)(zx**2 + zy**2, task.refractive_index)
+    way_mm = (task.bench.throw_mm - z) * np.vectorize(refracted_tangent)(zx**2 + zy**2, task.bench.refractive_index)
     landed = p + np.stack([way_mm * zx, way_mm * zy], axis=-1)
     assert np.linalg.norm(q - p, axis=-1).max() > 2
     np.testing.assert_allclose(landed, q, atol=0.02 * min(screen_mm) / 48)
@@ -149,7 +148,7 @@ def test_light_from_p_lands_on_q(
 
 def test_rim_slopes_send_light_from_frame_to_frame(settings: LensSettings) -> None:
     """s = shift / R on the frame, with R = (n H - c) / (n s_z - 1): the equation whose root is taken in closed form."""
-    bench = replace(settings, screen_width_mm=33.0, screen_height_mm=14.0).bench
+    bench = on_screen(settings, (33.0, 14.0)).bench
     rng = np.random.default_rng(3)
     c = 38 + np.cumsum(rng.uniform(-0.05, 0.05, (9, 12)), axis=0)
     rim_x, rim_y = rim_slopes(c, bench)
@@ -165,7 +164,7 @@ def test_rim_slopes_send_light_from_frame_to_frame(settings: LensSettings) -> No
 
 def test_even_light_on_a_larger_screen_starts_close_to_its_solution(settings: LensSettings) -> None:
     """The base path alone spreads the aperture over the screen, up to the lens's relief."""
-    bench = replace(settings, screen_width_mm=45.0, screen_height_mm=45.0).bench
+    bench = on_screen(settings, (45.0, 45.0)).bench
     solution = solve_transport(np.ones((24, 24)), bench, skim_mm=0.1)
     qx, qy = bench.pixel_centres_mm(24, 24)
     base = bench.base_path_mm(qx[None, :], qy[:, None])
@@ -180,12 +179,7 @@ def test_random_pictures_never_fold_or_fail(seed: int, contrast: float, shape: t
     rng = np.random.default_rng(seed)
     target = target_irradiance(contrast ** rng.random(shape), viewed_from="lens")
     task = LensSettings(
-        width_mm=20.0,
-        height_mm=20.0 * shape[0] / shape[1],
-        throw_mm=60.0,
-        refractive_index=1.49,
-        screen_width_mm=20.0,
-        screen_height_mm=20.0 * shape[0] / shape[1],
+        bench=Bench.centred(width_mm=20.0, height_mm=20.0 * shape[0] / shape[1], throw_mm=60.0, refractive_index=1.49),
         skim_mm=0.2,
         corrections=1,
     )
@@ -200,18 +194,18 @@ def test_throw_too_short_names_the_shortest(settings: LensSettings) -> None:
     picture = np.full((32, 32), 0.01)
     picture[4:12, 4:12] = 1.0
     with pytest.raises(TotalReflectionError, match="throw_mm = 3") as caught:
-        design_lens(target_irradiance(picture, viewed_from="lens"), replace(settings, throw_mm=3.0))
-    longer = replace(settings, throw_mm=1.2 * caught.value.shortest_throw_mm)
+        design_lens(target_irradiance(picture, viewed_from="lens"), settings.on_bench(throw_mm=3.0))
+    longer = settings.on_bench(throw_mm=1.2 * caught.value.shortest_throw_mm)
     assert design_lens(target_irradiance(picture, viewed_from="lens"), longer).converged
 
 
 def test_the_throw_that_is_named_is_enough_for_a_large_screen(settings: LensSettings, soft_picture: np.ndarray) -> None:
     target = target_irradiance(soft_picture, viewed_from="lens")
-    hall = replace(settings, screen_width_mm=50.0, screen_height_mm=50.0, throw_mm=10.0)
+    hall = on_screen(settings, (50.0, 50.0), throw_mm=10.0)
     with pytest.raises(TotalReflectionError) as caught:
         design_lens(target, hall)
-    assert design_lens(target, replace(hall, throw_mm=caught.value.shortest_throw_mm)).converged
-    facade = replace(settings, screen_width_mm=4000.0, screen_height_mm=4000.0, throw_mm=50.0)
+    assert design_lens(target, hall.on_bench(throw_mm=caught.value.shortest_throw_mm)).converged
+    facade = on_screen(settings, (4000.0, 4000.0), throw_mm=50.0)
     with pytest.raises(TotalReflectionError, match="throw_mm = 50 is too short"):
         design_lens(target, facade)
 
@@ -228,7 +222,7 @@ def test_a_lens_that_loses_its_light_has_not_converged(settings: LensSettings) -
     """All light in one corner pixel: the map exists, but the vertices are too few and most light misses the screen."""
     picture = np.zeros((64, 64))
     picture[0, 0] = 1.0
-    design = design_lens(target_irradiance(picture, viewed_from="lens"), replace(settings, throw_mm=27.0))
+    design = design_lens(target_irradiance(picture, viewed_from="lens"), settings.on_bench(throw_mm=27.0))
     assert design.history[-1]["lost_light"] > 0.5
     assert not design.converged
     assert "misses the screen" in design.message
@@ -241,14 +235,7 @@ def test_the_best_pass_is_kept(settings: LensSettings) -> None:
     scores = [record["psnr_db"] for record in design.history]
     assert len(scores) == 3
     assert max(scores) > scores[-1] + 0.5
-    kept = simulate_caustic(
-        design.heightfield,
-        throw_mm=settings.throw_mm,
-        refractive_index=settings.refractive_index,
-        screen=settings.screen,
-        pixels=target.shape,
-        tubes_per_cell=2,
-    )
+    kept = simulate_caustic(design.heightfield, settings.bench, pixels=target.shape, tubes_per_cell=2)
     assert score_caustic(kept.irradiance, target).psnr_db == pytest.approx(max(scores))
 
 

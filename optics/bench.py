@@ -1,0 +1,142 @@
+"""The fixed set-up that a lens is made for: aperture, glass, light and screen."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from optics.light import Beam, Light, disc_points, meet
+from optics.screen import Screen
+from optics.spline import Array
+
+Branch = Literal["direct", "inverted"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Bench:
+    """Lengths in mm. The aperture's lower left corner is the origin, the screen stands throw_mm above Z0.
+
+    thickness_mm : from Z0 down to the flat face that light enters by; matters for diverging or tilted light
+    mirror       : the surface reflects light that comes from above, instead of refracting what comes through the block
+    outline_mm   : (k, 2) corners, counter-clockwise, of the lens within its aperture: dark outside. None: all of it
+    branch       : "inverted": rays cross before the screen, which turns valleys into ridges at the price of relief
+    """
+
+    width_mm: float
+    height_mm: float
+    throw_mm: float
+    refractive_index: float
+    screen: Screen
+    thickness_mm: float = 40.0
+    mirror: bool = False
+    light: Light = field(default_factory=Light)
+    outline_mm: Array | None = None
+    branch: Branch = "direct"
+
+    @classmethod
+    def centred(
+        cls,
+        *,
+        width_mm: float,
+        height_mm: float,
+        throw_mm: float,
+        refractive_index: float,
+        screen_mm: tuple[float, float] | None = None,
+        shift_mm: tuple[float, float] = (0.0, 0.0),
+        **others: Any,
+    ) -> Bench:
+        """A screen of that size (None: the aperture's) whose centre lies shift_mm aside of the aperture's."""
+        wide, high = screen_mm or (width_mm, height_mm)
+        screen = Screen(
+            width_mm=wide,
+            height_mm=high,
+            centre_x_mm=width_mm / 2 + shift_mm[0],
+            centre_y_mm=height_mm / 2 + shift_mm[1],
+        )
+        return cls(
+            width_mm=width_mm,
+            height_mm=height_mm,
+            throw_mm=throw_mm,
+            refractive_index=refractive_index,
+            screen=screen,
+            **others,
+        )
+
+    def beam(self, *, aside: tuple[float, float] = (0.0, 0.0)) -> Beam:
+        """One beam of the light: the middle one, or one at `aside`, in units of the source's radius."""
+        light = self.light
+        centre_x, centre_y = self.width_mm / 2, self.height_mm / 2
+        index, face = (1.0, 0.0) if self.mirror else (self.refractive_index, -self.thickness_mm)
+        tan_x, tan_y = (math.tan(angle) for angle in light.tilt_rad)
+        sign = -1.0 if self.mirror else 1.0
+        if light.kind == "point":
+            radius = light.size_mm / 2
+            x = centre_x - light.distance_mm * tan_x + radius * aside[0]
+            y = centre_y - light.distance_mm * tan_y + radius * aside[1]
+            z = face - sign * light.distance_mm
+        else:
+            radius = math.radians(light.size_deg) / 2 if light.kind == "sun" else 0.0
+            tan_x, tan_y = tan_x + radius * aside[0], tan_y + radius * aside[1]
+            in_air = math.sqrt(1.0 + tan_x**2 + tan_y**2)
+            x, y = tan_x / in_air / index, tan_y / in_air / index  # the flat face keeps n times the sine
+            z = sign * math.sqrt(1.0 - x * x - y * y)
+        strength = np.ones((1, 1)) if light.profile is None else np.ascontiguousarray(light.profile, dtype=np.float64)
+        beam = Beam(
+            is_point=light.kind == "point",
+            is_mirror=self.mirror,
+            x=x,
+            y=y,
+            z=z,
+            centre_x=centre_x,
+            centre_y=centre_y,
+            refractive_index=index,
+            face=face,
+            offset=0.0,
+            strength=strength,
+            cells_per_mm_x=(strength.shape[1] - 1) / self.width_mm,
+            cells_per_mm_y=(strength.shape[0] - 1) / self.height_mm,
+        )
+        return beam._replace(offset=meet(beam, centre_x, centre_y, 0.0)[3])
+
+    def bundle(self, beams: int) -> list[Beam]:
+        """The light as that many beams of equal strength; one where the source has no size."""
+        if not self.light.extended or beams <= 1:
+            return [self.beam()]
+        return [self.beam(aside=(float(x), float(y))) for x, y in disc_points(beams)]
+
+    def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:
+        """Path, less its constant, that spreads the aperture about evenly over the screen; at points of it (broadcast).
+
+        Shift (kx x, ky y) with k = 1 - aperture / screen and x, y from the centre; S = sqrt(|shift|^2 + H^2). Of a thin
+        lens the path's gradient is shift / S; for kx = ky that is the path (kx x^2 + ky y^2) / (S + H).
+        """
+        s = self.screen
+        kx, ky = 1 - self.width_mm / s.width_mm, 1 - self.height_mm / s.height_mm
+        x, y = qx_mm - s.centre_x_mm, qy_mm - s.centre_y_mm
+        ray = np.sqrt((kx * x) ** 2 + (ky * y) ** 2 + self.throw_mm**2)
+        return np.asarray((kx * x**2 + ky * y**2) / (ray + self.throw_mm))
+
+    def pixel_centres_mm(self, nx: int, ny: int) -> tuple[Array, Array]:
+        """Work-frame x (nx,) and y (ny,) of the screen's pixels."""
+        s = self.screen
+        return (
+            s.left_mm + (np.arange(nx) + 0.5) * s.width_mm / nx,
+            s.bottom_mm + (np.arange(ny) + 0.5) * s.height_mm / ny,
+        )
+
+    def kernel_arguments(self, nx: int, ny: int) -> tuple[float, ...]:
+        """throw, index, screen left and bottom, pixel size, aperture size: what the kernels of optical_path take."""
+        s = self.screen
+        return (
+            self.throw_mm,
+            self.refractive_index,
+            s.left_mm,
+            s.bottom_mm,
+            s.width_mm / nx,
+            s.height_mm / ny,
+            self.width_mm,
+            self.height_mm,
+        )

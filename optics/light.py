@@ -1,0 +1,178 @@
+"""The light that falls on the lens: what a person says of it, and the beams that kernels follow.
+
+A lens is lit through its flat face, a mirror from above. A *beam* comes from one direction or from one point; light
+from a disc (the sun, a lamp of some size) is a bundle of beams of equal strength. Of a beam at a surface point
+(x, y, z) the kernels want: its direction, its phase (index times the way so far, less a constant), and where it crossed
+the *face*, the plane on which its strength is known. Light keeps its amount from the face to the surface, so that no
+kernel needs to know how it thins out on the way.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from optics.spline import Array
+
+LightKind = Literal["collimated", "sun", "point"]
+SUN_DEG = 0.53
+_NEWTON_STEPS = 8
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Light:
+    """A light source on the optical axis (through the aperture's centre), or tilted against it.
+
+    kind        : "collimated", one direction; "sun", a disc of directions; "point", a point or disc at a distance
+    size_deg    : angular diameter of the sun
+    distance_mm : of the point from the flat face of a lens, or from Z0 of a mirror
+    size_mm     : diameter of the lamp, parallel to the face; 0 is a point
+    profile     : (my, mx), at least 2 x 2, relative strength on the face, spread from rim to rim of the aperture, row 0
+                  at the lowest y, bilinear between; None is even. Of a lamp it multiplies the law of distance.
+    tilt_rad    : angles in x and y from the axis to the direction that light travels in (of a lamp: of its middle)
+    """
+
+    kind: LightKind = "collimated"
+    size_deg: float = SUN_DEG
+    distance_mm: float = math.inf
+    size_mm: float = 0.0
+    profile: Array | None = None
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def extended(self) -> bool:
+        """Whether one beam is not the whole of it."""
+        return (self.kind == "sun" and self.size_deg > 0) or (self.kind == "point" and self.size_mm > 0)
+
+
+class Beam(NamedTuple):
+    """One direction or one point, as kernels take it.
+
+    x, y, z            : of a direction: the unit vector before the surface (inside the block); of a point: its place
+    centre_x, centre_y : of the aperture, from where phases count
+    refractive_index   : before the surface; 1 for a mirror
+    face               : height of the face
+    offset             : phase to be taken off, so that it is 0 at the aperture's centre at Z0
+    strength (my, mx), cells_per_mm_x, .._y : the profile over the aperture; 1 x 1 stands for an even one
+    """
+
+    is_point: bool
+    is_mirror: bool
+    x: float
+    y: float
+    z: float
+    centre_x: float
+    centre_y: float
+    refractive_index: float
+    face: float
+    offset: float
+    strength: Array
+    cells_per_mm_x: float
+    cells_per_mm_y: float
+
+
+@njit(cache=True, nogil=True)
+def _tangent_before_face(run: float, away: float, depth: float, index: float) -> float:
+    """Tangent of the angle outside, of the ray that goes `run` sideways over `away` in air and `depth` in glass.
+
+    run = away w + depth w / sqrt(n^2 + (n^2 - 1) w^2): concave in w, so that Newton's method climbs to the root.
+    """
+    w = run / (away + depth / index)
+    for _ in range(_NEWTON_STEPS):
+        root = math.sqrt(index * index + (index * index - 1.0) * w * w)
+        miss = run - away * w - depth * w / root
+        step = miss / (away + depth * index * index / (root * root * root))
+        w += step
+        if abs(step) <= 1e-15 * (1.0 + abs(w)):
+            break
+    return w
+
+
+@njit(cache=True, nogil=True)
+def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float]:
+    """(dx, dy, dz, phase, face_x, face_y) of the beam where it meets (x, y, z); the direction is a unit vector."""
+    if not beam.is_point:
+        way = (z - beam.face) / beam.z
+        phase = beam.refractive_index * (beam.x * (x - beam.centre_x) + beam.y * (y - beam.centre_y) + beam.z * z)
+        return beam.x, beam.y, beam.z, phase - beam.offset, x - way * beam.x, y - way * beam.y
+    rx, ry = x - beam.x, y - beam.y
+    if beam.is_mirror:
+        rz = z - beam.z
+        far = math.sqrt(rx * rx + ry * ry + rz * rz)
+        share = (beam.face - beam.z) / rz
+        return rx / far, ry / far, rz / far, far - beam.offset, beam.x + share * rx, beam.y + share * ry
+    run = math.sqrt(rx * rx + ry * ry)
+    away, depth = beam.face - beam.z, z - beam.face
+    w = _tangent_before_face(run, away, depth, beam.refractive_index)
+    outside = away * w
+    inside = run - outside
+    phase = math.sqrt(away * away + outside * outside) + beam.refractive_index * math.sqrt(
+        depth * depth + inside * inside
+    )
+    ex, ey = (rx / run, ry / run) if run > 0.0 else (0.0, 0.0)
+    sine = w / math.sqrt(1.0 + w * w) / beam.refractive_index
+    return (
+        ex * sine, ey * sine, math.sqrt(1.0 - sine * sine), phase - beam.offset,
+        beam.x + ex * outside, beam.y + ey * outside,
+    )  # fmt: skip
+
+
+@njit(cache=True, nogil=True, inline="always")
+def strength_on_face(beam: Beam, x: float, y: float) -> float:
+    """Light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on."""
+    value = 1.0
+    if beam.is_point:
+        away = beam.face - beam.z
+        r2 = (x - beam.x) ** 2 + (y - beam.y) ** 2
+        value = (1.0 + r2 / (away * away)) ** -1.5
+    my, mx = beam.strength.shape
+    if mx < 2 or my < 2:
+        return value
+    u = min(max(x * beam.cells_per_mm_x, 0.0), mx - 1.0)
+    v = min(max(y * beam.cells_per_mm_y, 0.0), my - 1.0)
+    i, j = min(int(u), mx - 2), min(int(v), my - 2)
+    f, g = u - i, v - j
+    low = (1.0 - f) * beam.strength[j, i] + f * beam.strength[j, i + 1]
+    high = (1.0 - f) * beam.strength[j + 1, i] + f * beam.strength[j + 1, i + 1]
+    return value * ((1.0 - g) * low + g * high)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def leave(
+    dx: float, dy: float, dz: float, zx: float, zy: float, index: float, is_mirror: bool
+) -> tuple[float, float, float]:
+    """Unit direction behind a surface of slope (zx, zy) met along (dx, dy, dz); NaN: light does not get out.
+
+    With N the upward unit normal and cos = d . N: refracted n d + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N, mirrored
+    d - 2 cos N. Light that would leave downward counts as not getting out.
+    """
+    nz = 1.0 / math.sqrt(1.0 + zx * zx + zy * zy)
+    nx, ny = -zx * nz, -zy * nz
+    cos = dx * nx + dy * ny + dz * nz
+    if is_mirror:
+        push, keep = -2.0 * cos, 1.0
+        if cos >= 0.0:
+            return math.nan, math.nan, math.nan
+    else:
+        inner = 1.0 - index * index * (1.0 - cos * cos)
+        if inner <= 0.0 or cos <= 0.0:
+            return math.nan, math.nan, math.nan
+        push, keep = math.sqrt(inner) - index * cos, index
+    tz = keep * dz + push * nz
+    if tz <= 0.0:
+        return math.nan, math.nan, math.nan
+    return keep * dx + push * nx, keep * dy + push * ny, tz
+
+
+def disc_points(count: int) -> Array:
+    """(count, 2) points that share a disc of radius 1 evenly: a sunflower's seeds; one point is the middle."""
+    if count == 1:
+        return np.zeros((1, 2))
+    k = np.arange(count) + 0.5
+    radius, angle = np.sqrt(k / count), k * math.pi * (3.0 - math.sqrt(5.0))
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+    return np.asarray(points - points.mean(axis=0))

@@ -1,0 +1,38 @@
+"""What a person decides about a lens, beside the set-up it is made for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from optics.bench import Bench
+
+Method = Literal["transport", "paper"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensSettings:
+    """The optical task.
+
+    skim_mm            : depth of the lens's highest point under Z0
+    corrections        : passes that add to the aim what the simulated light lacked
+    min_radius_mm      : valleys tighter than a ball of this radius are filled; 0 leaves them
+    vertices_per_pixel : heightfield vertices along the side of a pixel
+    polish_steps       : steps of the descent on the picture's own error, after the corrections; 0 is none
+    """
+
+    bench: Bench
+    skim_mm: float
+    method: Method = "transport"
+    corrections: int = 2
+    min_radius_mm: float = 0.0
+    vertices_per_pixel: int = 2
+    polish_steps: int = 0
+
+    def on_bench(self, **changes: Any) -> LensSettings:
+        """The same decisions for a set-up that differs."""
+        return replace(self, bench=replace(self.bench, **changes))
+
+    def vertices(self, pixels: int) -> int:
+        """Heightfield vertices along a side of that many pixels."""
+        return self.vertices_per_pixel * pixels + 1
