@@ -6,7 +6,7 @@ READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
 MILL := out/demo-mill.txt
 
-.PHONY: demo serve test lint bench soak format lock clean
+.PHONY: demo serve test lint bench soak paper format lock clean
 
 # The locked environment, made anew whenever a lock or the project file changes.
 $(READY): requirements-dev.lock pyproject.toml
@@ -53,6 +53,10 @@ lock:
 	uv pip compile pyproject.toml --generate-hashes --no-header --universal --python-version 3.11 -o requirements.lock
 	uv pip compile pyproject.toml --extra dev --generate-hashes --no-header --universal --python-version 3.11 -o requirements-dev.lock
 	uv pip compile pyproject.toml docker/build.in --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock --generate-hashes --no-header --universal --python-version 3.11 -o docker/requirements.lock
+
+# The claims of the paper, with our pictures and figures beside them: docs/paper.md.
+paper: $(READY)
+	$(BIN)/python -m tests.paper
 
 # Long trials (two hours): the streamer against the simulated mill, the job server under kill -9: out/soak.json, out/soak.md.
 soak: $(READY)

@@ -107,17 +107,37 @@ class Bench:
             return [self.beam()]
         return [self.beam(aside=(float(x), float(y))) for x, y in disc_points(beams)]
 
+    @property
+    def sign(self) -> float:
+        """1 where the picture's left comes from the lens's left, -1 where rays cross on their way."""
+        return -1.0 if self.branch == "inverted" else 1.0
+
+    @property
+    def shift_mm(self) -> tuple[float, float]:
+        """From the middle of the aperture to that of the screen."""
+        return self.screen.centre_x_mm - self.width_mm / 2, self.screen.centre_y_mm - self.height_mm / 2
+
+    @property
+    def even_upright_light(self) -> bool:
+        """Whether the middle beam is the usual one: even, along the axis, through a rectangular lens, not crossing."""
+        light = self.light
+        special = self.mirror or light.kind == "point" or light.profile is not None or light.tilt_rad != (0.0, 0.0)
+        return not special and self.outline_mm is None and self.branch == "direct"
+
     def base_path_mm(self, qx_mm: Array | float, qy_mm: Array | float) -> Array:
         """Path, less its constant, that spreads the aperture about evenly over the screen; at points of it (broadcast).
 
-        Shift (kx x, ky y) with k = 1 - aperture / screen and x, y from the centre; S = sqrt(|shift|^2 + H^2). Of a thin
-        lens the path's gradient is shift / S; for kx = ky that is the path (kx x^2 + ky y^2) / (S + H).
+        The light goes aside by (kx x + ax, ky y + ay): x, y from the screen's centre, a the shift of the centres and
+        k = 1 - aperture / screen, or 1 + aperture / screen on the inverted branch. The path's gradient is that over
+        S = sqrt(|aside|^2 + H^2), whatever the light; for kx = ky that is the gradient of
+        (kx x^2 + ky y^2 + 2 (ax x + ay y)) / (S + S of the centre).
         """
-        s = self.screen
-        kx, ky = 1 - self.width_mm / s.width_mm, 1 - self.height_mm / s.height_mm
+        s, (ax, ay) = self.screen, self.shift_mm
+        kx, ky = 1 - self.sign * self.width_mm / s.width_mm, 1 - self.sign * self.height_mm / s.height_mm
         x, y = qx_mm - s.centre_x_mm, qy_mm - s.centre_y_mm
-        ray = np.sqrt((kx * x) ** 2 + (ky * y) ** 2 + self.throw_mm**2)
-        return np.asarray((kx * x**2 + ky * y**2) / (ray + self.throw_mm))
+        ray = np.sqrt((kx * x + ax) ** 2 + (ky * y + ay) ** 2 + self.throw_mm**2)
+        middle = math.sqrt(ax**2 + ay**2 + self.throw_mm**2)
+        return np.asarray((kx * x**2 + ky * y**2 + 2 * (ax * x + ay * y)) / (ray + middle))
 
     def pixel_centres_mm(self, nx: int, ny: int) -> tuple[Array, Array]:
         """Work-frame x (nx,) and y (ny,) of the screen's pixels."""

@@ -46,15 +46,37 @@ def _eroded(f: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     return f
 
 
+def _closed(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
+    dilated = -_eroded(-z_mm, radius_mm, dx_mm, dy_mm)
+    return _eroded(dilated, radius_mm, dx_mm, dy_mm)
+
+
+def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> int:
+    """How many vertices outside the middle of a ball may be that touches the rim; 0 where the rims are level."""
+    steepest = max(
+        np.abs(z_mm[0] - z_mm[1]).max() / dy_mm,
+        np.abs(z_mm[-1] - z_mm[-2]).max() / dy_mm,
+        np.abs(z_mm[:, 0] - z_mm[:, 1]).max() / dx_mm,
+        np.abs(z_mm[:, -1] - z_mm[:, -2]).max() / dx_mm,
+    )
+    reach = int(steepest * radius_mm / min(dx_mm, dy_mm))
+    return min(reach + 1, min(z_mm.shape) - 1) if reach > 0 else 0
+
+
 def closed_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     """Heights (ny, nx) with valleys tighter than radius_mm filled: no second derivative above 1 / radius_mm.
 
     Along each axis the closing differs from z by up to dx^2 / (4 radius) from the grid alone, which would cost a
     photograph 6 dB; so a filling d counts as d^2 / (d + band): nearly nothing below that band, all of it but the band
-    above, and smooth (a threshold would leave a crease, the very thing to be closed).
+    above, and smooth (a threshold would leave a crease, the very thing to be closed). Beyond its rim the surface
+    goes on with its slope: else a sloped rim (a larger screen, the inverted branch) is raised by tenths of a mm.
     """
-    dilated = -_eroded(-z_mm, radius_mm, dx_mm, dy_mm)
-    closed = _eroded(dilated, radius_mm, dx_mm, dy_mm)
+    closed = _closed(z_mm, radius_mm, dx_mm, dy_mm)
+    beyond = _beyond_rim(z_mm, radius_mm, dx_mm, dy_mm)
+    if beyond > 0:
+        wider = np.pad(z_mm, beyond, mode="reflect", reflect_type="odd")
+        inside = slice(beyond, -beyond)
+        closed = np.minimum(closed, _closed(wider, radius_mm, dx_mm, dy_mm)[inside, inside])
     band = max(dx_mm, dy_mm) ** 2 / (4 * radius_mm)
     filling = np.maximum(closed - z_mm, 0.0)
     return np.asarray(z_mm + filling**2 / (filling + band))

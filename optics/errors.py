@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 class OpticsError(Exception):
     """Base of all errors of this package."""
@@ -18,7 +20,21 @@ class TotalReflectionError(OpticsError):
         self.throw_mm = throw_mm
         self.shift_mm = shift_mm
         self.shortest_throw_mm = shortest_throw_mm
-        super().__init__(
-            f"throw_mm = {throw_mm:g} is too short: light must move {shift_mm:.1f} mm sideways and would be totally "
-            f"reflected; use a throw of about {shortest_throw_mm:.0f} mm or more, or a smaller screen"
+        helps = math.isfinite(shortest_throw_mm)
+        cause = f"throw_mm = {throw_mm:g} is too short" if helps else "the light comes in too far from the axis"
+        remedy = (
+            f"use a throw of about {shortest_throw_mm:.0f} mm or more, or a smaller screen"
+            if helps
+            else "no throw helps: move the light away or tilt it less"
         )
+        super().__init__(
+            f"{cause}: light must move {shift_mm:.1f} mm sideways and would be totally reflected; {remedy}"
+        )
+
+
+class UnsupportedBenchError(OpticsError):
+    """The method was made for a simpler set-up."""
+
+    def __init__(self, method: str, unknown: list[str]) -> None:
+        self.method, self.unknown = method, unknown
+        super().__init__(f'{method} does not know {" and ".join(unknown)}: use method = "transport"')

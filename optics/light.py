@@ -81,13 +81,15 @@ def _tangent_before_face(run: float, away: float, depth: float, index: float) ->
 
     run = away w + depth w / sqrt(n^2 + (n^2 - 1) w^2): concave in w, so that Newton's method climbs to the root.
     """
-    w = run / (away + depth / index)
+    near = away + depth / index
+    w = run / near
+    w *= 1.0 + min(depth * (index * index - 1.0) * w * w / (2.0 * index * index * index * near), 0.5)  # up to w^5
     for _ in range(_NEWTON_STEPS):
         root = math.sqrt(index * index + (index * index - 1.0) * w * w)
         miss = run - away * w - depth * w / root
         step = miss / (away + depth * index * index / (root * root * root))
         w += step
-        if abs(step) <= 1e-15 * (1.0 + abs(w)):
+        if abs(step) <= 1e-8 * (1.0 + w):  # the next step would be its square
             break
     return w
 
@@ -109,14 +111,13 @@ def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float,
     away, depth = beam.face - beam.z, z - beam.face
     w = _tangent_before_face(run, away, depth, beam.refractive_index)
     outside = away * w
-    inside = run - outside
-    phase = math.sqrt(away * away + outside * outside) + beam.refractive_index * math.sqrt(
-        depth * depth + inside * inside
-    )
     ex, ey = (rx / run, ry / run) if run > 0.0 else (0.0, 0.0)
-    sine = w / math.sqrt(1.0 + w * w) / beam.refractive_index
+    wide = math.sqrt(1.0 + w * w)
+    sine = w / wide / beam.refractive_index
+    cosine = math.sqrt(1.0 - sine * sine)
+    phase = away * wide + beam.refractive_index * depth / cosine  # holds on under the face, where iterates may go
     return (
-        ex * sine, ey * sine, math.sqrt(1.0 - sine * sine), phase - beam.offset,
+        ex * sine, ey * sine, cosine, phase - beam.offset,
         beam.x + ex * outside, beam.y + ey * outside,
     )  # fmt: skip
 

@@ -68,6 +68,18 @@ class TriangleMesh:
         return _largest_step(self.points_mm, self.triangles, np.ascontiguousarray(velocity))
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeshPair:
+    """One mesh in two planes, a one-to-one map from screen to lens; the triangles are the same array in both."""
+
+    screen: TriangleMesh
+    lens: TriangleMesh
+
+    @property
+    def triangles(self) -> Triangles:
+        return self.lens.triangles
+
+
 @njit(cache=True, nogil=True)
 def _areas(points: Array, triangles: Triangles) -> Array:
     areas = np.empty(triangles.shape[0])
@@ -122,7 +134,7 @@ def _vertex_gradients(points: Array, triangles: Triangles, values: Array, weight
 
 
 @njit(cache=True, nogil=True)
-def _smallest_positive_root(a0: float, a1: float, a2: float) -> float:
+def smallest_positive_root(a0: float, a1: float, a2: float) -> float:
     """Smallest t > 0 with a0 + a1 t + a2 t^2 = 0 for a0 > 0, else infinity; the form without cancellation."""
     discriminant = a1 * a1 - 4.0 * a0 * a2
     if discriminant < 0.0 or (a1 >= 0.0 and a2 >= 0.0):
@@ -145,5 +157,5 @@ def _largest_step(points: Array, triangles: Triangles, velocity: Array) -> float
         a0 = ex * fy - fx * ey
         a1 = ex * wy - fx * uy + ux * fy - wx * ey
         a2 = ux * wy - wx * uy
-        smallest = min(smallest, _smallest_positive_root(a0, a1, a2))
+        smallest = min(smallest, smallest_positive_root(a0, a1, a2))
     return smallest

@@ -18,10 +18,15 @@ class CausticScore:
     dark_leak: float  # share of the flux that falls on pixels with T < 2 % of the peak
 
 
+def psnr_db(irradiance: Array, target: Array) -> float:
+    """Of a simulated irradiance (ny, nx) against a target in the same frame and units; peak = the brightest pixel."""
+    peak, mse = float(target.max()), float(np.mean((irradiance - target) ** 2))
+    return float(10 * np.log10(peak**2 / max(mse, 1e-300)))
+
+
 def score_caustic(irradiance: Array, target: Array) -> CausticScore:
     """Scores of a simulated irradiance (ny, nx) against a target of mean 1 in the same frame and units."""
     peak = float(target.max())
-    mse = float(np.mean((irradiance - target) ** 2))
     smaller = min(target.shape)
     window = min(11, smaller - 1 + smaller % 2)  # sigma 1.5 truncated at 3.5: 11 pixels; tiny pictures have less
     similarity = structural_similarity(
@@ -34,7 +39,7 @@ def score_caustic(irradiance: Array, target: Array) -> CausticScore:
         use_sample_covariance=False,
     )
     return CausticScore(
-        psnr_db=float(10 * np.log10(peak**2 / max(mse, 1e-300))),
+        psnr_db=psnr_db(irradiance, target),
         ssim=float(similarity),
         misplaced_light=float(np.abs(irradiance - target).sum() / (2 * target.sum())),
         dark_leak=float(irradiance[target < 0.02 * peak].sum() / target.sum()),

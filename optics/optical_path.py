@@ -1,14 +1,15 @@
 """The optical path to the screen as the unknown: near-field Snell refraction in closed form, with nothing to integrate.
 
-c(q) is the optical length from the plane z = 0 inside the block, through the refracting surface, to the point q of the
-screen at z = H. All light through one surface point p = (x, y) at height t obeys n t + |q - (p, t)| = c(q), and c is
-stationary in p, so grad c = s is the direction of the light that arrives at q. Hence, exactly:
+c(q) is the optical length from the light, through the refracting surface, to the point q of the screen at z = H. All
+light through one surface point p = (x, y) at height t obeys phase(p, t) + |q - (p, t)| = c(q), and c is stationary in
+p, so grad c = s is the direction of the light that arrives at q. Hence, exactly: X = (q, H) - R (s, s_z) is the surface
+point, with s_z = sqrt(1 - |s|^2) and R from phase(X) + R = c. For upright light, phase = n t:
 
-    s_z = sqrt(1 - |s|^2),   R = (n H - c) / (n s_z - 1),   p(q) = q - R s,   t = H - R s_z
+    R = (n H - c) / (n s_z - 1),   p(q) = q - R s,   t = H - R s_z
 
-Where c is constant the surface is flat: c = H + (n - 1) t.
+Where c is constant under upright light the surface is flat: c = H + (n - 1) t.
 c is the base, which spreads the aperture over a screen of another size, and a rest with next to no slope across the
-frame, so that mirror images continue it and cosines fit it.
+frame, so that mirror images continue it and cosines fit it. Mirrors are the same with n = 1 and light that comes down.
 """
 
 from __future__ import annotations
@@ -16,182 +17,148 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from optics.beam_path import corner_points, face_areas, heights_on_beam, trace_back
 from optics.bench import Bench
+from optics.even_light import preimage_areas, preimages_of_corners, rim_slopes
+from optics.light import Beam, meet
+from optics.outline import dimmed_outside, lowered_outside, rim_curves
+from optics.rims import Rims, corner_rays, solve_rims
 from optics.spline import Array, BicubicSpline
+from optics.threads import over_rows
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[float, float]:
-    """(R, s_z): length of the ray in air and the cosine it leaves with. NaN where light would be totally reflected."""
-    sz2 = 1.0 - sx * sx - sy * sy
-    if sz2 * index * index <= 1.0:
-        return math.nan, math.nan
-    sz = math.sqrt(sz2)
-    return (index * throw - c) / (index * sz - 1.0), sz
+class Preimages:
+    """The pre-images of a grid of pixels, measured for one iterate after the other of the optical path.
 
-
-@njit(cache=True, nogil=True, inline="always")
-def _bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
-    """c with one ghost row and column outside, which continue it by the slope on the frame."""
-    ny, nx = c.shape
-    value = 0.0
-    if k < 0:
-        value -= rim_x[0, min(max(r, 0), ny - 1)] * dx
-        k = 0
-    elif k >= nx:
-        value += rim_x[1, min(max(r, 0), ny - 1)] * dx
-        k = nx - 1
-    if r < 0:
-        value -= rim_y[0, k] * dy
-        r = 0
-    elif r >= ny:
-        value += rim_y[1, k] * dy
-        r = ny - 1
-    return value + c[r, k]
-
-
-@njit(cache=True, nogil=True)
-def preimage_areas(
-    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
-    throw: float, index: float, left: float, bottom: float,
-    dx: float, dy: float, width: float, height: float, across: Array, along: Array, mixed: Array, top: Array,
-) -> None:  # fmt: skip
-    """What the pre-image quads of pixel rows row_lo..row_hi - 1 measure on the lens; the mean pixel's share is 1.
-
-    With p at the midpoints of the pixel's four edges, (pE - pW) x (pN - pS) is the exact area of the quad:
-    across[r, k] = x extent of pE - pW, along = y extent of pN - pS, mixed = the product of the other two; area =
-    across * along - mixed. A compact stencil: normal derivatives from 2 points, tangential ones from 4.
-    rim_x (2, ny), rim_y (2, nx) : normal slope of c on the left/right and bottom/top frame
-    top (ny,)                    : greatest height t met in each row of pixels
+    across, along, mixed (ny, nx) : area of a pixel's pre-image on the face = across * along - mixed, where the mean
+                    pixel's is about 1; across and along are positive where the map goes the branch's way
+    light         : strength of the light on each pre-image, scaled so that light * area has mean 1; (1, 1) if even
+    sign          : 1 where a rise of Laplace(c) takes area away, -1 on the inverted branch
+    reach_mm      : (x, y) how far the pre-image goes for a change of slope, about the screen's centre
+    path_per_height : what c gains where the whole surface rises by 1
     """
-    ny, nx = c.shape
-    unit_x, unit_y = nx / width, ny / height
-    for r in range(row_lo, row_hi):
-        qy = bottom + (r + 0.5) * dy
-        highest = -math.inf
-        west_x = west_y = 0.0
-        for k in range(nx + 1):
-            if k == 0:
-                sx = rim_x[0, r]
-            elif k == nx:
-                sx = rim_x[1, r]
-            else:
-                sx = (c[r, k] - c[r, k - 1]) / dx
-            if 0 < r < ny - 1 and 0 < k < nx:
-                sy = (c[r + 1, k] + c[r + 1, k - 1] - c[r - 1, k] - c[r - 1, k - 1]) / (4.0 * dy)
-                mid = 0.5 * (c[r, k] + c[r, k - 1])
-            else:
-                sy = (
-                    _bordered(c, r + 1, k, rim_x, rim_y, dx, dy)
-                    + _bordered(c, r + 1, k - 1, rim_x, rim_y, dx, dy)
-                    - _bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
-                    - _bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
-                ) / (4.0 * dy)
-                mid = 0.5 * (_bordered(c, r, k, rim_x, rim_y, dx, dy) + _bordered(c, r, k - 1, rim_x, rim_y, dx, dy))
-            ray, sz = _reach(mid, sx, sy, throw, index)
-            highest = max(highest, throw - ray * sz)
-            px = left + k * dx - ray * sx
-            if k == 0:
-                px = 0.0
-            elif k == nx:
-                px = width
-            py = qy - ray * sy
-            if k > 0:
-                across[r, k - 1] = (px - west_x) * unit_x
-                mixed[r, k - 1] = (py - west_y) * unit_y
-            west_x, west_y = px, py
-        for k in range(nx):
-            qx = left + (k + 0.5) * dx
-            south_x = south_y = 0.0
-            for side in range(2):
-                e = r + side
-                if e == 0:
-                    sy = rim_y[0, k]
-                elif e == ny:
-                    sy = rim_y[1, k]
-                else:
-                    sy = (c[e, k] - c[e - 1, k]) / dy
-                if 0 < k < nx - 1 and 0 < e < ny:
-                    sx = (c[e, k + 1] + c[e - 1, k + 1] - c[e, k - 1] - c[e - 1, k - 1]) / (4.0 * dx)
-                    mid = 0.5 * (c[e, k] + c[e - 1, k])
-                else:
-                    sx = (
-                        _bordered(c, e, k + 1, rim_x, rim_y, dx, dy)
-                        + _bordered(c, e - 1, k + 1, rim_x, rim_y, dx, dy)
-                        - _bordered(c, e, k - 1, rim_x, rim_y, dx, dy)
-                        - _bordered(c, e - 1, k - 1, rim_x, rim_y, dx, dy)
-                    ) / (4.0 * dx)
-                    mid = 0.5 * (
-                        _bordered(c, e, k, rim_x, rim_y, dx, dy) + _bordered(c, e - 1, k, rim_x, rim_y, dx, dy)
-                    )
-                ray, sz = _reach(mid, sx, sy, throw, index)
-                px = qx - ray * sx
-                py = bottom + e * dy - ray * sy
-                if e == 0:
-                    py = 0.0
-                elif e == ny:
-                    py = height
-                if side == 0:
-                    south_x, south_y = px, py
-                else:
-                    along[r, k] = (py - south_y) * unit_y
-                    mixed[r, k] *= (px - south_x) * unit_x
-        top[r] = highest
+
+    def __init__(self, bench: Bench, shape: tuple[int, ...]) -> None:
+        ny, nx = shape
+        self.bench, self.sign = bench, bench.sign
+        self.across, self.along, self.mixed = (np.empty((ny, nx)) for _ in range(3))
+        self.even = bench.even_upright_light
+        self.light = np.ones((1, 1)) if self.even else np.empty((ny, nx))
+        self._top = np.empty(ny)
+        self._beam = bench.beam()
+        self.reach_mm, self.path_per_height = _about_the_centre(bench, self._beam)
+        self._arguments = bench.kernel_arguments(nx, ny)
+        if not self.even:
+            self._beam = dimmed_outside(self._beam, bench, pixels=max(ny, nx))
+            self._curves = rim_curves(bench)
+            throw, _, left, bottom, dx, dy, *_ = self._arguments
+            self._frame = (throw, left, bottom, dx, dy)
+            self._units = _pixels_per_mm(bench, self._beam, nx, ny)
+
+    def evaluate(self, c: Array) -> float:
+        """Measure the pre-images that c gives; returns the greatest height met (NaN: no light could go that way)."""
+        if self.even:
+            rim_x, rim_y = rim_slopes(c, self.bench)
+            over_rows(
+                preimage_areas, c.shape[0],
+                c, rim_x, rim_y, *self._arguments, self.across, self.along, self.mixed, self._top,
+            )  # fmt: skip
+            return self._greatest_height(c)
+        ghosts, rims = self._bordered(c)
+        over_rows(
+            face_areas, c.shape[0],
+            ghosts, rims.points_x, rims.points_y, self._beam, *self._frame, *self._units,
+            self.across, self.along, self.mixed, self.light, self._top,
+        )  # fmt: skip
+        area = self.across * self.along - self.mixed
+        self.light *= 1.0 / float(np.mean(area * self.light))
+        if self.bench.outline_mm is not None:
+            return max(
+                float(self._top.max()), rims.greatest_height_around(self.bench, self.bench.width_mm / c.shape[1])
+            )
+        return self._greatest_height(c)
+
+    def corners(self, c: Array) -> tuple[Array, Array]:
+        """Lens points px, py (ny + 1, nx + 1) that light the pixels' corners; those of the frame lie on the rim."""
+        ny, nx = c.shape
+        px, py = np.empty((ny + 1, nx + 1)), np.empty((ny + 1, nx + 1))
+        if self.even:
+            over_rows(preimages_of_corners, ny + 1, c, *rim_slopes(c, self.bench), *self._arguments, px, py)
+            return px, py
+        ghosts, rims = self._bordered(c)
+        over_rows(corner_points, ny + 1, ghosts, self._beam, *self._frame, px, py)
+        for points, of in ((px, 3), (py, 4)):
+            for side in (0, -1):
+                points[:, side] = _between(rims.points_x[side, :, of])
+                points[side, 1:-1] = _between(rims.points_y[side, :, of])[1:-1]
+        if self.bench.outline_mm is not None:
+            for points, of in ((px, 3), (py, 4)):
+                for j in (0, -1):
+                    for i in (0, -1):
+                        points[j, i] = 0.5 * (rims.points_x[i, j, of] + rims.points_y[j, i, of])
+        else:
+            far = (self.bench.width_mm, self.bench.height_mm)
+            for points, axis in ((px, 0), (py, 1)):
+                for j in (0, -1):
+                    for i in (0, -1):
+                        low = ((i, j)[axis] == 0) == (self.sign > 0)
+                        points[j, i] = 0.0 if low else far[axis]
+        return px, py
+
+    def _greatest_height(self, c: Array) -> float:
+        """Of the rows and of the corners, where a prism or a diverging lens is highest."""
+        return float(max(self._top.max(), corner_rays(c, self.bench, self._beam)[2].max()))
+
+    def _bordered(self, c: Array) -> tuple[Array, Rims]:
+        rims = solve_rims(c, self.bench, self._beam, self._curves)
+        return rims.bordered(c, *self._frame[3:]), rims
 
 
-@njit(cache=True, nogil=True)
-def preimages_of_corners(
-    row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
-    throw: float, index: float, left: float, bottom: float,
-    dx: float, dy: float, width: float, height: float, px: Array, py: Array,
-) -> None:  # fmt: skip
-    """Lens points px, py (ny + 1, nx + 1) that light corner rows row_lo..row_hi - 1; the frame stays on the frame."""
-    ny, nx = c.shape
-    for r in range(row_lo, row_hi):
-        for k in range(nx + 1):
-            sw = _bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
-            se = _bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
-            nw = _bordered(c, r, k - 1, rim_x, rim_y, dx, dy)
-            ne = _bordered(c, r, k, rim_x, rim_y, dx, dy)
-            sx = (se + ne - sw - nw) / (2.0 * dx)
-            sy = (nw + ne - sw - se) / (2.0 * dy)
-            ray, _ = _reach(0.25 * (sw + se + nw + ne), sx, sy, throw, index)
-            px[r, k] = left + k * dx - ray * sx
-            py[r, k] = bottom + r * dy - ray * sy
-            if k == 0:
-                px[r, k] = 0.0
-            elif k == nx:
-                px[r, k] = width
-            if r == 0:
-                py[r, k] = 0.0
-            elif r == ny:
-                py[r, k] = height
+def _between(middles: Array) -> Array:
+    """Values at the ends of edges from those at their middles."""
+    ends = np.empty(middles.size + 1)
+    ends[1:-1] = 0.5 * (middles[1:] + middles[:-1])
+    ends[0], ends[-1] = 1.5 * middles[0] - 0.5 * middles[1], 1.5 * middles[-1] - 0.5 * middles[-2]
+    return ends
 
 
-def rim_slopes(c: Array, bench: Bench) -> tuple[Array, Array]:
-    """Normal slopes (2, ny), (2, nx) of c that put the frame of the aperture onto the frame of the screen.
+def _central_ray(bench: Bench, height_mm: float = 0.0) -> tuple[float, float, float]:
+    """(c, s_x, s_y) of the ray from the aperture's middle at that height to the screen's."""
+    ax, ay = bench.shift_mm
+    ray = math.sqrt(ax**2 + ay**2 + (bench.throw_mm - height_mm) ** 2)
+    phase = meet(bench.beam(), bench.width_mm / 2, bench.height_mm / 2, height_mm)[3]
+    return phase + ray, ax / ray, ay / ray
 
-    There s = shift / R. With R as in `_reach`, L = n H - c and the slope t along the frame, n s_z - 1 = s L / shift, or
-    (L^2 + n^2 shift^2) s^2 + 2 shift L s = shift^2 (n^2 (1 - t^2) - 1), where s has the sign of the shift.
-    """
-    ny, nx = c.shape
-    s, index = bench.screen, bench.refractive_index
-    out_x, out_y = np.empty((2, ny)), np.empty((2, nx))
-    for side in (0, 1):
-        shift_x = s.left_mm + side * (s.width_mm - bench.width_mm)
-        shift_y = s.bottom_mm + side * (s.height_mm - bench.height_mm)
-        for out, edge, shift, step in (
-            (out_x, c[:, -side], shift_x, s.height_mm / ny),
-            (out_y, c[-side, :], shift_y, s.width_mm / nx),
-        ):
-            tangential = np.gradient(edge, step) if edge.size > 1 else np.zeros_like(edge)
-            drop = index * bench.throw_mm - edge
-            square = drop**2 + (index * shift) ** 2
-            inner = drop**2 + square * (index**2 * (1 - tangential**2) - 1)
-            out[side] = shift * (np.sqrt(np.maximum(inner, 0.0)) - drop) / square
-    return out_x, out_y
+
+def _about_the_centre(bench: Bench, beam: Beam) -> tuple[tuple[float, float], float]:
+    """((reach_x, reach_y), path per height) as in Preimages, by small changes of the central ray."""
+    c, sx, sy = _central_ray(bench)
+    s, step = bench.screen, 1e-4
+
+    def face(along_x: float, along_y: float) -> tuple[float, ...]:
+        back = trace_back(
+            beam, s.centre_x_mm, s.centre_y_mm, bench.throw_mm, c, sx + along_x, sy + along_y, bench.throw_mm
+        )
+        return back[4:]
+
+    reach_x = (face(-step, 0.0)[0] - face(step, 0.0)[0]) / (2 * step)
+    reach_y = (face(0.0, -step)[1] - face(0.0, step)[1]) / (2 * step)
+    return (reach_x, reach_y), (_central_ray(bench, step)[0] - _central_ray(bench, -step)[0]) / (2 * step)
+
+
+def _pixels_per_mm(bench: Bench, beam: Beam, nx: int, ny: int) -> tuple[float, float]:
+    """Units in which the mean pixel's share of the face is about 1; signed: the branch's way counts as positive."""
+    width, height = bench.width_mm, bench.height_mm
+    wide = meet(beam, width, height / 2, 0.0)[4] - meet(beam, 0.0, height / 2, 0.0)[4]
+    high = meet(beam, width / 2, height, 0.0)[5] - meet(beam, width / 2, 0.0, 0.0)[5]
+    return bench.sign * nx / wide, bench.sign * ny / high
+
+
+def flat_path_mm(bench: Bench, shape: tuple[int, ...], *, skim_mm: float) -> Array:
+    """The optical path (ny, nx) to start from: a surface that hardly bends more than it must, and the base."""
+    qx, qy = bench.pixel_centres_mm(shape[1], shape[0])
+    return _central_ray(bench, -skim_mm)[0] + bench.base_path_mm(qx[None, :], qy[:, None])
 
 
 def _path_spline(c: Array, bench: Bench) -> BicubicSpline:
@@ -199,7 +166,11 @@ def _path_spline(c: Array, bench: Bench) -> BicubicSpline:
     ny, nx = c.shape
     s, pad = bench.screen, 3
     dx, dy = s.width_mm / nx, s.height_mm / ny
-    rim_x, rim_y = rim_slopes(c, bench)
+    if bench.even_upright_light:
+        rim_x, rim_y = rim_slopes(c, bench)
+    else:
+        rims = solve_rims(c, bench, bench.beam(), rim_curves(bench))
+        rim_x, rim_y = rims.slope_x, rims.slope_y
     qx, qy = bench.pixel_centres_mm(nx, ny)
     ghosts = np.pad(c - bench.base_path_mm(qx[None, :], qy[:, None]), pad, mode="symmetric")
     ways = 2.0 * np.arange(pad) + 1.0  # from a ghost to its mirror image, in pixels
@@ -222,19 +193,17 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
     """Heights t of the surface at the lens points (x_mm[i], y_mm[j]) that light the screen at grid indices u, v.
 
     c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
-    From (c - n t)^2 = |q - p|^2 + (H - t)^2:
-        t = (b - sqrt(b^2 - (n^2 - 1)(c^2 - |q - p|^2 - H^2))) / (n^2 - 1),   b = n c - H
     t is stationary in q, so the error of q enters squared.
     """
     ny, nx = c.shape
-    s, n, throw = bench.screen, bench.refractive_index, bench.throw_mm
+    s, beam = bench.screen, bench.beam()
     dx, dy = s.width_mm / nx, s.height_mm / ny
     spline = _path_spline(c, bench)
     t = np.empty_like(u)
     for rows in np.array_split(np.arange(u.shape[0]), max(1, u.shape[0] // 128)):  # bounds the temporaries
         qx, qy = s.left_mm + u[rows] * dx, s.bottom_mm + v[rows] * dy
         path = spline.heights_mm(qx, qy) + bench.base_path_mm(qx, qy)
-        shift2 = (qx - x_mm[None, :]) ** 2 + (qy - y_mm[rows, None]) ** 2
-        b = n * path - throw
-        t[rows] = (b - np.sqrt(b**2 - (n**2 - 1) * (path**2 - shift2 - throw**2))) / (n**2 - 1)
-    return t
+        part = np.empty_like(path)
+        over_rows(heights_on_beam, rows.size, path, qx, qy, x_mm, y_mm[rows], bench.throw_mm, beam, part)
+        t[rows] = part
+    return lowered_outside(t, bench, x_mm, y_mm, margin_mm=bench.width_mm / nx)

@@ -13,12 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from optics.errors import TotalReflectionError
+from optics.bench import Bench
+from optics.errors import TotalReflectionError, UnsupportedBenchError
 from optics.flow import FlowSettings, PaperFlow, solve_paper_map
+from optics.flow_darts import on_lattice
 from optics.heightfield import Heightfield
 from optics.mesh import TriangleMesh
 from optics.poisson import NeumannPoisson, divergence_load
 from optics.refraction import slope_for_shift
+from optics.settings import LensSettings
 from optics.smooth_map import SmoothGridMap, spline_over
 from optics.spline import Array
 
@@ -30,7 +33,7 @@ _STILL_MM = 1e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperSurface:
-    """Heights on the moved vertices, highest at -skim_mm: h_mm (ny, nx)."""
+    """Heights on the moved vertices of the flow's mesh, highest at -skim_mm: h_mm (n,)."""
 
     h_mm: Array
     converged: bool
@@ -74,52 +77,57 @@ class PaperLens:
 
 def paper_lens(
     target: Array,
+    settings: LensSettings,
     *,
-    width_mm: float,
-    height_mm: float,
-    throw_mm: float,
-    refractive_index: float,
-    screen_width_mm: float,
-    screen_height_mm: float,
-    skim_mm: float,
-    vertices_x: int,
-    vertices_y: int,
-    settings: FlowSettings | None = None,
+    flow_settings: FlowSettings | None = None,
     on_progress: Progress | None = None,
 ) -> PaperLens:
-    """The lens for target (ny, nx), work frame, by the paper's method; the screen is centred on the aperture.
+    """The lens for target (ny, nx), work frame, by the paper's method.
 
-    A screen of another size starts the flow at x = u W / W_screen: the flow runs in lens coordinates all the same.
-    errors : TargetError (see solve_paper_map); TotalReflectionError if some light would not leave the surface
+    Even light straight through a whole rectangular block, as in the paper. A screen of another size or place starts the
+    flow at the screen point x W_screen / W + shift: the flow runs in lens coordinates all the same. Unless
+    `flow_settings` says otherwise, a mesh that gets stuck is remeshed "clean".
+    errors : UnsupportedBenchError, TargetError (see solve_paper_map);
+             TotalReflectionError if some light would not leave the surface
     """
-    flow = solve_paper_map(target, width_mm=width_mm, height_mm=height_mm, settings=settings, on_progress=on_progress)
-    scale = np.array([screen_width_mm / width_mm, screen_height_mm / height_mm])
-    centre = np.array([width_mm / 2, height_mm / 2])
-
-    def on_screen(points: Array) -> Array:
-        return centre + (points - centre) * scale
-
-    screen = on_screen(np.stack(np.meshgrid(flow.x_mm, flow.y_mm), axis=-1))
+    bench = settings.bench
+    _refuse_what_the_paper_has_not(bench)
+    ny, nx = target.shape
+    vertices_x, vertices_y = settings.vertices(nx), settings.vertices(ny)
+    flow = solve_paper_map(
+        target,
+        width_mm=bench.width_mm,
+        height_mm=bench.height_mm,
+        settings=flow_settings or FlowSettings(remeshing="clean"),
+        lens_cells=(vertices_x - 1, vertices_y - 1),
+        on_progress=on_progress,
+    )
+    scale = np.array([bench.screen.width_mm / bench.width_mm, bench.screen.height_mm / bench.height_mm])
+    corner = np.array([bench.screen.left_mm, bench.screen.bottom_mm])
     surface = solve_paper_surface(
-        screen, flow.lens_mm, throw_mm=throw_mm, refractive_index=refractive_index, skim_mm=skim_mm
+        corner + flow.pair.screen.points_mm * scale,
+        flow.pair.lens,
+        throw_mm=bench.throw_mm,
+        refractive_index=bench.refractive_index,
+        skim_mm=settings.skim_mm,
     )
     if on_progress is not None:
         on_progress("surface", 0.5)
-    heightfield = resampled(flow, surface.h_mm, vertices_x=vertices_x, vertices_y=vertices_y, skim_mm=skim_mm)
+    heightfield = _heightfield(flow, surface.h_mm, vertices_x, vertices_y, settings.skim_mm)
     if on_progress is not None:
         on_progress("surface", 1.0)
     corners, lens = flow.corners_mm()
-    return PaperLens(heightfield=heightfield, flow=flow, surface=surface, screen_mm=on_screen(corners), lens_mm=lens)
+    return PaperLens(
+        heightfield=heightfield, flow=flow, surface=surface, screen_mm=corner + corners * scale, lens_mm=lens
+    )
 
 
 def solve_paper_surface(
-    screen_mm: Array, lens_mm: Array, *, throw_mm: float, refractive_index: float, skim_mm: float
+    screen_mm: Array, mesh: TriangleMesh, *, throw_mm: float, refractive_index: float, skim_mm: float
 ) -> PaperSurface:
-    """Heights on the vertices lens_mm (ny, nx, 2) that send their light to screen_mm (ny, nx, 2), throw_mm above Z0."""
-    ny, nx = lens_mm.shape[:2]
-    points = np.ascontiguousarray(lens_mm.reshape(-1, 2))
-    shift = screen_mm.reshape(-1, 2) - points
-    mesh = TriangleMesh.structured(np.arange(float(nx)), np.arange(float(ny))).moved(points)
+    """Heights on the vertices of the lens's mesh that send their light to screen_mm (n, 2), throw_mm above Z0."""
+    points = mesh.points_mm
+    shift = screen_mm - points
     _refuse_total_reflection(shift, throw_mm, skim_mm, refractive_index)
     problem = NeumannPoisson(mesh).factor(mesh)
 
@@ -133,11 +141,22 @@ def solve_paper_surface(
         h = values
     normal = slope_for_shift(shift, throw_mm - h, refractive_index=refractive_index)
     return PaperSurface(
-        h_mm=h.reshape(ny, nx),
+        h_mm=h,
         converged=changes[-1] <= _STILL_MM,
         changes_mm=tuple(changes),
         misfit_rms=_slope_misfit(mesh, h, normal),
     )
+
+
+def _heightfield(flow: PaperFlow, h_mm: Array, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
+    """The lens's grid of heights. After clean remeshing the mesh is that grid already."""
+    if flow.remeshing == "clean":
+        z_mm = h_mm.reshape(vertices_y, vertices_x)
+        return Heightfield.on_aperture(z_mm, width_mm=float(flow.x_mm[-1]), height_mm=float(flow.y_mm[-1]))
+    if flow.remeshing == "simple":
+        h_mm = on_lattice(flow.pair, h_mm[:, None], flow.x_mm, flow.y_mm)[..., 0]
+    lattice = h_mm.reshape(flow.target.shape)
+    return resampled(flow, lattice, vertices_x=vertices_x, vertices_y=vertices_y, skim_mm=skim_mm)
 
 
 def resampled(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
@@ -157,6 +176,21 @@ def _slope_misfit(mesh: TriangleMesh, h: Array, normal: Array) -> float:
     gradients = mesh.triangle_gradients(h)
     wanted = normal[mesh.triangles].mean(axis=1)
     return float(np.sqrt(np.dot(areas, ((gradients - wanted) ** 2).sum(axis=1)) / areas.sum()))
+
+
+def _refuse_what_the_paper_has_not(bench: Bench) -> None:
+    light = bench.light
+    others = {
+        "a lamp at a finite distance": light.kind == "point",
+        "light of uneven strength": light.profile is not None,
+        "tilted light": light.tilt_rad != (0.0, 0.0),
+        "a mirror": bench.mirror,
+        "an outline": bench.outline_mm is not None,
+        "the inverted branch": bench.branch == "inverted",
+    }
+    unknown = [name for name, wanted in others.items() if wanted]
+    if unknown:
+        raise UnsupportedBenchError("the paper's method", unknown)
 
 
 def _refuse_total_reflection(shift_mm: Array, throw_mm: float, skim_mm: float, refractive_index: float) -> None:

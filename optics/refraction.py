@@ -14,14 +14,12 @@ from optics.spline import Array
 def refracted_tangent(slope_squared: float, refractive_index: float) -> float:
     """Sideways way per unit of height and per unit of slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
 
-    With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law).
+    With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law),
+    here divided by cos: m = k / (n (1 + s^2) - k), k = n - sqrt(1 - (n^2 - 1) s^2).
     """
-    cos2 = 1.0 / (1.0 + slope_squared)
-    transmitted = 1.0 - refractive_index * refractive_index * (1.0 - cos2)
-    if transmitted <= 0.0:
-        return math.nan
-    k = refractive_index - math.sqrt(transmitted / cos2)
-    return k * cos2 / (refractive_index - k * cos2)
+    n = refractive_index
+    k = n - math.sqrt(1.0 - (n * n - 1.0) * slope_squared)  # of a negative number: NaN, in kernels
+    return k / (n * (1.0 + slope_squared) - k)
 
 
 def slope_for_shift(shift_mm: Array, drop_mm: Array, *, refractive_index: float) -> Array:

@@ -19,6 +19,8 @@ class LensSettings:
     min_radius_mm      : valleys tighter than a ball of this radius are filled; 0 leaves them
     vertices_per_pixel : heightfield vertices along the side of a pixel
     polish_steps       : steps of the descent on the picture's own error, after the corrections; 0 is none
+    creases            : concave creases as sharp as the grid shows, on vertices twice as close: for black areas, and
+                         for a lens that no ball has to cut. min_radius_mm then does not apply
     """
 
     bench: Bench
@@ -28,6 +30,7 @@ class LensSettings:
     min_radius_mm: float = 0.0
     vertices_per_pixel: int = 2
     polish_steps: int = 0
+    creases: bool = False
 
     def on_bench(self, **changes: Any) -> LensSettings:
         """The same decisions for a set-up that differs."""
@@ -35,4 +38,9 @@ class LensSettings:
 
     def vertices(self, pixels: int) -> int:
         """Heightfield vertices along a side of that many pixels."""
-        return self.vertices_per_pixel * pixels + 1
+        return (2 if self.creases else 1) * self.vertices_per_pixel * pixels + 1
+
+    @property
+    def closing_radius_mm(self) -> float:
+        """Of the ball that must fit; 0 where none has to."""
+        return 0.0 if self.creases else self.min_radius_mm

@@ -39,6 +39,10 @@ PresetOption = Annotated[str | None, typer.Option("--preset", metavar="NAME", he
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. optics.width_mm=40. Repeatable.")
 ]
+LightOption = Annotated[
+    Path | None,
+    typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light on the aperture, rim to rim."),
+]
 ForceOption = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 
@@ -50,13 +54,14 @@ def make(
     spec: SpecOption = None,
     preset: PresetOption = None,
     set_: SetOption = None,
+    light_picture: LightOption = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Picture to lens, checked programs, previews and setup sheet."""
     from service import pipeline, spec_files
 
-    resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or ())
+    resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
     with _reporter(quiet) as reporter:
         report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _summary(output, report, quiet)
@@ -69,13 +74,14 @@ def design(
     spec: SpecOption = None,
     preset: PresetOption = None,
     set_: SetOption = None,
+    light_picture: LightOption = None,
     force: ForceOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Picture to lens only: heightfield, solid, simulated caustic. No programs."""
     from service import pipeline, spec_files
 
-    resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or ())
+    resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
     with _reporter(quiet) as reporter:
         report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
     _summary(output, report, quiet)

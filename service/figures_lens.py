@@ -9,6 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LightSource
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
 
 from service.figures import Array, new_figure, panel_height, png_bytes, rounded_up
 
@@ -31,8 +33,13 @@ class FlowStep(Protocol):
     def difference(self) -> Array: ...
 
 
-def heightfield_png(x_mm: Array, y_mm: Array, z_mm: Array) -> bytes:
-    """Heights (ny, nx) with contour lines, and the same surface in raking light; both seen from above, on the mill."""
+def heightfield_png(
+    x_mm: Array, y_mm: Array, z_mm: Array, *, outline_mm: Sequence[Sequence[float]] | None = None
+) -> bytes:
+    """Heights (ny, nx) with contour lines, and the same surface in raking light; both seen from above, on the mill.
+
+    outline_mm : corners of the lens within its aperture; what lies beyond is shown paler
+    """
     figure = new_figure(12.6, 0.7 + panel_height(4.9, float(np.ptp(y_mm)), float(np.ptp(x_mm))))
     heights, relief = figure.subplots(1, 2)
     extent = (float(x_mm[0]), float(x_mm[-1]), float(y_mm[0]), float(y_mm[-1]))
@@ -55,7 +62,21 @@ def heightfield_png(x_mm: Array, y_mm: Array, z_mm: Array) -> bytes:
     for axes in (heights, relief):
         axes.set_xlabel("x [mm]")
         axes.set_ylabel("y [mm]")
+        if outline_mm is not None:
+            _draw_outline(axes, outline_mm, extent)
     return png_bytes(figure)
+
+
+def _draw_outline(axes: Axes, outline_mm: Sequence[Sequence[float]], extent: tuple[float, float, float, float]) -> None:
+    """The rim of the lens, and a veil over the rest of the aperture."""
+    left, right, low, high = extent
+    frame = [(left, low), (right, low), (right, high), (left, high), (left, low)]
+    rim = [(float(x), float(y)) for x, y in outline_mm]
+    hole = [*rim, rim[0]][::-1]  # the other way round than the frame, so that the veil spares it
+    codes = [code for ring in (frame, hole) for code in (Path.MOVETO, *[Path.LINETO] * (len(ring) - 2), Path.CLOSEPOLY)]
+    veil = PathPatch(Path([*frame, *hole], codes), facecolor="white", alpha=0.75, edgecolor="none")
+    axes.add_patch(veil)
+    axes.plot(*zip(*hole, strict=True), color="black", linewidth=1.2)
 
 
 def raking_light(x_mm: Array, y_mm: Array, z_mm: Array) -> Array:

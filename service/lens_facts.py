@@ -12,6 +12,7 @@ from optics.heightfield import Array, Heightfield
 
 _ROWS_AT_ONCE = 128
 _SHARES = (0.99, 0.999, 1.0)
+_PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +30,12 @@ class LensFacts:
     radius_for_99_mm: float
     radius_for_999_mm: float
     curvature: Array
+
+    @property
+    def curvature_per_mm(self) -> dict[str, float]:
+        """Percentiles over the area of the greatest principal curvature; negative where all of it bulges out."""
+        found = np.percentile(self.curvature, _PERCENTILES)
+        return {f"p{share:g}": float(value) for share, value in zip(_PERCENTILES, found, strict=True)}
 
     def reached_share(self, radius_mm: float) -> float:
         """Share of the aperture whose curvature a ball of this radius fits."""

@@ -46,7 +46,8 @@ def machine_of(spec: JobSpec) -> MachineProfile:
 
 
 def with_feeds(spec: JobSpec) -> JobSpec:
-    """The same spec with every speed, feed and step-down filled in from the material's start values.
+    """The same spec with every speed, feed and step-down filled in from the material's start values, and the ball that
+    the lens is shaped for.
 
     What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
     spindle taking the feed down with it.
@@ -58,7 +59,8 @@ def with_feeds(spec: JobSpec) -> JobSpec:
         rows.append(_filled(row, machine, _MATERIALS[spec.stock.material]))
     if problems:
         raise SpecError(problems)
-    return spec.model_copy(update={"passes": tuple(rows)})
+    optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})
+    return spec.model_copy(update={"optics": optics, "passes": tuple(rows)})
 
 
 def without_derived(spec: JobSpec) -> dict[str, Any]:

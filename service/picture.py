@@ -66,7 +66,7 @@ def read_picture(
     width, height = image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:
-        linear = _resampled(image, settings, rows, across, down)
+        linear = resampled(image, (rows, settings.pixels), across, down, tone=settings.tone, invert=settings.invert)
     except MemoryError:
         raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
@@ -102,17 +102,19 @@ def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span
     return across, Span.centred(height / 2, width / aspect)
 
 
-def _resampled(image: Image.Image, settings: ImageSpec, rows: int, across: Span, down: Span) -> Array:
-    """Strip by strip, so that a large picture never stands in memory as floating point."""
+def resampled(
+    image: Image.Image, shape: tuple[int, int], across: Span, down: Span, *, tone: str, invert: bool = False
+) -> Array:
+    """(rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a whole."""
     width, height = image.size
-    columns, lines = resampling_weights(width, across, settings.pixels), resampling_weights(height, down, rows)
+    columns, lines = resampling_weights(width, across, shape[1]), resampling_weights(height, down, shape[0])
     scale = value_scale(image)
-    result = np.zeros((rows, settings.pixels))
+    result = np.zeros(shape)
     step = max(1, _STRIP_PIXELS // width)
     for top in range(0, height, step):
         bottom = min(height, top + step)
-        strip = linear_strip(image.crop((0, top, width, bottom)), image.info, tone=settings.tone, scale=scale)
-        if settings.invert:
-            strip = invert_tones(strip, settings.tone)
+        strip = linear_strip(image.crop((0, top, width, bottom)), image.info, tone=tone, scale=scale)
+        if invert:
+            strip = invert_tones(strip, tone)
         result += lines[:, top:bottom] @ (columns @ strip.T).T
     return np.clip(result, 0.0, 1.0)

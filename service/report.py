@@ -14,7 +14,9 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, Template
 
 from service.report_drawing import SetUp, side_view, top_view
-from service.report_words import duration_h_min, misplaced_in_words, number, psnr_in_words, size, whole
+from service.report_optics import lens_rows, light_sentences, score_rows, screen_sentence, source_spread_mm, table
+from service.report_tolerances import tolerance_sentences
+from service.report_words import duration_h_min, number, size, whole
 
 _CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
@@ -25,6 +27,11 @@ _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blur
 _PICTURES = (
     ("comparison.png", "Target, simulated caustic and the difference between them."),
     ("through-focus.png", "The same lens with the screen at other distances. Only at the throw is it in focus."),
+    (
+        "tolerances.png",
+        "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken out), and "
+        "a source of some size.",
+    ),
     ("lens.png", "The lens surface from above, as it lies on the mill: heights with contour lines, and its relief."),
     ("flow.png", "The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6)."),
     (
@@ -50,10 +57,10 @@ def render_report(
     job = _set_up(report, spec)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
     return _template().render(
-        title=title or _mapping(report.get("source")).get("file") or "lens",
+        title=title or table(report.get("source")).get("file") or "lens",
         report=report,
-        optics=_mapping(report.get("optics")),
-        spec={key: _mapping(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
+        optics=table(report.get("optics")),
+        spec={key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
         job=job,
         top_view=top_view(job) if job else None,
         side_view=side_view(job) if job else None,
@@ -63,10 +70,10 @@ def render_report(
         total_s=sum(row["time_s"] for row in passes) if all(row.get("time_s") for row in passes) else None,
         warnings=warnings,
         notes=[note for note in _notes(passes) if note not in warnings],
-        coarse=0 < (_mapping(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
-        score_rows=_score_rows(report),
-        lens_rows=_lens_rows(report, spec),
-        throw=_throw(job, spec, passes),
+        coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
+        score_rows=score_rows(report),
+        lens_rows=lens_rows(report, spec),
+        throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         highest_z_mm=max((_z_bounds(row)[1] for row in passes if _z_bounds(row)), default=None),
         main_pictures=[name for name in ("target.png", "caustic.png", "caustic-as-milled.png") if name in files],
         pictures=[(name, caption) for name, caption in _PICTURES if name in files],
@@ -83,18 +90,14 @@ def _template() -> Template:
     return environment.get_template("report.html")
 
 
-def _mapping(value: Any) -> Mapping[str, Any]:
-    return value if isinstance(value, Mapping) else {}
-
-
 def _sentences(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
 
 
 def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any]) -> SetUp | None:
     """The sizes to draw; None where the spec does not give them."""
-    optics, stock = _mapping(spec.get("optics")), _mapping(spec.get("stock"))
-    relief_mm = _mapping(report.get("optics")).get("relief_mm")
+    optics, stock = table(spec.get("optics")), table(spec.get("stock"))
+    relief_mm = table(report.get("optics")).get("relief_mm")
     try:
         return SetUp(
             width_mm=float(optics["width_mm"]),
@@ -102,6 +105,8 @@ def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any]) -> SetUp | None:
             throw_mm=float(optics["throw_mm"]),
             thickness_mm=float(stock["thickness_mm"]),
             margin_mm=float(stock.get("margin_mm", 0.0)),
+            is_mirror=optics.get("surface") == "mirror",
+            lamp_mm=table(optics.get("light")).get("distance_mm"),
             deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
         )
     except (KeyError, TypeError, ValueError):
@@ -113,7 +118,7 @@ def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str
     wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
     rows = []
     for k, program in enumerate(made):
-        row = {**(wanted[k] if k < len(wanted) else {}), **_mapping(program.get("settings")), **program}
+        row = {**(wanted[k] if k < len(wanted) else {}), **table(program.get("settings")), **program}
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
         if _z_bounds(row):
@@ -129,7 +134,7 @@ def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
 def _unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
     """Where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones take."""
     places = (passes[-1].get("unreached") or ()) if passes else ()
-    return [place if isinstance(place, str) else _place_in_words(_mapping(place)) for place in places[:_PLACES_SHOWN]]
+    return [place if isinstance(place, str) else _place_in_words(table(place)) for place in places[:_PLACES_SHOWN]]
 
 
 def _place_in_words(place: Mapping[str, Any]) -> str:
@@ -140,12 +145,12 @@ def _place_in_words(place: Mapping[str, Any]) -> str:
 
 
 def _rows(value: Any) -> Sequence[Mapping[str, Any]]:
-    return [_mapping(row) for row in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
+    return [table(row) for row in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
 
 
 def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:
     """(lowest, highest) Z of a program; empty where the report has none."""
-    bounds = _mapping(row.get("bounds")).get("z") or ()
+    bounds = table(row.get("bounds")).get("z") or ()
     return tuple(float(z) for z in bounds if z is not None and isfinite(z)) if len(bounds) == 2 else ()
 
 
@@ -177,53 +182,26 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
     return sentences
 
 
-def _score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(what, figure, in words), first for the perfect surface, then as milled."""
-    rows = []
-    for key, prefix in (("optics", ""), ("as_milled", "As milled: ")):
-        scores = _mapping(report.get(key))
-        if scores.get("psnr_db") is not None:
-            rows.append((f"{prefix}PSNR", f"{scores['psnr_db']:.1f} dB", psnr_in_words(scores["psnr_db"])))
-        if scores.get("ssim") is not None:
-            rows.append((f"{prefix}SSIM", f"{scores['ssim']:.3f}", "likeness of local structure; 1 is identical"))
-        if scores.get("misplaced_light") is not None:
-            share = scores["misplaced_light"]
-            rows.append((f"{prefix}Misplaced light", f"{100 * share:.2f} %", misplaced_in_words(share)))
-    return rows
-
-
-def _lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[str, str]]:
-    optics, wanted = _mapping(report.get("optics")), _mapping(spec.get("optics"))
-    rows = []
-    if optics.get("relief_mm") is not None:
-        rows.append(("Relief, highest to lowest point", f"{optics['relief_mm']:.2f} mm"))
-    if optics.get("max_slope_deg") is not None:
-        rows.append(("Steepest slope", f"{optics['max_slope_deg']:.1f}°"))
-    if optics.get("min_concave_radius_mm") is not None:
-        rows.append(("Tightest hollow, radius", f"{optics['min_concave_radius_mm']:.2f} mm"))
-    if optics.get("concave_radius_99_mm") is not None:
-        rows.append(("99 % of the lens: a ball up to", f"{optics['concave_radius_99_mm']:.2f} mm radius fits"))
-    if wanted.get("refractive_index") is not None:
-        rows.append(("Refractive index", f"{wanted['refractive_index']:g}"))
-    if wanted.get("method"):
-        converged = {"True": ", converged", "False": ", NOT converged"}.get(str(optics.get("converged")), "")
-        rows.append(("Method", f"{wanted['method']}{converged}"))
-    return rows
-
-
-def _throw(job: SetUp | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+def _throw(
+    job: SetUp | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]], tolerances: Mapping[str, Any]
+) -> dict[str, Any] | None:
     """Figures for the paragraph on the distance to the wall and the lamp."""
     if job is None:
         return None
-    optics, image = _mapping(spec.get("optics")), _mapping(spec.get("image"))
-    sun_mm = job.throw_mm * 2 * tan(radians(_SUN_DEG) / 2)
+    optics, image = table(spec.get("optics")), table(spec.get("image"))
+    own_mm = source_spread_mm(spec, job.throw_mm)
+    spread_mm = job.throw_mm * 2 * tan(radians(_SUN_DEG) / 2) if own_mm is None else own_mm
     screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
     pixel_mm = screen_mm / float(image["pixels"]) if image.get("pixels") else None
     return {
         "one_percent_mm": 0.01 * job.throw_mm,
+        "tolerances": tolerance_sentences(tolerances, throw_mm=job.throw_mm),
         "from_back_mm": job.throw_mm + job.thickness_mm,
         "ring_stays": job.margin_mm > 2 * max((row.get("radius_mm") or 0.0 for row in passes), default=0.0),
-        "sun_mm": sun_mm,
-        "sun_pixels": sun_mm / pixel_mm if pixel_mm else None,
+        "spread_mm": spread_mm,
+        "spread_pixels": spread_mm / pixel_mm if pixel_mm else None,
+        "spread_of": "The sun's disc" if own_mm is None else "The size of the source",
+        "light": light_sentences(spec),
+        "screen": screen_sentence(spec),
         "viewed_from": optics.get("viewed_from"),
     }

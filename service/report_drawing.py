@@ -15,7 +15,7 @@ _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetUp:
-    """Sizes of a job in mm; relief_mm is None before there is a lens."""
+    """Sizes of a job in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel."""
 
     width_mm: float
     height_mm: float
@@ -23,6 +23,8 @@ class SetUp:
     margin_mm: float
     throw_mm: float
     deepest_mm: float | None = None
+    is_mirror: bool = False
+    lamp_mm: float | None = None
 
 
 def top_view(job: SetUp) -> Markup:
@@ -63,7 +65,7 @@ def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float
 
 
 def side_view(job: SetUp) -> Markup:
-    """Light from below, through the block, to the wall. The distance to the wall is not to scale."""
+    """Light through the block or onto the mirror, and to the wall. The distance to the wall is not to scale."""
     left, width, wall, zero, back = 70.0, 190.0, 28.0, 160.0, 226.0
     deepest = job.deepest_mm or 0.0
     depth = min(max(deepest / job.thickness_mm, 0.0), 0.95) * (back - zero)
@@ -85,14 +87,25 @@ def side_view(job: SetUp) -> Markup:
         _dimension_up(left - 24, wall + 2, zero, f"throw {job.throw_mm:g} mm"),
         _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
         _text(left + width + 24, back + 4, "flat, polished back"),
-        *(_arrow(x, back + 34, x, back + 6, colour="#c77700") for x in (left + 30, left + 95, left + 160)),
+        *_arriving_light(job, left, width, zero, back),
         *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
-        _text(left + width / 2, back + 50, "parallel light, square to the back", anchor="middle", colour="#8a5200"),
     ]
     if job.deepest_mm is not None:
         beside = min(max(low + 4, zero + 21), back - 14)  # clear of the labels of Z0 and of the back
         parts.append(_text(left + width + 24, beside, f"deepest {deepest:.2f} mm"))
     return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
+
+
+def _arriving_light(job: SetUp, left: float, width: float, zero: float, back: float) -> list[str]:
+    """Arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
+    middle = left + width / 2
+    spread = 1.0 if job.lamp_mm is None else 0.35
+    low, high = (zero - 62, zero - 8) if job.is_mirror else (back + 34, back + 6)
+    arrows = [_arrow(middle + spread * off, low, middle + off, high, colour="#c77700") for off in (-65.0, 0.0, 65.0)]
+    source = "parallel light" if job.lamp_mm is None else f"lamp, {job.lamp_mm:g} mm away"
+    if job.is_mirror:
+        return [*arrows, _text(left + width + 24, zero - 50, f"{source}, from the wall's side", colour="#8a5200")]
+    return [*arrows, _text(middle, back + 50, f"{source}, square to the back", anchor="middle", colour="#8a5200")]
 
 
 def _svg(width: float, height: float, title: str, parts: list[str]) -> Markup:

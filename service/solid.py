@@ -1,11 +1,13 @@
 """The lens as a watertight solid block: for looking at, for quoting, for CAD. The programs never come from it.
 
 The block holds a flat back at -thickness, four sides, the lens surface on its own coarser grid, and, where there is a
-margin, a flat ring at Z0 with an upright wall down to the rim of the lens.
+margin, a flat ring at Z0 with an upright wall down to the rim of the lens. A lens with an outline of its own is shown
+as it is when it has been cut out: the sides are upright and follow the outline, and nothing is left of the margin.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
@@ -17,6 +19,8 @@ from numpy.typing import NDArray
 from optics.heightfield import Array, Heightfield
 
 Indices = NDArray[np.int64]
+
+_OVERLAP_MM = 1.0  # of the cutting column beyond the block, so that no two faces coincide
 
 
 class SolidError(ValueError):
@@ -58,22 +62,38 @@ def lens_solid(
     margin_mm: float,
     min_floor_mm: float = 1.0,
     max_vertices: int = 257,
+    outline_mm: Sequence[Sequence[float]] | None = None,
 ) -> Any:
     """The block as a trimesh.Trimesh, normals outward, at most max_vertices along the longer side of the lens.
 
+    outline_mm : corners in the aperture, counter-clockwise, that the block is cut along; None: it stays a box
     Raises ReliefTooDeep where the floor gets thinner than min_floor_mm, SolidError where no closed solid results.
     """
     require_floor(heightfield, thickness_mm=thickness_mm, min_floor_mm=min_floor_mm)
     x_mm, y_mm, z_mm = _lens_grid(heightfield, max_vertices)
-    vertices, faces = _block(x_mm, y_mm, z_mm, thickness_mm=thickness_mm, margin_mm=margin_mm)
+    vertices, faces = _block(
+        x_mm, y_mm, z_mm, thickness_mm=thickness_mm, margin_mm=margin_mm if outline_mm is None else 0.0
+    )
     mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
-    _require_closed(mesh)
-    return mesh
+    solid = _require_closed(mesh)
+    return mesh if outline_mm is None else _cut_out(solid, outline_mm, thickness_mm)
 
 
 def stl_bytes(mesh: Any) -> bytes:
     """Binary STL in millimetres."""
     return bytes(mesh.export(file_type="stl"))
+
+
+def _cut_out(solid: manifold3d.Manifold, outline_mm: Sequence[Sequence[float]], thickness_mm: float) -> Any:
+    """What of the block stands over the outline."""
+    flat = manifold3d.CrossSection([[(x, y) for x, y in outline_mm]])
+    column = flat.extrude(thickness_mm + 2 * _OVERLAP_MM).translate((0, 0, -thickness_mm - _OVERLAP_MM))
+    cut = (solid ^ column).to_mesh64()
+    mesh = trimesh.Trimesh(
+        vertices=np.array(cut.vert_properties)[:, :3], faces=np.array(cut.tri_verts, np.int64), process=False
+    )
+    _require_closed(mesh)
+    return mesh
 
 
 def _lens_grid(heightfield: Heightfield, max_vertices: int) -> tuple[Array, Array, Array]:
@@ -154,8 +174,8 @@ def _without_unused(vertices: Array, faces: Indices) -> tuple[Array, Indices]:
     return vertices[used], renumbered.reshape(faces.shape)
 
 
-def _require_closed(mesh: Any) -> None:
-    """Two libraries must agree that the mesh bounds a solid."""
+def _require_closed(mesh: Any) -> manifold3d.Manifold:
+    """The solid that the mesh bounds; two libraries must agree that it does."""
     solid = manifold3d.Manifold(
         manifold3d.Mesh64(vert_properties=np.asarray(mesh.vertices), tri_verts=np.asarray(mesh.faces, dtype=np.uint64))
     )
@@ -171,3 +191,4 @@ def _require_closed(mesh: Any) -> None:
     ]
     if faults:
         raise SolidError(f"the lens does not close to a solid block: {', '.join(faults)}")
+    return solid

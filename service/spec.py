@@ -7,25 +7,24 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
+
+from service.spec_light import LightSpec
+from service.spec_optics import OpticsSpec
+from service.spec_section import Section
+
+__all__ = ["ImageSpec", "JobSpec", "LightSpec", "MachineSpec", "OpticsSpec", "PassRow", "Section", "StockSpec"]
 
 PRESETS = ("paper", "draft")
 MATERIALS = ("pmma",)
 MAX_PIXELS = 4096
+MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
 MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 
-Length = Annotated[float, Field(gt=0, le=2000)]
-Distance = Annotated[float, Field(gt=0, le=100_000)]
 Tool = Annotated[float, Field(gt=0, le=25)]
 Rate = Annotated[float, Field(gt=0, le=50_000)]
 Speed = Annotated[float, Field(gt=0, le=200_000)]
 Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
-
-
-class Section(BaseModel):
-    """A table of the spec: exact types, finite numbers, no unknown keys, frozen."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
 
 class ImageSpec(Section):
@@ -35,43 +34,6 @@ class ImageSpec(Section):
     tone: Literal["srgb", "linear"] = "srgb"
     fit: Literal["crop", "pad", "stretch"] = "crop"
     invert: bool = False
-
-
-class LightSpec(Section):
-    """The light that enters the flat face. Collimated only, so far."""
-
-    kind: Literal["collimated"] = "collimated"
-
-    @field_validator("kind", mode="before")
-    @classmethod
-    def _available(cls, kind: object) -> object:
-        if kind in ("sun", "point"):
-            raise ValueError(f"light '{kind}' is not available yet; allowed: 'collimated'")
-        return kind
-
-
-class OpticsSpec(Section):
-    """The lens and the screen. The throw counts from the stock top; the screen is the aperture's size unless set."""
-
-    width_mm: Length = 100.0
-    height_mm: Length = 100.0
-    throw_mm: Distance = 100.0
-    refractive_index: Annotated[float, Field(ge=1.05, le=3.0)] = 1.49
-    screen_width_mm: Annotated[float, Field(gt=0, le=20_000)] | None = None
-    screen_height_mm: Annotated[float, Field(gt=0, le=20_000)] | None = None
-    min_radius_mm: Annotated[float, Field(ge=0, le=25)] = 0.5  # valleys tighter than this ball are filled; 0: none are
-    method: Literal["transport", "paper"] = "transport"
-    viewed_from: Literal["lens", "behind"] = "lens"
-    corrections: Annotated[int, Field(ge=0, le=3)] = 2
-    light: LightSpec = LightSpec()
-
-    @property
-    def screen_size_mm(self) -> tuple[float, float]:
-        """Width and height of the screen; one that is not given follows the other in the aperture's proportion."""
-        width, height = self.screen_width_mm, self.screen_height_mm
-        if width is None:
-            width = self.width_mm if height is None else height * self.width_mm / self.height_mm
-        return width, width * self.height_mm / self.width_mm if height is None else height
 
 
 class StockSpec(Section):
@@ -159,6 +121,14 @@ class JobSpec(Section):
         width_mm, height_mm = self.optics.screen_size_mm
         return max(1, round(self.image.pixels * height_mm / width_mm))
 
+    @property
+    def lens_radius_mm(self) -> float:
+        """The ball that the lens is shaped for: as given, or the smallest that finishes; 0 for none."""
+        if self.optics.min_radius_mm is not None:
+            return self.optics.min_radius_mm
+        finishing = [row.radius_mm for row in self.passes if row.stock_to_leave_mm == 0]
+        return 0.0 if self.optics.creases else min(finishing or [row.radius_mm for row in self.passes])
+
     @model_validator(mode="after")
     def _rows_in_range(self) -> Self:
         if not 16 <= self.pixel_rows <= MAX_PIXELS:
@@ -166,6 +136,18 @@ class JobSpec(Section):
             raise ValueError(
                 f"image.pixels = {self.image.pixels} on a screen of {width_mm:g} x {height_mm:g} mm makes "
                 f"{self.pixel_rows} rows; allowed: 16 to {MAX_PIXELS}"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _vertices_in_range(self) -> Self:
+        each, longer = self.optics.vertices_per_pixel, max(self.image.pixels, self.pixel_rows)
+        each *= 2 if self.optics.creases else 1
+        if each * longer > MAX_VERTICES:
+            raise ValueError(
+                f"optics.vertices_per_pixel = {self.optics.vertices_per_pixel} with {longer} pixels along a side "
+                f"{'and creases ' * self.optics.creases}makes a lens of {each * longer} vertices; "
+                f"allowed: at most {MAX_VERTICES}"
             )
         return self
 

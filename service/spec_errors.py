@@ -129,7 +129,7 @@ def _range(schema: Mapping[str, Any]) -> str:
 
 
 def _unit(key: str) -> str:
-    for ending, unit in (("_mm_per_min", "mm/min"), ("_mm", "mm"), ("_rpm", "rpm")):
+    for ending, unit in (("_mm_per_min", "mm/min"), ("_mm", "mm"), ("_rpm", "rpm"), ("_deg", "degrees")):
         if key.endswith(ending):
             return f" {unit}"
     return ""

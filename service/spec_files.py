@@ -27,12 +27,15 @@ def resolve_spec(
     preset: str | None = None,
     overrides: Sequence[str] = (),
     base: Mapping[str, Any] | None = None,
+    light_picture: Path | None = None,
 ) -> JobSpec:
     """The complete spec: defaults, then base, then file, then preset, then overrides ('key.key=value').
 
+    light_picture is a measured picture of the light, which becomes optics.light.profile.
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
     """
-    return with_feeds(validated(spec_data(file=file, preset=preset, overrides=overrides, base=base)))
+    data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
+    return with_feeds(validated(data))
 
 
 def spec_data(
@@ -41,6 +44,7 @@ def spec_data(
     preset: str | None = None,
     overrides: Sequence[str] = (),
     base: Mapping[str, Any] | None = None,
+    light_picture: Path | None = None,
 ) -> dict[str, Any]:
     """What resolve_spec validates: plain data, put together from all that was given."""
     data = _merged(base or {}, read_spec_file(file) if file else {})
@@ -55,6 +59,8 @@ def spec_data(
     for text in overrides:
         if text not in chosen:
             _override(data, text)
+    if light_picture is not None:
+        _set_profile(data, light_picture)
     return data
 
 
@@ -119,8 +125,10 @@ def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
         for key, old in before.model_dump().items()
         if after.model_dump()[key] != old
     ]
-    if stored.stock.skim_mm != wanted.stock.skim_mm:
-        problems.append(("stock.skim_mm", f"this lens was designed with {stored.stock.skim_mm}; allowed: the same"))
+    stock = ["skim_mm", "thickness_mm"] if stored.optics.light_crosses_block else ["skim_mm"]
+    for key in stock:  # light that slants arrives elsewhere through a thicker block
+        if (old := getattr(stored.stock, key)) != getattr(wanted.stock, key):
+            problems.append((f"stock.{key}", f"this lens was designed with {old}; allowed: the same"))
     if problems:
         raise SpecError(problems)
 
@@ -174,6 +182,19 @@ def _override(data: dict[str, Any], text: str) -> None:
         here[_index(here, place) if isinstance(here, list) else step] = copy
         here = copy
     here[_index(here, steps) if isinstance(here, list) else steps[-1]] = value
+
+
+def _set_profile(data: dict[str, Any], picture: Path) -> None:
+    """The picture's rows at optics.light.profile; its tones are read as those of the job's own picture."""
+    from service.light_picture import light_rows  # arrays: not for those who only plan
+
+    optics, image = data.get("optics", {}), data.get("image", {})
+    light = optics.get("light", {}) if isinstance(optics, Mapping) else {}
+    if not isinstance(optics, Mapping) or not isinstance(light, Mapping):
+        return  # a table that is none; it is refused as what it is
+    tone = image.get("tone") if isinstance(image, Mapping) else None
+    rows = light_rows(picture, tone="linear" if tone == "linear" else "srgb")
+    data["optics"] = {**optics, "light": {**light, "profile": rows}}
 
 
 def _index(rows: Sequence[Any], place: Sequence[str]) -> int:

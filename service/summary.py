@@ -13,6 +13,7 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
     optics = report.get("optics", {})
     if optics:
         yield _optics_line(optics)
+        yield from _light_lines(optics)
     for row in report.get("passes", []):
         deepest = row["bounds"]["z"][0]
         yield (
@@ -39,6 +40,25 @@ def duration(seconds: float) -> str:
         return f"{hours} h {minutes} min"
     days, hours = divmod(hours, 24)
     return f"{days} d {hours} h"
+
+
+def _light_lines(optics: Mapping[str, Any]) -> Iterator[str]:
+    """What was done for the picture beside the design itself, and what the set-up must keep to."""
+    done = []
+    if closing := optics.get("closing"):
+        lost = closing["psnr_db_without"] - closing["psnr_db_with"]
+        done.append(f"shaped for a ball of {closing['radius_mm']:g} mm radius ({-lost:+.1f} dB)")
+    if polish := optics.get("polish"):
+        done.append(f"polished ({polish['psnr_db_after'] - polish['psnr_db_before']:+.1f} dB)")
+    if optics.get("dark_leak"):
+        done.append(f"dark leak {100 * optics['dark_leak']:.2f} %")
+    if optics.get("branch") == "inverted":
+        done.append("rays cross before the screen")
+    if done:
+        yield "light: " + ", ".join(done)
+    if tolerances := optics.get("tolerances"):
+        near, far = tolerances["focus_range_mm"]
+        yield f"set-up: 3 dB are lost with the wall {-near:.2g} mm too near or {far:.2g} mm too far"
 
 
 def _optics_line(optics: Mapping[str, Any]) -> str:

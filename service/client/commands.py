@@ -38,6 +38,10 @@ def submit(
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. optics.width_mm=40. Repeatable."),
     ] = None,
+    light_picture: Annotated[
+        Path | None,
+        typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light, as for `make`."),
+    ] = None,
     priority: Annotated[str, typer.Option("--priority", help="low, normal or high.")] = "normal",
     follow: Annotated[bool, typer.Option("--follow", "--wait", help="Stay until the job has ended.")] = False,
     output: Annotated[
@@ -52,9 +56,8 @@ def submit(
     from service.client.submit import Submission
     from service.client.submit import submit as submitted
 
-    order = Submission(
-        picture=picture, spec=spec_text(file=spec, preset=preset, overrides=set_ or ()), priority=priority
-    )
+    text = spec_text(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+    order = Submission(picture=picture, spec=text, priority=priority)
     with _connected(server, token_file) as link:
         if output is not None:
             from service.client.download import require_folder

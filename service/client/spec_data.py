@@ -11,14 +11,17 @@ from typing import Any
 from service.spec_files import spec_data
 
 
-def spec_text(*, file: Path | None, preset: str | None, overrides: Sequence[str]) -> str | None:
-    """JSON of file, preset and overrides together; None where nothing was given.
+def spec_text(
+    *, file: Path | None, preset: str | None, overrides: Sequence[str], light_picture: Path | None = None
+) -> str | None:
+    """JSON of file, preset, overrides and the picture of the light together; None where nothing was given.
 
     Not checked against this computer's profiles and versions: the mill may be one that only the server knows.
     """
-    if file is None and preset is None and not overrides:
+    if file is None and preset is None and light_picture is None and not overrides:
         return None
-    return json.dumps(_plain(spec_data(file=file, preset=preset, overrides=overrides)), default=str)
+    data = spec_data(file=file, preset=preset, overrides=overrides, light_picture=light_picture)
+    return json.dumps(_plain(data), default=str)
 
 
 def _plain(value: Any) -> Any:

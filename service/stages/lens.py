@@ -6,11 +6,13 @@ Drawing and the solid are imported where they are used: a worker that has just s
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite
+from dataclasses import asdict
+from itertools import accumulate
+from typing import Any
 
-from optics.bench import Bench
+from optics.black import advice, dark_leak_estimate
 from optics.design import LensDesign, design_lens
-from optics.heightfield import Heightfield
+from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.settings import LensSettings
 from service.job_files import HEIGHTFIELD, MAP, SOLID
@@ -18,28 +20,12 @@ from service.lens_facts import LensFacts, measure_lens
 from service.picture import read_picture
 from service.spec import MIN_FLOOR_MM, JobSpec
 from service.stages import arrays
+from service.stages.optical_task import branch_of, lens_settings
+from service.stages.plain import plain
 from service.stages.workshop import THE_PICTURE, Workshop
 
+POLISH_SHARE = 12.0  # time of a polish, where the first solution takes 1
 PICTURE, TARGET, HEIGHTS = ".picture.npz", ".target.npz", ".heights.npz"
-
-
-def lens_settings(spec: JobSpec) -> LensSettings:
-    """The optical task of a job."""
-    optics = spec.optics
-    bench = Bench.centred(
-        width_mm=optics.width_mm,
-        height_mm=optics.height_mm,
-        throw_mm=optics.throw_mm,
-        refractive_index=optics.refractive_index,
-        screen_mm=optics.screen_size_mm,
-    )
-    return LensSettings(
-        bench=bench,
-        skim_mm=spec.stock.skim_mm,
-        method=optics.method,
-        corrections=optics.corrections,
-        min_radius_mm=optics.min_radius_mm,
-    )
 
 
 def image(shop: Workshop) -> None:
@@ -77,11 +63,13 @@ def transport_map(shop: Workshop) -> None:
     """Target -> map.npz and the lens's heights; what the design says of itself in report `optics`; flow.png."""
     target = shop.receive(TARGET, arrays.load_target)
     with shop.watch.stage("lens") as reached:
-        design = design_lens(target, lens_settings(shop.spec), on_progress=_way(shop.spec, reached))
+        settings = lens_settings(shop.spec, branch=branch_of(shop.spec, target))
+        design = design_lens(target, settings, on_progress=_way(shop.spec, reached))
         way = {"screen_mm": design.transport_map.screen_mm, "lens_mm": design.transport_map.lens_mm}
         shop.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
         shop.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
-    _tell_of_design(shop, design)
+    _tell_of_design(shop, design, settings)
+    _tell_of_black(shop, target, settings)
     if design.flow is not None:
         from service import figures_lens
 
@@ -102,13 +90,17 @@ def solid_block(shop: Workshop, lens: Heightfield) -> None:
     """lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is left."""
     from service import figures_lens, solid
 
-    stock = shop.spec.stock
+    stock, outline_mm = shop.spec.stock, shop.spec.optics.outline_mm
     with shop.watch.stage("solid"):
         mesh = solid.lens_solid(
-            lens, thickness_mm=stock.thickness_mm, margin_mm=stock.margin_mm, min_floor_mm=MIN_FLOOR_MM
+            lens,
+            thickness_mm=stock.thickness_mm,
+            margin_mm=stock.margin_mm,
+            min_floor_mm=MIN_FLOOR_MM,
+            outline_mm=outline_mm,
         )
         shop.save(SOLID, solid.stl_bytes(mesh))
-        shop.save("lens.png", figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm))
+        shop.save("lens.png", figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=outline_mm))
 
 
 def require_fit_in_stock(shop: Workshop, lens: Heightfield) -> None:
@@ -120,37 +112,61 @@ def require_fit_in_stock(shop: Workshop, lens: Heightfield) -> None:
 
 def _way(spec: JobSpec, reached: Callable[[float], None]) -> Callable[[str, float], None]:
     """The phases of a design, each of which goes from 0 to 1, as one way from 0 to 1: by the time they take."""
-    first = 1.0 / (1.0 + 0.8 * spec.optics.corrections)
-    ways = {"transport map": (0.0, first), "corrections": (first, 1.0), "flow": (0.0, 0.9), "surface": (0.9, 1.0)}
+    lengths = {"transport map": 1.0, "corrections": 0.8 * spec.optics.corrections, "polish": POLISH_SHARE}
+    if spec.optics.method == "paper":
+        lengths = {"flow": 0.9, "surface": 0.1}
+    elif not spec.optics.polish:
+        del lengths["polish"]
+    ends = dict(zip(lengths, accumulate(lengths.values()), strict=True))
+    whole = sum(lengths.values())
 
     def tell(phase: str, share: float) -> None:
-        begin, end = ways[phase]
-        reached(begin + (end - begin) * share)
+        if phase in ends:
+            reached((ends[phase] - (1.0 - share) * lengths[phase]) / whole)
 
     return tell
 
 
-def _tell_of_design(shop: Workshop, design: LensDesign) -> None:
+def _tell_of_design(shop: Workshop, design: LensDesign, settings: LensSettings) -> None:
     shop.report["optics"] = {
         "method": shop.spec.optics.method,
+        "surface": shop.spec.optics.surface,
+        "branch": settings.bench.branch,
+        "min_radius_mm": settings.closing_radius_mm,
         "converged": design.converged,
         "message": design.message,
         "history": design.history,
+        "closing": None if design.closing is None else plain(asdict(design.closing)),
+        "polish": None if design.polish is None else _without_clock(asdict(design.polish)),
     }
     if not design.converged:
         shop.note("optics", f"the lens design has not converged: {design.message}")
+    for sentence in design.warnings:
+        shop.note("optics", sentence)
 
 
-def _facts(facts: LensFacts) -> dict[str, float | None]:
+def _tell_of_black(shop: Workshop, target: Array, settings: LensSettings) -> None:
+    """What physics lets onto black areas, and what makes a picture hard."""
+    radius_mm = settings.closing_radius_mm
+    shop.report["optics"]["dark_leak_estimate"] = dark_leak_estimate(target, settings.bench, radius_mm)
+    for sentence in advice(target, settings.bench, radius_mm, vertices_per_pixel=settings.vertices_per_pixel):
+        shop.note("optics", sentence)
+
+
+def _without_clock(record: dict[str, Any]) -> dict[str, Any]:
+    """What a stage says must be the same whenever it runs; `timings_s` tells how long it took."""
+    return plain({key: value for key, value in record.items() if key != "seconds"})
+
+
+def _facts(facts: LensFacts) -> dict[str, Any]:
     """Facts for report.json; null stands for 'nothing is concave, every ball fits'."""
-    return {
-        "relief_mm": facts.relief_mm,
-        "max_slope_deg": facts.max_slope_deg,
-        "min_concave_radius_mm": _finite(facts.min_concave_radius_mm),
-        "concave_radius_99_mm": _finite(facts.radius_for_99_mm),
-        "concave_radius_999_mm": _finite(facts.radius_for_999_mm),
-    }
-
-
-def _finite(value: float) -> float | None:
-    return value if isfinite(value) else None
+    return plain(
+        {
+            "relief_mm": facts.relief_mm,
+            "max_slope_deg": facts.max_slope_deg,
+            "min_concave_radius_mm": facts.min_concave_radius_mm,
+            "concave_radius_99_mm": facts.radius_for_99_mm,
+            "concave_radius_999_mm": facts.radius_for_999_mm,
+            "concave_curvature_per_mm": facts.curvature_per_mm,
+        }
+    )

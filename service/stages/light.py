@@ -2,42 +2,60 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import isfinite
+import math
+from dataclasses import asdict, replace
+from typing import Any
 
+from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
-from optics.heightfield import Array
+from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
+from optics.light import SUN_DEG
 from optics.metrics import CausticScore, score_caustic
+from optics.tolerance import FOCUS_SHARES, SOURCES_DEG, TILTS_DEG, Tolerances, lens_tolerances
 from service.job_files import HEIGHTFIELD, MAP
+from service.spec import JobSpec
 from service.stages import arrays
-from service.stages.lens import lens_settings
+from service.stages.optical_task import bench_of
+from service.stages.plain import plain
 from service.stages.workshop import Workshop
 
+_BEAMS_OUT_OF_FOCUS = 7
 THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 
 def caustic(shop: Workshop) -> None:
-    """Simulated light: scores into report `optics`, caustic.png, comparison.png, through-focus.png."""
+    """Simulated light: scores and tolerances into report `optics`; caustic.png, comparison.png, through-focus.png."""
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = shop.receive(MAP, arrays.load_target)
-    bench = lens_settings(shop.spec).bench
+    bench = bench_of(shop.spec)
     with shop.watch.stage("caustic") as reached:
         seen = []
         for number, factor in enumerate(THROUGH_FOCUS, 1):
-            seen.append(
-                simulate_caustic(
-                    heightfield,
-                    replace(bench, throw_mm=factor * bench.throw_mm),
-                    pixels=(target.shape[0], target.shape[1]),
-                    tubes_per_cell=4 if factor == 1.0 else 2,
-                )
-            )
+            seen.append(_at(factor, heightfield, bench, target))
             reached(number / (len(THROUGH_FOCUS) + 1))
         in_focus = seen[THROUGH_FOCUS.index(1.0)]
-        score = score_caustic(in_focus.irradiance, target)
+        _tell(shop, in_focus, score_caustic(in_focus.irradiance, target))
+        if bench.light.extended:
+            sharp = simulate_caustic(heightfield, bench, pixels=_shape(target), beams=1)
+            _tell_without_size(shop, score_caustic(sharp.irradiance, target))
         _draw(shop, target, seen)
-    _tell(shop, in_focus, score)
+    with shop.watch.stage("tolerances") as reached:
+        found = lens_tolerances(heightfield, bench, target, on_progress=reached)
+        shop.report["optics"]["tolerances"] = _figures(found)
+        _draw_tolerances(shop, target, found)
+
+
+def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) -> Caustic:
+    """The light on a screen at that factor of the throw; out of focus with fewer tubes and beams."""
+    moved = replace(bench, throw_mm=factor * bench.throw_mm)
+    if factor == 1.0:
+        return simulate_caustic(heightfield, moved, pixels=_shape(target))
+    return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=2, beams=_BEAMS_OUT_OF_FOCUS)
+
+
+def _shape(target: Array) -> tuple[int, int]:
+    return target.shape[0], target.shape[1]
 
 
 def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
@@ -53,18 +71,77 @@ def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
     shop.save("through-focus.png", figures.through_focus_png(series, throw_mm=throw_mm, white=white))
 
 
+def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
+    from service import figures_tolerances
+
+    middle = FOCUS_SHARES.index(0.0)
+    before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)
+    tilt, sun = found.tilts[TILTS_DEG.index(1.0)], found.sources[SOURCES_DEG.index(SUN_DEG)]
+    shown = [
+        (f"wall 1 % nearer, {found.focus[before].psnr_db:.1f} dB", found.focus[before].irradiance),
+        (f"as designed, {found.psnr_db:.1f} dB", found.focus[middle].irradiance),
+        (f"wall 1 % farther, {found.focus[after].psnr_db:.1f} dB", found.focus[after].irradiance),
+        (f"light {tilt.tilt_deg:g}° aslant, {tilt.psnr_db:.1f} dB", tilt.irradiance),
+        (f"source of {sun.size_deg:g}°, {sun.psnr_db:.1f} dB", sun.irradiance),
+    ]
+    pictures = [(caption, _as_seen(shop, irradiance)) for caption, irradiance in shown]
+    white = float(target.max())
+    shop.save("tolerances.png", figures_tolerances.tolerances_png(found, pictures, white=white))
+
+
+def _figures(found: Tolerances) -> dict[str, Any]:
+    """The tolerances without their pictures."""
+    return plain(
+        {
+            "psnr_db": found.psnr_db,
+            "focus": [{"offset_mm": p.offset_mm, "psnr_db": p.psnr_db} for p in found.focus],
+            "focus_range_mm": found.focus_range_mm,
+            "tilts": [{"tilt_deg": p.tilt_deg, "shift_mm": p.shift_mm, "psnr_db": p.psnr_db} for p in found.tilts],
+            "sources": [
+                {key: getattr(p, key) for key in ("size_deg", "diameter_mm", "diameter_px", "psnr_db")}
+                for p in found.sources
+            ],
+            "blur_mm": found.blur_mm,
+            "blur_px": found.blur_px,
+        }
+    )
+
+
 def _tell(shop: Workshop, in_focus: Caustic, score: CausticScore) -> None:
-    shop.report["optics"] = {
-        "psnr_db": score.psnr_db if isfinite(score.psnr_db) else None,
-        "ssim": score.ssim,
-        "misplaced_light": score.misplaced_light,
-        "dark_leak": score.dark_leak,
-        "outside_share": in_focus.outside_share,
-        "reflected_share": in_focus.reflected_share,
-    }
-    if in_focus.reflected_share > 1e-6:
+    shop.report["optics"] = plain(
+        {
+            **asdict(score),
+            "outside_share": in_focus.outside_share,
+            "reflected_share": in_focus.reflected_share,
+        }
+    )
+    if in_focus.reflected_share > 1e-6 and shop.spec.optics.surface == "lens":
         share = 100 * in_focus.reflected_share
         shop.note("optics", f"{share:.2g} % of the light is totally reflected inside the lens; a longer throw helps")
+    if blocked := blocked_by_the_screen(shop.spec):
+        shop.note("optics", blocked)
+
+
+def _tell_without_size(shop: Workshop, score: CausticScore) -> None:
+    """What the lens itself is worth, where the size of the source is most of what is missing."""
+    shop.report["optics"]["from_a_point_source"] = plain(asdict(score))
+
+
+def blocked_by_the_screen(spec: JobSpec) -> str | None:
+    """A mirror is lit past its screen; a sentence where the screen, as it stands, keeps the light from the mirror."""
+    optics, light = spec.optics, spec.optics.light
+    if optics.surface == "lens" or (light.distance_mm or math.inf) <= optics.throw_mm:
+        return None
+    narrowed = 1.0 - optics.throw_mm / light.distance_mm if light.distance_mm else 1.0
+    screen = optics.screen_size_mm
+    need_x = (narrowed * optics.width_mm + screen[0]) / 2
+    need_y = (narrowed * optics.height_mm + screen[1]) / 2
+    if abs(optics.screen_shift_x_mm) >= need_x or abs(optics.screen_shift_y_mm) >= need_y:
+        return None
+    return (
+        f"the screen stands in the light of the mirror and would shade it; optics.screen_shift_x_mm = {need_x:.0f} or "
+        f"optics.screen_shift_y_mm = {need_y:.0f} lets the light pass"
+    )
 
 
 def _as_seen(shop: Workshop, irradiance: Array) -> Array:

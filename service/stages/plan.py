@@ -27,6 +27,10 @@ from service.stages.order import FileRef
 from service.stages.sources import state_of_sources
 
 _BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm")
+_BENCH = (
+    "optics.width_mm", "optics.height_mm", "screen_mm", "optics.screen_shift_x_mm", "optics.screen_shift_y_mm",
+    "optics.throw_mm", "optics.refractive_index", "optics.surface", "optics.outline", "optics.light", "light_path_mm",
+)  # fmt: skip
 _KINEMATICS = tuple(
     f"machine.{name}"
     for name in (
@@ -34,6 +38,7 @@ _KINEMATICS = tuple(
         "planner_blocks", "lines_per_s", "safe_z_mm",
     )
 )  # fmt: skip
+POLISH_S = 20.0  # of 512 x 512 pixels
 _LIBRARIES = (
     "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "jinja2",
 )  # fmt: skip
@@ -84,29 +89,22 @@ _BEFORE = (
         name="map",
         function=f"{_LENS}:transport_map",
         reads=(".target.npz",),
-        spec=("optics", "stock.skim_mm"),
+        spec=("optics", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),
     Stage(
         name="heightfield",
         function=f"{_LENS}:heightfield",
         reads=(".heights.npz",),
-        spec=("stock.thickness_mm", "stock.margin_mm"),
+        spec=("stock.thickness_mm", "stock.margin_mm", "optics.outline"),
         parts=(("facts", 0.4), ("solid", 0.6)),
     ),
     Stage(
         name="caustic",
         function=f"{_LIGHT}:caustic",
         reads=("heightfield.npz", "map.npz"),
-        spec=(
-            "optics.width_mm",
-            "optics.height_mm",
-            "screen_mm",
-            "optics.throw_mm",
-            "optics.refractive_index",
-            "optics.viewed_from",
-        ),
-        parts=(("caustic", 1.0),),
+        spec=(*_BENCH, "optics.viewed_from"),
+        parts=(("caustic", 0.5), ("tolerances", 0.5)),
     ),
 )
 _PASS = Stage(
@@ -165,13 +163,16 @@ def shares(spec: JobSpec) -> dict[str, float]:
     The seconds were measured on two cores, on a 512 x 512 photograph; passes by the length of their rows.
     """
     pixels = spec.image.pixels * spec.pixel_rows / 512**2
-    method_s = 1.0 + 0.8 * spec.optics.corrections if spec.optics.method == "transport" else 30.0
+    light = spec.optics.light
+    beams = 4.0 if light.kind == "sun" or light.size_mm else 1.0  # most of the time goes to simulated light
+    method_s = (1.0 + 0.8 * spec.optics.corrections + (POLISH_S if spec.optics.polish else 0.0)) * beams
+    method_s = method_s if spec.optics.method == "transport" else 30.0
     seconds = {
         "image": 0.1 + 0.1 * pixels,
         "irradiance": 0.1,
         "map": 0.1 + method_s * pixels,
         "heightfield": 0.7 + 0.8 * pixels,
-        "caustic": 0.5 + 1.6 * pixels,
+        "caustic": 1.0 + 4.0 * beams * pixels,
         "check": 0.7,
         "report": 0.1,
     }
@@ -212,11 +213,15 @@ def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, 
 
 
 def facts_of(spec: JobSpec) -> dict[str, Any]:
-    """The spec as data, with what follows from it: the screen size; the mill's figures, for a profile's file may change
-    under its name; and of each pass whether it is the last one, whose stock nobody asks for.
+    """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the block's
+    thickness where light slants through it or a branch is chosen for it; the mill's figures, for a profile's file may
+    change under its name; and of each pass whether it is the last one, whose stock nobody asks for.
     """
     facts = spec.model_dump(mode="json")
     facts["screen_mm"] = list(spec.optics.screen_size_mm)
+    facts["optics"]["min_radius_mm"] = spec.lens_radius_mm
+    facts["light_path_mm"] = spec.stock.thickness_mm if spec.optics.light_crosses_block else None
+    facts["block_for_branch_mm"] = spec.stock.thickness_mm if spec.optics.branch == "auto" else None
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(machine_of(spec))
     for row in facts["passes"]:

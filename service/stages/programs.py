@@ -84,7 +84,7 @@ def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
     passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
     with shop.watch.stage("fit"):
         require_travel(heightfield, stock, passes, machine_of(shop.spec))
-        unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.optics.min_radius_mm)
+        unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.lens_radius_mm)
         if unfit:
             shop.note("passes", unfit)
         if not passes[-1].finishes:

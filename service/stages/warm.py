@@ -25,6 +25,7 @@ LATER = (
     "service.solid",
     "service.figures",
     "service.figures_lens",
+    "service.figures_tolerances",
     "service.figures_paths",
 )
 

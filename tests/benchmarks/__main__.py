@@ -12,11 +12,13 @@ from service.kernel_cache import use_current_kernels
 
 use_current_kernels()  # before numba
 
-from tests.benchmarks import contact, programs, server, transport, whole  # noqa: E402
+from tests.benchmarks import contact, programs, quality, server, targets, transport, whole  # noqa: E402
 from tests.benchmarks.reporting import run_sections  # noqa: E402
 
 SECTIONS = {
     "transport": transport.figures,
+    "targets": targets.figures,
+    "quality": quality.figures,
     "contact": contact.figures,
     "programs": programs.figures,
     "make": whole.figures,

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
 from optics.bench import Bench
-from optics.caustic import add_edge, simulate_caustic
+from optics.caustic import simulate_caustic
+from optics.edges import add_edge
 from optics.heightfield import Heightfield
 from optics.refraction import refracted_tangent
 from optics.screen import Screen

@@ -137,7 +137,10 @@ def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str],
         (["stock.thickness_mm=2.05"], ["relief", "stock.thickness_mm", "2.05", "or more"]),
         (["machine.travel_mm=[12,300,80]"], ["machine.travel_mm.0", "12", "X", "at least 16.0 mm"]),
         (["machine.travel_mm=[300,300,5]"], ["machine.travel_mm.2", "Z", "at least"]),
-        (["passes=[{radius_mm=25,pitch_mm=0.5}]", "machine.travel_mm=[900,900,90]"], ["25", "largest that fits"]),
+        (
+            ["passes=[{radius_mm=25,pitch_mm=0.5}]", "machine.travel_mm=[900,900,90]", "optics.min_radius_mm=0.5"],
+            ["25", "largest that fits"],
+        ),
     ],
 )
 def test_jobs_that_cannot_be_made(

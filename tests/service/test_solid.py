@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from optics.heightfield import Heightfield
+from service.outlines import ellipse_mm
 from service.solid import ReliefTooDeep, SolidError, lens_solid, require_floor, stl_bytes
 
 
@@ -84,6 +85,40 @@ def test_the_grid_is_no_finer_than_asked_and_keeps_the_proportion():
     top = mesh.vertices[mesh.vertices[:, 2] > -11.9]
     assert len(np.unique(top[:, 0].round(9))) == 31
     assert len(np.unique(top[:, 1].round(9))) == 21
+
+
+@given(st.integers(3, 40), st.floats(0.5, 1.0), st.integers(0, 2))
+@settings(max_examples=15, deadline=None)
+def test_a_flat_lens_cut_out_is_exactly_a_prism(corners, size, margin_mm):
+    angles = 2 * np.pi * np.arange(corners) / corners
+    outline = np.column_stack([4 + 4 * size * np.cos(angles), 3 + 3 * size * np.sin(angles)])
+    area = 4 * 3 * size**2 * corners / 2 * np.sin(2 * np.pi / corners)
+    flat = Heightfield.on_aperture(np.full((9, 9), -0.5), width_mm=8, height_mm=6)
+    mesh = lens_solid(flat, thickness_mm=10, margin_mm=margin_mm, outline_mm=outline)
+    assert mesh.is_watertight
+    assert mesh.volume == pytest.approx(area * 9.5, rel=1e-7)
+
+
+def test_a_round_lens_keeps_its_surface_and_closes_again_when_read():
+    """The volume is that of the same surface, summed over the ellipse by the midpoint rule."""
+    lens, axis = wavy(), (np.arange(800) + 0.5) / 800
+    outline = ellipse_mm(30.0, 20.0)
+    mesh = lens_solid(lens, thickness_mm=12, margin_mm=3, max_vertices=65, outline_mm=outline)
+    x, y = 30 * axis[None, :], 20 * axis[:, None]
+    inside = ((x - 15) / 15) ** 2 + ((y - 10) / 10) ** 2 < 1
+    volume = ((12 + lens.spline().heights_mm(x, y)) * inside).mean() * 600
+    assert mesh.volume == pytest.approx(volume, rel=2e-3)  # chords of the outline 1e-4, cells of the sum 1e-3
+    again = trimesh.load_mesh(io.BytesIO(stl_bytes(mesh)), file_type="stl")
+    assert again.is_watertight
+    assert again.volume == pytest.approx(mesh.volume, rel=1e-5)
+
+
+def test_a_crescent_is_cut_as_it_is():
+    """An outline that turns back on itself: no convex hull, no filled notch."""
+    flat = Heightfield.on_aperture(np.full((9, 9), -0.5), width_mm=8, height_mm=6)
+    notched = [[0, 0], [8, 0], [8, 6], [4, 1], [0, 6]]
+    mesh = lens_solid(flat, thickness_mm=10, margin_mm=0, outline_mm=notched)
+    assert mesh.volume == pytest.approx((48 - 8 * 5 / 2) * 9.5, rel=1e-7)
 
 
 def test_a_relief_that_pierces_the_floor_is_refused_with_its_figures():

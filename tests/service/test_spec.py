@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
+from math import cos, pi, sin
 from pathlib import Path
 
 import pytest
@@ -28,8 +30,39 @@ BAD_VALUES = [
     ("optics.corrections=9", "optics.corrections", ["9", "0 to 3"]),
     ("optics.corrections=1.5", "optics.corrections", ["1.5", "whole number"]),
     ("optics.method=magic", "optics.method", ["'magic'", "'transport', 'paper'"]),
-    ("optics.light.kind=sun", "optics.light.kind", ["'sun'", "not available yet", "'collimated'"]),
-    ("optics.light.kind=moon", "optics.light.kind", ["'moon'", "'collimated'"]),
+    ("optics.min_radius_mm=-1", "optics.min_radius_mm", ["-1", "0 to 25 mm"]),
+    ("optics.polish=1", "optics.polish", ["1", "true or false"]),
+    ("optics.branch=crossed", "optics.branch", ["'crossed'", "'auto', 'direct', 'inverted'"]),
+    ("optics.surface=prism", "optics.surface", ["'prism'", "'lens', 'mirror'"]),
+    ("optics.vertices_per_pixel=9", "optics.vertices_per_pixel", ["9", "1 to 8"]),
+    ("optics.vertices_per_pixel=0", "optics.vertices_per_pixel", ["0", "1 to 8"]),
+    ("optics.screen_shift_x_mm=far", "optics.screen_shift_x_mm", ["'far'", "-20000 to 20000 mm"]),
+    ("optics.outline=star", "optics.outline", ["'star'", "'rectangle', 'ellipse'", "3 to 256 corners"]),
+    ("optics.outline=[[0,0],[1,1]]", "optics.outline", ["3 to 256 corners"]),
+    ("optics.outline=[[0,0],[1,1],[2]]", "optics.outline", ["3 to 256 corners"]),
+    ("optics.outline=[[0,0],[1,nan],[2,2]]", "optics.outline", ["nan", "3 to 256 corners"]),
+    ("optics.outline=[[0,0],[101,0],[50,90]]", "optics.outline", ["corner 1", "X 101 Y 0", "100 x 100 mm"]),
+    ("optics.outline=[[0,0],[90,90],[90,0],[0,80]]", "optics.outline", ["sides 0 and 2 cross"]),
+    ("optics.outline=[[0,0],[0,0],[90,0],[0,80]]", "optics.outline", ["corners 0 and 1", "same point"]),
+    ("optics.outline=[[0,0],[20,0],[0,20]]", "optics.outline", ["2 % of the aperture", "at least 5 %"]),
+    ("optics.light.kind=moon", "optics.light.kind", ["'moon'", "'collimated', 'sun', 'point'"]),
+    ("optics.light.kind=point", "optics.light.distance_mm", ["missing", "'point'", "10 to 100000 mm"]),
+    ("optics.light.size_deg=1", "optics.light.size_deg", ["1 ", "kind = 'collimated'", "'sun'"]),
+    ("optics.light={kind='sun', size_mm=2}", "optics.light.size_mm", ["2 ", "kind = 'sun'", "'point'"]),
+    ("optics.light={kind='point', distance_mm=1}", "optics.light.distance_mm", ["1 ", "10 to 100000 mm"]),
+    ("optics.light={kind='sun', size_deg=40}", "optics.light.size_deg", ["40 ", "at most 10 degrees"]),
+    ("optics.light.profile=[[1,2]]", "optics.light.profile", ["1 rows", "2 to 128 rows"]),
+    ("optics.light.profile=[[1,2],[3]]", "optics.light.profile", ["row 1 has 1 values, row 0 has 2"]),
+    ("optics.light.profile=[[1,2],[3,-4]]", "optics.light.profile", ["row 1 holds -4", "none negative"]),
+    ("optics.light.profile=[[1,2],[3,'x']]", "optics.light.profile", ["row 1 holds 'x'"]),
+    ("optics.light.profile=[[0,0],[0,0]]", "optics.light.profile", ["dark everywhere"]),
+    ("optics.light.profile=3", "optics.light.profile", ["no list of rows"]),
+    ("optics.light={gaussian_mm=80, profile=[[1,1],[1,1]]}", "optics.light.gaussian_mm", ["80 ", "beside profile"]),
+    ("optics.light.gaussian_mm=20", "optics.light", ["gaussian_mm = 20", "at least 50 mm"]),
+    ("optics={creases=true, min_radius_mm=1}", "optics.creases", ["min_radius_mm = 1"]),
+    ("optics={method='paper', surface='mirror'}", "optics.surface", ["'lens'", "'paper'", "'transport'"]),
+    ("optics={method='paper', polish=true}", "optics.polish", ["other than false", "'paper'"]),
+    ("optics={method='paper', light={gaussian_mm=90}}", "optics.light", ["parallel, even light", "'paper'"]),
     ("optics.height_mm=1", "spec", ["image.pixels", "rows", "16 to 4096"]),
     ("image.pixels=4", "image.pixels", ["4", "16 to 4096"]),
     ("image.tone=log", "image.tone", ["'log'", "'srgb', 'linear'"]),
@@ -77,6 +110,51 @@ def test_a_bad_value_is_one_line_with_key_value_and_range(override: str, key: st
     assert "\n" not in line
     assert line.startswith(f"{key}:")
     assert all(word in line for word in words), line
+
+
+def test_a_lens_of_too_many_vertices_is_one_line() -> None:
+    with pytest.raises(SpecError, match=r"^spec: optics\.vertices_per_pixel = 8 with 2048 .* 16384 vertices; .* 8192$"):
+        resolve_spec(overrides=["image.pixels=2048", "optics.vertices_per_pixel=8"])
+    with pytest.raises(SpecError, match=r"and creases makes a lens of 16384"):
+        resolve_spec(overrides=["image.pixels=4096", "optics.creases=true"])
+
+
+def test_the_lens_is_shaped_for_the_ball_that_finishes_it() -> None:
+    """It stands in spec.json as a figure, so that another ball for the same lens asks for no other lens."""
+    assert resolve_spec().optics.min_radius_mm == 0.5
+    assert resolve_spec(overrides=["passes.2.radius_mm=2"]).optics.min_radius_mm == 2.0
+    assert resolve_spec(overrides=["optics.min_radius_mm=0"]).optics.min_radius_mm == 0.0
+    assert resolve_spec(overrides=["optics.creases=true"]).optics.min_radius_mm == 0.0
+    leaves_stock = resolve_spec(overrides=["passes=[{radius_mm=2, pitch_mm=1, stock_to_leave_mm=0.1}]"])
+    assert leaves_stock.optics.min_radius_mm == 2.0
+
+
+def test_another_ball_for_an_earlier_lens_does_not_ask_for_another_lens(tmp_path: Path) -> None:
+    stored(tmp_path)
+    assert resolve_for_lens(tmp_path, overrides=["passes.2.radius_mm=1"]).optics.min_radius_mm == 0.5
+
+
+def test_what_a_source_leaves_open_is_filled_in() -> None:
+    sun = resolve_spec(overrides=["optics.light.kind=sun"]).optics.light
+    lamp = resolve_spec(overrides=["optics.light={kind='point', distance_mm=500}"]).optics.light
+    assert (sun.size_deg, sun.size_mm, sun.distance_mm) == (0.53, None, None)
+    assert (lamp.size_deg, lamp.size_mm, lamp.distance_mm) == (None, 0.0, 500.0)
+
+
+@given(st.integers(3, 24), st.floats(0.5, 1.0), st.booleans())
+def test_regular_outlines_are_taken_whichever_way_they_turn(corners: int, size: float, clockwise: bool) -> None:
+    angles = [2 * pi * k / corners for k in range(corners)]
+    outline = [[50 + 50 * size * cos(a), 50 + 50 * size * sin(a)] for a in angles][:: -1 if clockwise else 1]
+    optics = resolve_spec(base={"optics": {"outline": outline}}).optics
+    assert optics.outline_mm is not None
+    area = sum(a[0] * b[1] - b[0] * a[1] for a, b in pairwise([*optics.outline_mm, optics.outline_mm[0]])) / 2
+    assert area == pytest.approx(corners / 2 * (50 * size) ** 2 * sin(2 * pi / corners), rel=1e-9)
+
+
+def test_an_outline_that_crosses_itself_at_a_corner_is_refused() -> None:
+    hourglass = [[0, 0], [100, 100], [0, 100], [50, 50], [100, 0]]
+    with pytest.raises(SpecError, match="cross"):
+        resolve_spec(base={"optics": {"outline": hourglass}})
 
 
 def test_several_bad_values_are_one_line_each() -> None:
@@ -207,7 +285,11 @@ def test_no_override_whatever_it_says_is_more_than_one_line_or_a_traceback(key: 
 
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.text(max_size=5), lambda x: st.lists(x, max_size=3)))
 def test_no_value_of_any_kind_ends_in_anything_but_a_spec_error(value: object) -> None:
-    for table in ({"passes": value}, {"machine": {"travel_mm": value}}, {"image": value}, {"passes": [value]}):
+    tables: list[dict[str, object]] = [
+        {"passes": value}, {"machine": {"travel_mm": value}}, {"image": value}, {"passes": [value]},
+        {"optics": {"outline": value}}, {"optics": {"light": value}}, {"optics": {"light": {"profile": value}}},
+    ]  # fmt: skip
+    for table in tables:
         try:
             resolve_spec(base=table)
         except SpecError as error:

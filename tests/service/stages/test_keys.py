@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.stages.order import FileRef, StageResult
 from service.stages.plan import facts_of, part_of, plan, reads, shares, stage_key, stage_of
 from service.stages.run import run_order
 from service.stages.sources import modules_used
 from tests.service.stages.jobs import StagedJob, hashes, staged_job
-from tests.service.stages.variants import BASE, ONLY_ONE_VALUE, OTHER, leaves, spec_with
+from tests.service.stages.variants import ALONE, BASE, ONLY_ONE_VALUE, OTHER, POINT, leaves, spec_of, spec_with
 
 STAGES = plan(spec_with())
 FILES = (
@@ -34,7 +35,10 @@ def own_keys(
     changed: Iterable[str] = (), *, image: str = "a", name: str = "a.png", files: Iterable[str] = ()
 ) -> dict[str, str]:
     """Key of each stage for the same files, except for `files`."""
-    spec = spec_with(*changed)
+    return keys_of(spec_with(*changed), image=image, name=name, files=files)
+
+
+def keys_of(spec: JobSpec, *, image: str = "a", name: str = "a.png", files: Iterable[str] = ()) -> dict[str, str]:
     outputs = {file: FileRef(f"{file} {file in set(files)}", 1) for file in FILES}
     return {stage: stage_key(stage, spec, image_sha256=image, image_name=name, outputs=outputs) for stage in plan(spec)}
 
@@ -49,9 +53,10 @@ def changes(**what: Any) -> set[str]:
 
 def test_there_is_another_value_for_every_key_of_the_spec() -> None:
     """Guards the laws below: a new key of the spec must come here, too."""
-    assert set(leaves(spec_with().model_dump())) == set(OTHER) | ONLY_ONE_VALUE
-    assert set(leaves(BASE)) == set(OTHER) | ONLY_ONE_VALUE
+    assert set(leaves(spec_with().model_dump())) == set(OTHER) | set(ALONE) | ONLY_ONE_VALUE
+    assert set(leaves(BASE)) == set(OTHER) | set(ALONE) | ONLY_ONE_VALUE
     assert all(spec_with(key) != spec_with() for key in OTHER)
+    assert all(spec_of(before) != spec_of(after) for before, after in ALONE.values())
 
 
 @pytest.mark.parametrize(
@@ -63,6 +68,13 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("passes.1.radius_mm", {"pass-1", "pass-2", "check"}),  # the first pass says whether all balls fit
         ("optics.throw_mm", {"map", "caustic"}),
         ("optics.corrections", {"map"}),
+        ("optics.polish", {"map"}),
+        ("optics.branch", {"map"}),
+        ("optics.vertices_per_pixel", {"map"}),
+        ("optics.surface", {"map", "caustic"}),
+        ("optics.screen_shift_x_mm", {"map", "caustic"}),
+        ("optics.outline", {"map", "heightfield", "caustic"}),
+        ("optics.light.profile", {"map", "caustic"}),
         ("optics.viewed_from", {"irradiance", "map", "caustic"}),
         ("image.tone", {"image"}),
         ("image.pixels", {"image"}),
@@ -77,6 +89,53 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
 def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
     """On the same inputs; what comes after a stage that made another file changes by that file's hash."""
     assert changes(changed=[key]) == stages | {"report"}
+
+
+@pytest.mark.parametrize(
+    ("key", "stages"),
+    [
+        ("optics.method", {"map"}),
+        ("optics.creases", {"map"}),
+        *((key, {"map", "caustic"}) for key in ALONE if key.startswith("optics.light")),
+    ],
+)
+def test_what_a_change_reaches_where_values_go_together(key: str, stages: set[str]) -> None:
+    before, after = (keys_of(spec_of(changes)) for changes in ALONE[key])
+    assert {stage for stage in STAGES if before[stage] != after[stage]} == stages | {"report"}
+
+
+@pytest.mark.parametrize(
+    ("light", "stages"),
+    [
+        ({"kind": "collimated"}, {"heightfield", "pass-1", "pass-2", "check"}),
+        ({"kind": "sun"}, {"map", "caustic", "heightfield", "pass-1", "pass-2", "check"}),
+        (POINT["optics.light"], {"map", "caustic", "heightfield", "pass-1", "pass-2", "check"}),
+    ],
+)
+def test_the_block_s_thickness_is_the_lens_s_business_where_light_slants(
+    light: dict[str, Any], stages: set[str]
+) -> None:
+    before, after = (
+        keys_of(spec_of({"optics.light": light, "stock.thickness_mm": thickness})) for thickness in (20.0, 25.0)
+    )
+    assert {stage for stage in STAGES if before[stage] != after[stage]} == stages | {"report"}
+
+
+def test_a_branch_that_is_chosen_looks_at_the_block() -> None:
+    before, after = (
+        keys_of(spec_of({"optics.branch": "auto", "stock.thickness_mm": thickness})) for thickness in (20.0, 25.0)
+    )
+    assert before["map"] != after["map"]
+    assert before["caustic"] == after["caustic"]
+
+
+def test_the_ball_of_the_finish_pass_shapes_the_lens_unless_the_person_said_another() -> None:
+    before, after = (
+        keys_of(spec_of({"optics.min_radius_mm": None, "passes.1.radius_mm": radius})) for radius in (3.0, 2.5)
+    )
+    assert {stage for stage in STAGES if before[stage] != after[stage]} == {
+        "map", "pass-1", "pass-2", "check", "report",
+    }  # fmt: skip
 
 
 def test_a_further_pass_leaves_those_before_the_last_alone() -> None:

@@ -19,7 +19,10 @@ BASE: dict[str, Any] = {
     "optics": {
         "width_mm": 10.0, "height_mm": 10.0, "throw_mm": 40.0, "refractive_index": 1.49, "screen_width_mm": 10.0,
         "screen_height_mm": 10.0, "min_radius_mm": 3.0, "method": "transport", "viewed_from": "lens", "corrections": 0,
-        "light": {"kind": "collimated"},
+        "screen_shift_x_mm": 0.0, "screen_shift_y_mm": 0.0, "surface": "lens", "branch": "direct",
+        "outline": "rectangle", "creases": False, "vertices_per_pixel": 2, "polish": False,
+        "light": {"kind": "collimated", "size_deg": None, "distance_mm": None, "size_mm": None, "profile": None,
+                  "gaussian_mm": None},
     },
     "stock": {"thickness_mm": 20.0, "margin_mm": 8.0, "skim_mm": 0.1, "material": "pmma"},
     "passes": [
@@ -39,7 +42,10 @@ OTHER: dict[str, Any] = {
     "image.pixels": 20, "image.tone": "srgb", "image.fit": "stretch", "image.invert": True,
     "optics.width_mm": 10.5, "optics.height_mm": 9.5, "optics.throw_mm": 50.0, "optics.refractive_index": 1.52,
     "optics.screen_width_mm": 11.0, "optics.screen_height_mm": 9.0, "optics.min_radius_mm": 2.5,
-    "optics.method": "paper", "optics.viewed_from": "behind", "optics.corrections": 1,
+    "optics.viewed_from": "behind", "optics.corrections": 1, "optics.screen_shift_x_mm": 1.0,
+    "optics.screen_shift_y_mm": -1.0, "optics.surface": "mirror", "optics.branch": "inverted",
+    "optics.outline": "ellipse", "optics.vertices_per_pixel": 3, "optics.polish": True,
+    "optics.light.profile": [[1.0, 0.5], [0.8, 0.9]],
     "stock.thickness_mm": 25.0, "stock.margin_mm": 9.0, "stock.skim_mm": 0.15,
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
@@ -55,12 +61,27 @@ OTHER: dict[str, Any] = {
         }.items()
     },
 }  # fmt: skip
-ONLY_ONE_VALUE = {"optics.light.kind", "stock.material", "passes.0.strategy", "passes.1.strategy"}
+ONLY_ONE_VALUE = {"stock.material", "passes.0.strategy", "passes.1.strategy"}
+POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
+ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
+    "optics.method": ({}, {"optics.method": "paper"}),
+    "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
+    "optics.light.kind": ({}, {"optics.light": {"kind": "sun"}}),
+    "optics.light.size_deg": ({"optics.light": {"kind": "sun"}}, {"optics.light": {"kind": "sun", "size_deg": 1.0}}),
+    "optics.light.distance_mm": (POINT, {"optics.light": {**POINT["optics.light"], "distance_mm": 400.0}}),
+    "optics.light.size_mm": (POINT, {"optics.light": {**POINT["optics.light"], "size_mm": 2.0}}),
+    "optics.light.gaussian_mm": ({}, {"optics.light": {"gaussian_mm": 9.0}}),
+}  # fmt: skip
 
 
 def spec_with(*keys: str) -> JobSpec:
     """BASE, with the other value at each of these keys."""
-    return resolve_spec(base=_changed(BASE, "", set(keys)))
+    return spec_of({key: OTHER[key] for key in keys})
+
+
+def spec_of(changes: dict[str, Any]) -> JobSpec:
+    """BASE, with these values at these keys; a table is replaced whole."""
+    return resolve_spec(base=_changed(BASE, "", changes))
 
 
 def leaves(data: Any, place: str = "") -> list[str]:
@@ -72,11 +93,11 @@ def leaves(data: Any, place: str = "") -> list[str]:
     return [place]
 
 
-def _changed(data: Any, place: str, keys: set[str]) -> Any:
-    if place in keys:
-        return OTHER[place]
+def _changed(data: Any, place: str, changes: dict[str, Any]) -> Any:
+    if place in changes:
+        return changes[place]
     if isinstance(data, dict):
-        return {name: _changed(value, f"{place}.{name}".lstrip("."), keys) for name, value in data.items()}
+        return {name: _changed(value, f"{place}.{name}".lstrip("."), changes) for name, value in data.items()}
     if isinstance(data, list) and isinstance(data[0], dict):
-        return [_changed(value, f"{place}.{number}", keys) for number, value in enumerate(data)]
+        return [_changed(value, f"{place}.{number}", changes) for number, value in enumerate(data)]
     return data

@@ -1,0 +1,118 @@
+"""Pictures that are hard for a lens, before one is designed: black areas, fine strokes, single dots; and what helps.
+
+Black comes out of creases. On the direct branch these are valleys, and a ball of radius r leaves their bottoms round: a
+bottom of curvature 1/r spreads its light by M + k H / r instead of by M (M: screen over aperture, H: throw, k = n - 1,
+or 2 of a mirror), so that black receives M / (M + k H / r) of the mean irradiance. On the inverted branch black comes
+out of ridges, which any ball can cut; there the rays cross before the screen, and the slopes to turn every one over are
+the price.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from scipy.ndimage import uniform_filter
+
+from optics.bench import Bench, Branch
+from optics.errors import TotalReflectionError
+from optics.grid_levels import box_averaged
+from optics.map_inversion import screen_positions
+from optics.optical_path import heights_mm
+from optics.spline import Array
+from optics.transport import solve_transport
+
+DARK = 0.02  # of the brightest pixel: below is black
+_LEAK_WORTH_A_WORD = 0.01
+_LEAK_WORTH_A_TURN = 0.01
+_FINE_WORTH_A_WORD = 0.2  # below, less than 3 % of the light was misplaced on nearly all of 200 hard pictures of 64-128
+_MISPLACED_PER_FINE = 0.3  # what these pictures had, at 2 vertices a pixel and 2 corrections
+_PEAK_WORTH_A_WORD = 100.0  # times the mean
+_SKETCH_PIXELS = 48
+_SPARE_MM = 2.0  # of the block's thickness, under the deepest point
+STEEPEST = 0.7  # slope that leaves room under total reflection (0.905 for 1.49)
+
+
+def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
+    """Share of the light that ends on black pixels whatever the method, of valleys with a ball's radius.
+
+    target (ny, nx), mean 1. The picture's own light on its black pixels counts too. To be added is what the lens grid
+    loses: 0.5-1 % of the light for a logo at two vertices a pixel, a third of that at eight.
+    """
+    dark = target < DARK * target.max()
+    if bench.branch == "inverted" or radius_mm <= 0:
+        return float(target[dark].sum() / target.sum())
+    s = bench.screen
+    spread = math.sqrt(s.width_mm * s.height_mm / (bench.width_mm * bench.height_mm))
+    bending = 2.0 if bench.mirror else bench.refractive_index - 1
+    in_valley = spread / (spread + bending * bench.throw_mm / radius_mm) * float(target.mean())
+    return float(np.maximum(target[dark], in_valley).sum() / target.sum())
+
+
+def fine_detail(target: Array) -> float:
+    """Share of the light that a blur over 3 x 3 pixels would move: 0 for a soft picture, 1 for separate dots."""
+    return float(np.abs(target - uniform_filter(target, 3, mode="nearest")).mean() / (2 * target.mean()))
+
+
+def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[str, ...]:
+    """Sentences for a picture that is hard for this set-up: what to expect, what to change; none for most pictures."""
+    words = []
+    leak, fine, peak = dark_leak_estimate(target, bench, radius_mm), fine_detail(target), target.max() / target.mean()
+    if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
+        black = 100 * np.mean(target < DARK * target.max())
+        words.append(
+            f"black covers {black:.0f} % of the picture, and in valleys for a ball of {radius_mm:g} mm radius about "
+            f"{100 * leak:.1f} % of the light ends there: half the radius or twice the throw halves that"
+            f"{_turning_helps(target, bench, radius_mm)}"
+        )
+    if fine >= _FINE_WORTH_A_WORD:
+        finer = ", a finer lens grid (vertices per pixel)" if vertices_per_pixel < 4 else ""
+        words.append(
+            f"{100 * fine:.0f} % of the light is in detail of a pixel or two (thin strokes, dots, noise): about "
+            f"{100 * _MISPLACED_PER_FINE * fine:.0f} % of it will fall beside its place; thicker strokes, more pixels "
+            f"for the same detail{finer} or grey instead of black help"
+        )
+    if peak >= _PEAK_WORTH_A_WORD:
+        words.append(
+            f"the brightest pixel is to get {peak:.0f} times the mean, more than a lens of this grid can focus; larger "
+            f"spots or a floor of grey under the picture (a hundredth of its white) help"
+        )
+    return tuple(words)
+
+
+def _turning_helps(target: Array, bench: Bench, radius_mm: float) -> str:
+    if suited_branch(target, bench, radius_mm) == bench.branch:
+        return ""
+    return ", and the inverted branch avoids it"
+
+
+def suited_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:
+    """The inverted branch where black areas gain by it, a sketch of it converges, no steeper than that, and it fits.
+
+    At a throw of three times the width (logo, 256 pixels, ball of 2 mm) 1.7 instead of 2.7 % of the light ends in
+    black, for a relief of 25 instead of 8 mm; nearer, slopes come too close to total reflection.
+    """
+    direct, inverted = replace(bench, branch="direct"), replace(bench, branch="inverted")
+    gain = dark_leak_estimate(target, direct, radius_mm) - dark_leak_estimate(target, inverted, radius_mm)
+    if gain < _LEAK_WORTH_A_TURN:
+        return "direct"
+    try:
+        slope, relief_mm = _sketched(target, inverted)
+    except TotalReflectionError:
+        return "direct"
+    fits = relief_mm + _SPARE_MM <= bench.thickness_mm
+    return "inverted" if slope <= steepest and fits else "direct"
+
+
+def _sketched(target: Array, bench: Bench) -> tuple[float, float]:
+    """(steepest slope, relief in mm) of a coarse lens; infinite where none converges."""
+    ny, nx = (min(n, _SKETCH_PIXELS) for n in target.shape)
+    path = solve_transport(box_averaged(target, (ny, nx)), bench, skim_mm=0.0, tolerance=1e-2)
+    if not path.converged:
+        return math.inf, math.inf
+    x_mm, y_mm = np.linspace(0.0, bench.width_mm, nx + 1), np.linspace(0.0, bench.height_mm, ny + 1)
+    corners = path.transport_map().lens_mm
+    z_mm = heights_mm(path.path_mm, *screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm), x_mm, y_mm, bench)
+    along, across = np.gradient(z_mm, y_mm, x_mm)
+    return float(np.hypot(across, along).max()), float(np.ptp(z_mm))

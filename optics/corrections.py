@@ -1,0 +1,156 @@
+"""The transport method's passes: solve, shape, look at the light, and aim at what it lacked.
+
+Correction: g <- max(0, g + T - I), and the map solved again from where it was; I is the light of the lens as it will be
+cut, valleys filled, under all of the source. The best pass is kept.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from optics.caustic import Caustic, simulate_caustic
+from optics.closing import closed_to_radius
+from optics.heightfield import Heightfield
+from optics.map_inversion import screen_positions
+from optics.metrics import CausticScore, score_caustic
+from optics.optical_path import heights_mm
+from optics.polish import DESIGN_BEAMS
+from optics.settings import LensSettings
+from optics.spline import Array
+from optics.transport import OpticalPath, solve_transport
+
+CLOSING_PER_BALL = 1.5  # the closing lets curvature of 1.5 / radius through, so it closes wider than the ball
+_MOST_LOST = 0.05  # of the light, for a lens that counts as converged
+_TUBES_PER_PIXEL = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ClosingCost:
+    """What filling the valleys that a ball of radius_mm does not reach takes from the first pass's picture."""
+
+    radius_mm: float
+    psnr_db_without: float
+    psnr_db_with: float
+    dark_leak_without: float
+    dark_leak_with: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Pass:
+    """One solution, its lens, the light through it, and how that scores."""
+
+    path: OpticalPath
+    lens: Heightfield
+    caustic: Caustic
+    score: CausticScore
+
+    @property
+    def lost_share(self) -> float:
+        """Of the light: what misses the screen or is reflected."""
+        return self.caustic.outside_share + self.caustic.reflected_share
+
+    @property
+    def loses_light(self) -> bool:
+        return self.lost_share > _MOST_LOST
+
+    @property
+    def converged(self) -> bool:
+        return self.path.converged and not self.loses_light
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Corrected:
+    """The best of the passes, a record of each, and what closing cost."""
+
+    best: Pass
+    history: list[dict[str, Any]]
+    closing: ClosingCost | None
+
+
+def corrected(target: Array, settings: LensSettings, report: Callable[[str, float], None]) -> Corrected:
+    """The lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections."""
+    report("transport map", 0.0)
+    path = solve_transport(
+        target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)
+    )
+    raw = _surface(path, settings)
+    latest = best = _seen(path, _closed(raw, settings), target, settings)
+    closing = _closing_cost(raw, latest, target, settings)
+    history = [_record(0, latest)]
+    aim = target
+    for number in range(1, settings.corrections + 1):
+        report("corrections", (number - 1) / settings.corrections)
+        aim = np.maximum(aim + target - latest.caustic.irradiance, 0.0)
+        path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)
+        if not np.isfinite(path.path_mm).all():
+            break
+        latest = _seen(path, _closed(_surface(path, settings), settings), target, settings)
+        history.append(_record(number, latest))
+        if latest.score.psnr_db > best.score.psnr_db:  # stripes a pixel wide get worse
+            best = latest
+    report("corrections", 1.0)
+    return Corrected(best=best, history=history, closing=closing)
+
+
+def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
+    """Heights at the lens vertices: invert the map, then the closed form of optical_path.heights_mm."""
+    ny, nx = path.path_mm.shape
+    x_mm = np.linspace(0.0, settings.bench.width_mm, settings.vertices(nx))
+    y_mm = np.linspace(0.0, settings.bench.height_mm, settings.vertices(ny))
+    corners = path.transport_map().lens_mm
+    u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
+    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench)
+    return Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=t - t.max() - settings.skim_mm)
+
+
+def _closed(lens: Heightfield, settings: LensSettings) -> Heightfield:
+    """The lens with the valleys filled that the ball does not reach."""
+    if settings.closing_radius_mm <= 0:
+        return lens
+    radius_mm = CLOSING_PER_BALL * settings.closing_radius_mm
+    z = closed_to_radius(lens.z_mm, radius_mm=radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+    return Heightfield(x_mm=lens.x_mm, y_mm=lens.y_mm, z_mm=z - z.max() - settings.skim_mm)
+
+
+def _light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
+    return simulate_caustic(
+        lens,
+        settings.bench,
+        pixels=target.shape,
+        tubes_per_cell=max(1, _TUBES_PER_PIXEL * target.shape[1] // (lens.x_mm.size - 1)),
+        beams=DESIGN_BEAMS,
+    )
+
+
+def _seen(path: OpticalPath, lens: Heightfield, target: Array, settings: LensSettings) -> Pass:
+    caustic = _light(lens, target, settings)
+    return Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
+
+
+def _closing_cost(raw: Heightfield, closed: Pass, target: Array, settings: LensSettings) -> ClosingCost | None:
+    if settings.closing_radius_mm <= 0:
+        return None
+    without = score_caustic(_light(raw, target, settings).irradiance, target)
+    return ClosingCost(
+        radius_mm=settings.closing_radius_mm,
+        psnr_db_without=without.psnr_db,
+        psnr_db_with=closed.score.psnr_db,
+        dark_leak_without=without.dark_leak,
+        dark_leak_with=closed.score.dark_leak,
+    )
+
+
+def _record(number: int, seen: Pass) -> dict[str, Any]:
+    return {
+        "pass": number,
+        "iterations": {str(level.pixels): level.iterations for level in seen.path.levels},
+        "rms": seen.path.levels[-1].rms,
+        "psnr_db": seen.score.psnr_db,
+        "ssim": seen.score.ssim,
+        "misplaced_light": seen.score.misplaced_light,
+        "lost_light": seen.lost_share,
+    }

@@ -1,0 +1,126 @@
+"""The paper's flow with its simple remeshing: a step starts with cutting out the triangles that would flip soon."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import CloughTocher2DInterpolator
+from scipy.spatial import Delaunay
+
+from optics.flow_record import (
+    KEPT_STEPS,
+    FlowSettings,
+    FlowSnapshot,
+    FlowStep,
+    PaperFlow,
+    Progress,
+    pixel_vertices,
+)
+from optics.flow_rules import excess_on_faces, floor_note, floored, rms_over, verdict_on
+from optics.mesh import MeshPair, TriangleMesh
+from optics.mesh_surgery import neighbours_of
+from optics.poisson import NeumannPoisson
+from optics.remesh import without_short_lived
+from optics.spline import Array
+
+
+def flow_with_darts(
+    target: Array, *, size_mm: tuple[float, float], settings: FlowSettings, on_progress: Progress | None = None
+) -> PaperFlow:
+    """solve_paper_map for remeshing = "simple"."""
+    ny, nx = target.shape
+    wanted, lifted = floored(target, settings.floor)
+    x_mm, y_mm = pixel_vertices(nx, size_mm[0]), pixel_vertices(ny, size_mm[1])
+    rest = TriangleMesh.structured(x_mm, y_mm)
+    pair = MeshPair(screen=rest, lens=rest)
+    rng = np.random.default_rng(settings.seed)
+    pixel_mm = (size_mm[0] / nx, size_mm[1] / ny)
+    steps: list[FlowStep] = []
+    snapshots: list[FlowSnapshot] = []
+    excess, faces = excess_on_faces(pair, neighbours_of(pair.triangles), wanted, size_mm), rest.dual_areas()
+    verdict = verdict_on(steps, rms_over(excess / faces, faces), settings)
+    while verdict is None:
+        solution = NeumannPoisson(pair.lens).solve(pair.lens, excess, tolerance=settings.solver_tolerance)
+        velocity = _held(pair.lens.vertex_gradients(solution.values, pair.screen.areas()), pair, size_mm)
+        removed = inserted = 0
+        if pair.lens.largest_step(velocity) < settings.short_life:
+            made = without_short_lived(pair, velocity, wanted=settings.short_life, pixel_mm=pixel_mm, rng=rng)
+            pair, velocity, removed, inserted = made.pair, made.velocity_mm, made.removed, made.inserted
+        largest_dt = pair.lens.largest_step(velocity)
+        dt = min(0.5 * largest_dt, 1.0)
+        pair = MeshPair(screen=pair.screen, lens=pair.lens.moved(pair.lens.points_mm + dt * velocity))
+        faces = pair.screen.dual_areas()
+        excess = excess_on_faces(pair, neighbours_of(pair.triangles), wanted, size_mm)
+        difference = excess / faces
+        steps.append(
+            FlowStep(
+                step=len(steps) + 1,
+                dt=dt,
+                largest_dt=min(largest_dt, 1e9),
+                rms_percent=100.0 * rms_over(difference, faces),
+                max_percent=100.0 * float(np.abs(difference).max()),
+                thinnest=float((pair.lens.areas() / pair.screen.areas()).min()),
+                solver_iterations=solution.iterations,
+                removed=removed,
+                inserted=inserted,
+            )
+        )
+        verdict = verdict_on(steps, rms_over(difference, faces), settings)
+        if steps[-1].step in KEPT_STEPS or verdict is not None:
+            field = on_lattice(pair, difference[:, None], x_mm, y_mm)[..., 0]
+            lens_mm = _lens_lattice(pair, x_mm, y_mm)
+            snapshots.append(FlowSnapshot(step=steps[-1].step, difference=field, lens_mm=lens_mm))
+        if on_progress is not None:
+            on_progress("flow", 1.0 if verdict is not None else min(0.99, len(steps) / settings.max_steps))
+    converged, message = verdict
+    return PaperFlow(
+        x_mm=x_mm,
+        y_mm=y_mm,
+        lens_mm=_lens_lattice(pair, x_mm, y_mm),
+        lens_step=len(steps),
+        target=wanted,
+        converged=converged,
+        message=message + _remeshing_note(steps) + floor_note(lifted, settings.floor),
+        steps=tuple(steps),
+        snapshots=tuple(snapshots),
+        pair=pair,
+        remeshing="simple",
+    )
+
+
+def _lens_lattice(pair: MeshPair, x_mm: Array, y_mm: Array) -> Array:
+    """(ny, nx, 2) points on the lens of the lattice of pixels, none across the frame."""
+    lens_mm = on_lattice(pair, pair.lens.points_mm, x_mm, y_mm)
+    lens_mm[:, 0, 0], lens_mm[:, -1, 0] = x_mm[0], x_mm[-1]
+    lens_mm[0, :, 1], lens_mm[-1, :, 1] = y_mm[0], y_mm[-1]
+    return lens_mm
+
+
+def on_lattice(pair: MeshPair, values: Array, x_mm: Array, y_mm: Array) -> Array:
+    """(ny, nx, k) values (n, k) of the vertices at the lattice of pixels: a C1 cubic over the screen, exact at them.
+
+    A vertex that was never removed still stands on its pixel; between those that were, scipy's Clough-Tocher elements.
+    """
+    points = pair.screen.points_mm
+    column = np.searchsorted(x_mm, points[:, 0]).clip(max=x_mm.size - 1)
+    row = np.searchsorted(y_mm, points[:, 1]).clip(max=y_mm.size - 1)
+    there = (x_mm[column] == points[:, 0]) & (y_mm[row] == points[:, 1])
+    grid = np.full((y_mm.size, x_mm.size, values.shape[1]), np.nan)
+    grid[row[there], column[there]] = values[there]
+    missing = np.isnan(grid[..., 0])
+    if missing.any():
+        smooth = CloughTocher2DInterpolator(Delaunay(points), values)
+        grid[missing] = smooth(np.stack(np.meshgrid(x_mm, y_mm), axis=-1)[missing])
+    return grid
+
+
+def _held(velocity: Array, pair: MeshPair, size_mm: tuple[float, float]) -> Array:
+    """No component across the frame."""
+    for axis in (0, 1):
+        on_frame = (pair.screen.points_mm[:, axis] == 0.0) | (pair.screen.points_mm[:, axis] == size_mm[axis])
+        velocity[on_frame, axis] = 0.0
+    return velocity
+
+
+def _remeshing_note(steps: list[FlowStep]) -> str:
+    removed, inserted = sum(step.removed for step in steps), sum(step.inserted for step in steps)
+    return f" Remeshing removed {removed} vertices and threw in {inserted}."

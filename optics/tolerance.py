@@ -1,0 +1,279 @@
+"""What happens to the picture when the set-up is not exact: wall too near or far, light aslant, a source with a size.
+
+Everything is simulated with the lens as it is, against the same target. A shift of the picture as a whole is reported
+and then taken out: a person moves the wall's frame, not the lens. Light from a disc is light from its middle, spread on
+the wall over the disc that the source makes of a point: within some tenths of a dB of many beams, at the price of one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numba import njit
+from scipy.ndimage import gaussian_filter, shift
+from scipy.signal import fftconvolve
+
+from optics.bench import Bench
+from optics.caustic import simulate_caustic
+from optics.heightfield import Heightfield
+from optics.light import SUN_DEG, Beam, disc_points, leave, meet
+from optics.metrics import psnr_db
+from optics.spline import Array
+
+FOCUS_SHARES = (-0.02, -0.01, -0.005, 0.0, 0.005, 0.01, 0.02)  # of the throw
+TILTS_DEG = (0.25, 0.5, 1.0, 2.0)
+SOURCES_DEG = (0.1, 0.25, SUN_DEG, 1.0)
+FOCUS_LOSS_DB = 3.0
+_WIDEST = 0.2  # of the throw: no depth of focus is claimed beyond
+_RAYS = 96  # along a side, for the picture's shift
+_BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from where the picture may lie to where it does
+_FINE = 2  # blurred in half pixels: whole ones, each evenly lit, would blur by themselves
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FocusPoint:
+    """The wall stands offset_mm further than the lens was made for (negative: nearer)."""
+
+    offset_mm: float
+    psnr_db: float
+    irradiance: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TiltPoint:
+    """Light aslant by tilt_deg in x moves the picture by shift_mm (x, y); what is left of it when that is undone."""
+
+    tilt_deg: float
+    shift_mm: tuple[float, float]
+    psnr_db: float
+    irradiance: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BlurPoint:
+    """A source that looks size_deg wide from the lens, instead of its own: each point is a disc of diameter_mm."""
+
+    size_deg: float
+    diameter_mm: float
+    diameter_px: float
+    psnr_db: float
+    irradiance: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Tolerances:
+    """focus ascends from near to far, with the design's own throw among it; tilts and sources ascend.
+
+    focus_range_mm : offsets of the wall, near (negative) and far, at which FOCUS_LOSS_DB of the picture are lost
+    blur_mm, _px   : diameter of the disc that the bench's own light makes of a point; 0 for light without size
+    """
+
+    psnr_db: float
+    focus: tuple[FocusPoint, ...]
+    focus_range_mm: tuple[float, float]
+    tilts: tuple[TiltPoint, ...]
+    sources: tuple[BlurPoint, ...]
+    blur_mm: float
+    blur_px: float
+
+
+def lens_tolerances(
+    heightfield: Heightfield, bench: Bench, target: Array, *, on_progress: Callable[[float], None] | None = None
+) -> Tolerances:
+    """Tolerances of a lens for `target` (ny, nx), work frame, mean 1: 18 simulations with 2 x 2 tubes a cell."""
+    report = on_progress or (lambda share: None)
+    view = _View(heightfield, bench, target, report)
+    focus = tuple(view.focus_point(share) for share in FOCUS_SHARES)
+    middle = focus[FOCUS_SHARES.index(0.0)]
+    near = view.depth_of_focus([p for p in focus if p.offset_mm < 0][::-1], middle)
+    far = view.depth_of_focus([p for p in focus if p.offset_mm > 0], middle)
+    tilts = tuple(view.tilt_point(tilt) for tilt in TILTS_DEG)
+    sharp = view.sharp()
+    sources = tuple(view.blur_point(size, sharp) for size in SOURCES_DEG)
+    blur = blur_mm(heightfield, bench, source_rad(heightfield, bench))
+    return Tolerances(
+        psnr_db=middle.psnr_db,
+        focus=focus,
+        focus_range_mm=(near, far),
+        tilts=tilts,
+        sources=sources,
+        blur_mm=blur,
+        blur_px=blur * target.shape[1] / bench.screen.width_mm,
+    )
+
+
+def source_rad(heightfield: Heightfield, bench: Bench) -> float:
+    """Angular diameter of the bench's light, in air, as the lens sees it: glass is as long as thickness / n of air."""
+    light = bench.light
+    if light.kind == "sun":
+        return math.radians(light.size_deg)
+    if light.kind == "point":
+        before = float(heightfield.z_mm.mean()) + bench.thickness_mm
+        glass = 0.0 if bench.mirror else before / bench.refractive_index
+        return light.size_mm / (light.distance_mm + glass)
+    return 0.0
+
+
+def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:
+    """Diameter of the disc that a source of that angular diameter makes of a point on the wall: size x way.
+
+    Through a thin wedge light turns by as much as it turned before it: the flat face divides angles by n, the surface
+    multiplies them by n. So the index drops out, near the axis. The way is that from the surface's mean height.
+    """
+    return size_rad * (bench.throw_mm - float(heightfield.z_mm.mean()))
+
+
+class _View:
+    """One lens, seen under changed conditions by the light of its bench."""
+
+    def __init__(self, lens: Heightfield, bench: Bench, target: Array, report: Callable[[float], None]) -> None:
+        self._lens, self._target, self._report = lens, target, report
+        self._bench = replace(bench, light=replace(bench.light, size_deg=0.0, size_mm=0.0))
+        self._blur_mm = blur_mm(lens, bench, source_rad(lens, bench))
+        self._peak = float(target.max())
+        self._done = 0
+
+    def _seen(self, bench: Bench) -> tuple[float, Array]:
+        light = self._light(bench, 1) if self._blur_mm == 0 else self._spread(self._light(bench, _FINE), self._blur_mm)
+        return psnr_db(light, self._target), light
+
+    def sharp(self) -> Array:
+        """In focus, by light without size, in pixels of a _FINE-th."""
+        return self._light(self._bench, _FINE)
+
+    def _light(self, bench: Bench, fine: int) -> Array:
+        ny, nx = self._target.shape
+        light = simulate_caustic(self._lens, bench, pixels=(fine * ny, fine * nx), tubes_per_cell=2).irradiance
+        self._done += 1
+        self._report(self._done / (len(FOCUS_SHARES) + 3 + 2 * len(TILTS_DEG)))
+        return light
+
+    def _spread(self, sharp: Array, diameter_mm: float) -> Array:
+        """What a source with a size makes of `sharp`, in fine pixels: each point spread over a disc."""
+        (ny, nx), screen = self._target.shape, self._bench.screen
+        fine_x, fine_y = _FINE * nx / screen.width_mm, _FINE * ny / screen.height_mm
+        spread = fftconvolve(sharp, disc_kernel(diameter_mm * fine_x, diameter_mm * fine_y), mode="same")
+        return np.asarray(spread.reshape(ny, _FINE, nx, _FINE).mean(axis=(1, 3)))
+
+    def focus_point(self, share: float) -> FocusPoint:
+        offset = share * self._bench.throw_mm
+        psnr, light = self._seen(replace(self._bench, throw_mm=self._bench.throw_mm + offset))
+        return FocusPoint(offset_mm=offset, psnr_db=psnr, irradiance=light)
+
+    def depth_of_focus(self, side: Sequence[FocusPoint], middle: FocusPoint) -> float:
+        """Offset on one side, from points that move away from focus, where FOCUS_LOSS_DB are lost.
+
+        The mean square error that defocus adds grows as a power of the offset. One more simulation, where the points
+        say that the loss is, settles it.
+        """
+        allowed = self._error(middle.psnr_db) * (10 ** (FOCUS_LOSS_DB / 10) - 1)
+        added = [(abs(p.offset_mm), self._error(p.psnr_db) - self._error(middle.psnr_db)) for p in side]
+        sign = math.copysign(1.0, side[0].offset_mm)
+        first = self._where(added, allowed)
+        psnr, _ = self._seen(replace(self._bench, throw_mm=self._bench.throw_mm + sign * first))
+        found = self._where([*added, (first, self._error(psnr) - self._error(middle.psnr_db))], allowed)
+        return sign * found
+
+    def _error(self, psnr: float) -> float:
+        return float(self._peak**2 * 10 ** (-psnr / 10))
+
+    def _where(self, added: list[tuple[float, float]], allowed: float) -> float:
+        """Offset at which the added error is `allowed`: a power law through the two points next to it."""
+        points = sorted((offset, error) for offset, error in added if error > 0)
+        widest = _WIDEST * self._bench.throw_mm
+        if not points:
+            return widest
+        if len(points) == 1 or points[0][1] >= allowed:
+            offset, error = points[0]
+            return min(offset * math.sqrt(allowed / error), widest)
+        above = next((k for k, (_, error) in enumerate(points) if error >= allowed), len(points) - 1)
+        (a, low), (b, high) = points[max(above - 1, 0)], points[max(above, 1)]
+        power = math.log(high / low) / math.log(b / a) if high > low and b > a else 2.0
+        return min(a * (allowed / low) ** (1 / max(power, 0.25)), widest)
+
+    def tilt_point(self, tilt_deg: float) -> TiltPoint:
+        """The shift is the mean over rays, and then what is best for the picture: light aslant also distorts it."""
+        light, screen, (ny, nx) = self._bench.light, self._bench.screen, self._target.shape
+        tilt_x, tilt_y = light.tilt_rad
+        tilted = replace(self._bench, light=replace(light, tilt_rad=(tilt_x + math.radians(tilt_deg), tilt_y)))
+        by_x, by_y = picture_shift_mm(self._lens, self._bench, tilted)
+        _, seen = self._seen(_moved(tilted, by_x, by_y))
+        more_x, more_y = residual_shift_px(seen, self._target)
+        by_x, by_y = by_x + more_x * screen.width_mm / nx, by_y + more_y * screen.height_mm / ny
+        psnr, seen = self._seen(_moved(tilted, by_x, by_y))
+        return TiltPoint(tilt_deg=tilt_deg, shift_mm=(by_x, by_y), psnr_db=psnr, irradiance=seen)
+
+    def blur_point(self, size_deg: float, sharp: Array) -> BlurPoint:
+        diameter = blur_mm(self._lens, self._bench, math.radians(size_deg))
+        light = self._spread(sharp, diameter)
+        return BlurPoint(
+            size_deg=size_deg,
+            diameter_mm=diameter,
+            diameter_px=diameter * self._target.shape[1] / self._bench.screen.width_mm,
+            psnr_db=psnr_db(light, self._target),
+            irradiance=light,
+        )
+
+
+def _moved(bench: Bench, by_x: float, by_y: float) -> Bench:
+    screen = bench.screen
+    return replace(
+        bench, screen=replace(screen, centre_x_mm=screen.centre_x_mm + by_x, centre_y_mm=screen.centre_y_mm + by_y)
+    )
+
+
+def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
+    """What a disc (an ellipse of those diameters in pixels) makes of a picture of even pixels: weights of sum 1.
+
+    Each point of the disc shifts the picture by a part of a pixel, and so shares it among four.
+    """
+    x, y = (disc_points(points) * (across / 2, along / 2)).T
+    i, j = np.floor(x).astype(int), np.floor(y).astype(int)
+    half_x, half_y = int(np.abs(i).max()) + 1, int(np.abs(j).max()) + 1
+    kernel = np.zeros((2 * half_y + 1, 2 * half_x + 1))
+    for down in (0, 1):
+        for right in (0, 1):
+            weight = np.abs(1 - right - (x - i)) * np.abs(1 - down - (y - j))
+            np.add.at(kernel, (j + down + half_y, i + right + half_x), weight)
+    return kernel / points
+
+
+def residual_shift_px(seen: Array, target: Array) -> tuple[float, float]:
+    """(x, y): the picture `seen` lies that far aside of the target [px]: Gauss-Newton, blurred less and less."""
+    found = np.zeros(2)
+    for sigma in _BLURS:
+        aim, given = gaussian_filter(target, sigma), gaussian_filter(seen, sigma)
+        moved = shift(given, (-found[1], -found[0]), order=1, mode="nearest")
+        slope_y, slope_x = np.gradient(moved)
+        slopes = np.stack([slope_x.ravel(), slope_y.ravel()], axis=1)
+        step = np.linalg.pinv(slopes.T @ slopes) @ (slopes.T @ (aim - moved).ravel())
+        found += np.clip(step, -1.0, 1.0)
+    return float(found[0]), float(found[1])
+
+
+def picture_shift_mm(heightfield: Heightfield, bench: Bench, changed: Bench) -> tuple[float, float]:
+    """How far the picture moves as a whole from one bench to the other: the mean over rays through the lens."""
+    spline = heightfield.spline()
+    along = (np.arange(_RAYS) + 0.5) / _RAYS
+    x, y = np.meshgrid(
+        heightfield.x_mm[0] + along * heightfield.width_mm, heightfield.y_mm[0] + along * heightfield.height_mm
+    )
+    jets = spline.jets(x, y).reshape(6, -1)
+    before, after = (_arrivals(jets, x.ravel(), y.ravel(), one.beam(), one.throw_mm) for one in (bench, changed))
+    moved = np.nanmean(after - before, axis=1)
+    return float(moved[0]), float(moved[1])
+
+
+@njit(cache=True, nogil=True)
+def _arrivals(jets: Array, x: Array, y: Array, beam: Beam, throw: float) -> Array:
+    """(2, n) where rays through surface points arrive on the plane of the screen [mm]; NaN: reflected."""
+    out = np.empty((2, x.size))
+    for k in range(x.size):
+        dx, dy, dz, _, _, _ = meet(beam, x[k], y[k], jets[0, k])
+        tx, ty, tz = leave(dx, dy, dz, jets[1, k], jets[2, k], beam.refractive_index, beam.is_mirror)
+        out[0, k] = x[k] + (throw - jets[0, k]) / tz * tx
+        out[1, k] = y[k] + (throw - jets[0, k]) / tz * ty
+    return out

@@ -1,0 +1,182 @@
+"""The picture of a lens by flux tubes, as caustic.py draws it, and the transpose of its derivative by the heights.
+
+Of a picture error r(pixel) = dE/dI, a tube with light f, area A on the screen and W = its integral of r contributes
+f W / A to dE. With rho = f / A and rbar = W / A, moving its border by v gains  rho * integral over the border of
+(r - rbar) v . n ds, so a tube that lies within one pixel pulls on nothing. W comes from Green's formula as well: the
+integral of R dy along the border, R being r summed from the left.
+
+The light that a tube carries is held as the lens first had it: even collimated light makes it the same for all anyhow,
+and where it does depend on the heights, what polish changes moves it less than a percent of what refraction does.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from optics.edges import add_edge
+from optics.light import Beam
+from optics.spline import Array
+from optics.tube_rays import push_row
+
+_POINT_AREA = 1e-10  # as in caustic.py: a tube focused on less than this [pixels] falls on one point
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _doubled_area(xa: float, ya: float, xb: float, yb: float, xc: float, yc: float) -> float:
+    return (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
+
+
+@njit(cache=True, nogil=True)
+def _drop(acc: Array, x: float, y: float, light: float) -> None:
+    """All of the light into the pixel at (x, y)."""
+    if 0.0 <= x < acc.shape[1] - 1 and 0.0 <= y < acc.shape[0]:
+        j, i = int(y), int(x)
+        acc[j, i] += light
+        acc[j, i + 1] -= light
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _tube(acc: Array, light: float, xa: float, ya: float, xb: float, yb: float, xc: float, yc: float) -> float:
+    """Density of a tube whose border has to be walked; 0 where its light is dropped whole into one pixel, or lost."""
+    area = 0.5 * _doubled_area(xa, ya, xb, yb, xc, yc)
+    if not math.isfinite(area):
+        return 0.0
+    i, j = math.floor(xa), math.floor(ya)
+    within = i == math.floor(xb) and i == math.floor(xc) and j == math.floor(yb) and j == math.floor(yc)
+    if within or abs(area) < _POINT_AREA:
+        _drop(acc, (xa + xb + xc) / 3.0, (ya + yb + yc) / 3.0, light)
+        return 0.0
+    return light / area
+
+
+@njit(cache=True, nogil=True)
+def spread_tubes(row_lo: int, row_hi: int, hit_x: Array, hit_y: Array, light: Array, acc: Array) -> None:
+    """Add tube rows row_lo..row_hi - 1 to acc (ny, nx + 1), whose sums along x are the picture.
+
+    light (rows, columns) of each lattice quad, which its two triangles share; (1, 1) where all have the same.
+    """
+    columns = hit_x.shape[1] - 1
+    upper = np.zeros(columns)
+    many = light.shape[0] > 1
+    for k in range(row_lo, row_hi):
+        below_x, below_y, above_x, above_y = hit_x[k], hit_y[k], hit_x[k + 1], hit_y[k + 1]
+        before = 0.0
+        for c in range(columns):
+            half = 0.5 * (light[k, c] if many else light[0, 0])
+            xa, ya, xb, yb = below_x[c], below_y[c], below_x[c + 1], below_y[c + 1]
+            xc, yc, xd, yd = above_x[c], above_y[c], above_x[c + 1], above_y[c + 1]
+            lower = _tube(acc, half, xa, ya, xb, yb, xd, yd)
+            over = _tube(acc, half, xa, ya, xd, yd, xc, yc)
+            if lower != upper[c]:
+                add_edge(acc, xa, ya, xb, yb, lower - upper[c])
+            if over != lower:
+                add_edge(acc, xa, ya, xd, yd, over - lower)
+            if before != over:
+                add_edge(acc, xa, ya, xc, yc, before - over)
+            before = lower
+            upper[c] = over
+        add_edge(acc, below_x[columns], below_y[columns], above_x[columns], above_y[columns], before)
+    for c in range(columns):
+        add_edge(acc, hit_x[row_hi, c], hit_y[row_hi, c], hit_x[row_hi, c + 1], hit_y[row_hi, c + 1], -upper[c])
+
+
+@njit(cache=True, nogil=True)
+def _along_edge(r: Array, summed: Array, xa: float, ya: float, xb: float, yb: float) -> tuple[float, float, float]:
+    """Integrals along a -> b, s from 0 to 1: R dy, r (1 - s) ds, r s ds. summed (ny, nx + 1) is R: r from the left."""
+    ny, nx = r.shape
+    dx, dy = xb - xa, yb - ya
+    i, j = int(math.floor(xa)), int(math.floor(ya))
+    step_x, step_y = (1 if dx > 0.0 else -1), (1 if dy > 0.0 else -1)
+    next_x = (i + (dx > 0.0) - xa) / dx if dx != 0.0 else math.inf
+    next_y = (j + (dy > 0.0) - ya) / dy if dy != 0.0 else math.inf
+    green = first = second = s = 0.0
+    while True:
+        end = min(next_x, next_y, 1.0)
+        if 0 <= j < ny and i >= 0:
+            if i >= nx:
+                green += summed[j, nx] * (end - s)
+            else:
+                here = r[j, i]
+                half = 0.5 * (end - s) * (end + s)
+                green += (end - s) * (summed[j, i] + here * (xa + 0.5 * (s + end) * dx - i))
+                second += here * half
+                first += here * (end - s - half)
+        if end >= 1.0:
+            return green * dy, first, second
+        s = end
+        if next_x <= next_y:
+            i += step_x
+            next_x += abs(1.0 / dx)
+        else:
+            j += step_y
+            next_y += abs(1.0 / dy)
+
+
+@njit(cache=True, nogil=True)
+def _pull_on_corners(
+    r: Array, summed: Array, light: float, xa: float, ya: float, xb: float, yb: float, xc: float, yc: float
+) -> tuple[float, float, float, float, float, float]:
+    """Gain by moving the corners of one tube: (ax, ay, bx, by, cx, cy)."""
+    area = 0.5 * _doubled_area(xa, ya, xb, yb, xc, yc)
+    if not math.isfinite(area) or abs(area) < _POINT_AREA:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    i, j = math.floor(xa), math.floor(ya)
+    if i == math.floor(xb) and i == math.floor(xc) and j == math.floor(yb) and j == math.floor(yc):
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ny, nx = r.shape
+    if max(xa, xb, xc) <= 0.0 or min(xa, xb, xc) >= nx or max(ya, yb, yc) <= 0.0 or min(ya, yb, yc) >= ny:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    ab, ab0, ab1 = _along_edge(r, summed, xa, ya, xb, yb)
+    bc, bc0, bc1 = _along_edge(r, summed, xb, yb, xc, yc)
+    ca, ca0, ca1 = _along_edge(r, summed, xc, yc, xa, ya)
+    rho = light / area
+    half = 0.5 * (ab + bc + ca) / area
+    ab0, ab1, bc0 = rho * (ab0 - half), rho * (ab1 - half), rho * (bc0 - half)
+    bc1, ca0, ca1 = rho * (bc1 - half), rho * (ca0 - half), rho * (ca1 - half)
+    return (
+        ab0 * (yb - ya) + ca1 * (ya - yc),
+        ab0 * (xa - xb) + ca1 * (xc - xa),
+        ab1 * (yb - ya) + bc0 * (yc - yb),
+        ab1 * (xa - xb) + bc0 * (xb - xc),
+        bc1 * (yc - yb) + ca0 * (ya - yc),
+        bc1 * (xb - xc) + ca0 * (xc - xa),
+    )
+
+
+@njit(cache=True, nogil=True)
+def pull_tubes(
+    row_lo: int, row_hi: int, hit_x: Array, hit_y: Array, light: Array, r: Array, summed: Array,
+    coefs: Array, x0: float, y0: float, dx: float, dy: float, sub: int, beam: Beam, throw: float,
+    inv_px: float, inv_py: float, by_coefs: Array,
+) -> None:  # fmt: skip
+    """Add to by_coefs (as coefs) the gain of tube rows row_lo..row_hi - 1, where the pixels' gain is r (ny, nx)."""
+    columns = hit_x.shape[1] - 1
+    below, above = np.zeros((2, columns + 1)), np.zeros((2, columns + 1))
+    work = np.empty((4, coefs.shape[1]))
+    many = light.shape[0] > 1
+    for k in range(row_lo, row_hi):
+        above[:] = 0.0
+        for c in range(columns):
+            half = 0.5 * (light[k, c] if many else light[0, 0])
+            xa, ya, xb, yb = hit_x[k, c], hit_y[k, c], hit_x[k, c + 1], hit_y[k, c + 1]
+            xc, yc, xd, yd = hit_x[k + 1, c], hit_y[k + 1, c], hit_x[k + 1, c + 1], hit_y[k + 1, c + 1]
+            lower = _pull_on_corners(r, summed, half, xa, ya, xb, yb, xd, yd)
+            over = _pull_on_corners(r, summed, half, xa, ya, xd, yd, xc, yc)
+            below[0, c] += lower[0] + over[0]
+            below[1, c] += lower[1] + over[1]
+            below[0, c + 1] += lower[2]
+            below[1, c + 1] += lower[3]
+            above[0, c + 1] += lower[4] + over[2]
+            above[1, c + 1] += lower[5] + over[3]
+            above[0, c] += over[4]
+            above[1, c] += over[5]
+        push_row(
+            coefs, k, x0, y0, dx, dy, sub, beam, throw, inv_px, inv_py, below[0], below[1], by_coefs, work
+        )  # fmt: skip
+        below, above = above, below
+    push_row(
+        coefs, row_hi, x0, y0, dx, dy, sub, beam, throw, inv_px, inv_py, below[0], below[1], by_coefs, work
+    )  # fmt: skip

@@ -1,0 +1,167 @@
+"""What the setup sheet says of the lens as an optical part: scores, figures of the surface, light and screen."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import radians, tan
+from typing import Any
+
+from service.report_words import misplaced_in_words, number, psnr_in_words
+
+_SEEN_GAIN_DB = 0.5  # less is not worth a word
+_STRAIGHT_MM = 0.005
+
+
+def table(value: Any) -> Mapping[str, Any]:
+    """A part of the report or of the spec; an empty one where there is none."""
+    return value if isinstance(value, Mapping) else {}
+
+
+def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
+    """(what, figure, in words), first for the perfect surface, then as milled."""
+    rows = []
+    for key, prefix in (("optics", ""), ("as_milled", "As milled: ")):
+        scores = table(report.get(key))
+        if scores.get("psnr_db") is not None:
+            rows.append((f"{prefix}PSNR", f"{scores['psnr_db']:.1f} dB", psnr_in_words(scores["psnr_db"])))
+        if scores.get("ssim") is not None:
+            rows.append((f"{prefix}SSIM", f"{scores['ssim']:.3f}", "likeness of local structure; 1 is identical"))
+        if scores.get("misplaced_light") is not None:
+            share = scores["misplaced_light"]
+            rows.append((f"{prefix}Misplaced light", f"{100 * share:.2f} %", misplaced_in_words(share)))
+        if scores.get("dark_leak"):
+            rows.append((f"{prefix}Dark leak", f"{100 * scores['dark_leak']:.2f} %", _leak_in_words(scores)))
+    sharp = table(table(report.get("optics")).get("from_a_point_source")).get("psnr_db")
+    if sharp is not None:
+        rows.append(
+            (
+                "PSNR without the size of the source",
+                f"{sharp:.1f} dB",
+                "the lens is made for a source of this size, and best with it",
+            )
+        )
+    return rows
+
+
+def _leak_in_words(scores: Mapping[str, Any]) -> str:
+    words = "of all light falls where the picture is black"
+    if (estimate := scores.get("dark_leak_estimate")) is None:
+        return words
+    radius = scores.get("min_radius_mm") or 0.0
+    valleys = f"valleys that a ball of {number(radius)} mm cuts" if radius else "valleys as narrow as the grid allows"
+    return f"{words}; {valleys} let about {100 * estimate:.2f} % through"
+
+
+def lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(what, figure) of the surface and how it came about."""
+    optics, wanted = table(report.get("optics")), table(spec.get("optics"))
+    rows = [*_surface_rows(optics), *_closing_rows(table(optics.get("closing"))), *_polish_rows(optics)]
+    if wanted.get("surface") == "mirror":
+        rows.append(("Kind", "mirror: light comes from the wall's side and is reflected by the milled face"))
+    elif wanted.get("refractive_index") is not None:
+        rows.append(("Refractive index", f"{wanted['refractive_index']:g}"))
+    if wanted.get("outline", "rectangle") != "rectangle":
+        outline = wanted["outline"]
+        rows.append(("Outline", outline if isinstance(outline, str) else f"{len(outline)} corners"))
+    if wanted.get("method"):
+        converged = {"True": ", converged", "False": ", NOT converged"}.get(str(optics.get("converged")), "")
+        crossing = ", rays cross before the screen" if optics.get("branch") == "inverted" else ""
+        rows.append(("Method", f"{wanted['method']}{crossing}{converged}"))
+    return rows
+
+
+def _surface_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    rows = []
+    if optics.get("relief_mm") is not None:
+        rows.append(("Relief, highest to lowest point", f"{optics['relief_mm']:.2f} mm"))
+    if optics.get("max_slope_deg") is not None:
+        rows.append(("Steepest slope", f"{optics['max_slope_deg']:.1f}°"))
+    if optics.get("min_concave_radius_mm") is not None:
+        rows.append(("Largest ball that fits everywhere", f"{optics['min_concave_radius_mm']:.2f} mm radius"))
+    for share, key in (("99.9 %", "concave_radius_999_mm"), ("99 %", "concave_radius_99_mm")):
+        if optics.get(key) is not None:
+            rows.append((f"{share} of the lens: a ball up to", f"{optics[key]:.2f} mm radius fits"))
+    curvature = table(optics.get("concave_curvature_per_mm"))
+    if curvature:
+        told = (("half of the area", "p50"), ("90 %", "p90"), ("99.9 %", "p99.9"))
+        words = ", ".join(f"{name} up to {number(curvature.get(key), 3)}" for name, key in told)
+        rows.append(("Hollow curvature, 1/mm", f"{words}, most {number(curvature.get('p100'), 3)}"))
+    return rows
+
+
+def _closing_rows(closing: Mapping[str, Any]) -> list[tuple[str, str]]:
+    if not closing:
+        return []
+    lost = closing["psnr_db_without"] - closing["psnr_db_with"]
+    words = f"costs {lost:.1f} dB" if lost >= 0.05 else "costs nothing"
+    if closing["dark_leak_with"] > 0:
+        words += f", dark leak {100 * closing['dark_leak_without']:.2f} → {100 * closing['dark_leak_with']:.2f} %"
+    return [(f"Valleys filled for a ball of {number(closing['radius_mm'])} mm radius", words)]
+
+
+def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    polish = table(optics.get("polish"))
+    if not polish:
+        return []
+    gain = polish["psnr_db_after"] - polish["psnr_db_before"]
+    words = f"{polish['steps']} steps, +{gain:.1f} dB, moves the surface by {number(polish['change_um_rms'], 2)} µm rms"
+    return [("Polish", f"{words}; finer than most mills cut" if gain >= _SEEN_GAIN_DB else words)]
+
+
+def light_sentences(spec: Mapping[str, Any]) -> list[str]:
+    """What the light must be like, for the person who sets up the lamp."""
+    optics = table(spec.get("optics"))
+    light = table(optics.get("light"))
+    is_mirror = optics.get("surface") == "mirror"
+    face = "the stock top (Z0), on the side of the wall" if is_mirror else "the flat back"
+    sentences = []
+    match light.get("kind", "collimated"):
+        case "point":
+            size = f"a lamp of {number(light.get('size_mm'))} mm diameter" if light.get("size_mm") else "a small lamp"
+            sentences.append(
+                f"The light is {size}, {number(light.get('distance_mm'))} mm from {face}, on the axis through the "
+                f"middle of the lens. Another distance changes size and sharpness of the picture."
+            )
+        case "sun":
+            sentences.append(f"The light is the sun's, square to {face}: turn the lens until it is.")
+        case _ if is_mirror:
+            sentences.append("The light is parallel and comes straight onto the milled face.")
+        case _:
+            sentences.append("The light is parallel and square to the flat back, and leaves through the milled face.")
+    if light.get("gaussian_mm") is not None:
+        sentences.append(f"The beam is brightest in the middle and {number(light['gaussian_mm'])} mm wide (1/e²).")
+    elif light.get("profile"):
+        sentences.append("The light is uneven as measured (optics.light.profile); its middle is the lens's middle.")
+    if optics.get("outline", "rectangle") != "rectangle":
+        sentences.append("Light beyond the outline of the lens must not pass: cut the block along it, or mask it.")
+    return sentences
+
+
+def screen_sentence(spec: Mapping[str, Any]) -> str | None:
+    """Where the picture is, if not straight before the lens."""
+    optics = table(spec.get("optics"))
+    aside, up = float(optics.get("screen_shift_x_mm") or 0.0), float(optics.get("screen_shift_y_mm") or 0.0)
+    ways = []
+    if abs(aside) > _STRAIGHT_MM:
+        ways.append(f"{number(abs(aside))} mm to the {'left' if aside > 0 else 'right'}")
+    if abs(up) > _STRAIGHT_MM:
+        ways.append(f"{number(abs(up))} mm {'above' if up > 0 else 'below'}")
+    if not ways:
+        return None
+    where = " and ".join(ways)
+    return (
+        f"The middle of the picture lies {where} of the middle of the lens, for a person who looks from it to the wall."
+    )
+
+
+def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
+    """Diameter that the disc of the source becomes on the wall, of a thin lens; None where it has no size.
+
+    The sun's angle is kept; a lamp of size s at distance d gives s throw / d.
+    """
+    light = table(table(spec.get("optics")).get("light"))
+    if light.get("kind") == "sun":
+        return throw_mm * 2 * tan(radians(float(light.get("size_deg") or 0.0)) / 2)
+    if light.get("kind") == "point" and light.get("size_mm") and light.get("distance_mm"):
+        return throw_mm * float(light["size_mm"]) / float(light["distance_mm"])
+    return None
