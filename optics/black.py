@@ -17,9 +17,9 @@ from scipy.ndimage import uniform_filter
 
 from optics.bench import Bench, Branch
 from optics.errors import TotalReflectionError
-from optics.grid_levels import box_averaged
 from optics.map_inversion import screen_positions
-from optics.optical_path import heights_mm
+from optics.path.grid_levels import box_averaged
+from optics.path.optical_path import heights_mm
 from optics.spline import Array
 from optics.transport import solve_transport
 

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from optics.bench import Bench
-from optics.edges import polygon_coverage
 from optics.heightfield import Heightfield
 from optics.light import Beam
 from optics.spline import Array, BicubicSpline
 from optics.threads import thread_count
-from optics.tubes import Aim, follow_tubes
+from optics.tubes.edges import polygon_coverage
+from optics.tubes.lattice import Aim, follow_tubes
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
 BEAMS = 19  # of light from a disc

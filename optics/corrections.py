@@ -17,7 +17,7 @@ from optics.closing import closed_to_radius
 from optics.heightfield import Heightfield
 from optics.map_inversion import screen_positions
 from optics.metrics import CausticScore, score_caustic
-from optics.optical_path import heights_mm
+from optics.path.optical_path import heights_mm
 from optics.polish import DESIGN_BEAMS
 from optics.settings import LensSettings
 from optics.spline import Array

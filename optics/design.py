@@ -9,9 +9,9 @@ from typing import Any
 
 from optics.black import advice
 from optics.corrections import ClosingCost, Corrected, Pass, corrected
-from optics.flow import PaperFlow
 from optics.heightfield import Heightfield
-from optics.paper_surface import paper_lens
+from optics.paper.flow import PaperFlow
+from optics.paper.surface import paper_lens
 from optics.polish import PolishRecord, polished
 from optics.settings import LensSettings
 from optics.spline import Array

@@ -24,7 +24,7 @@ from optics.heightfield import Heightfield
 from optics.lbfgs import Memory
 from optics.spline import Array
 from optics.threads import thread_count
-from optics.tube_picture import TubePicture
+from optics.tubes.picture import TubePicture
 
 _DEPTH = 8
 _LONG_WAVES = 1500.0  # beta, times the aperture's area

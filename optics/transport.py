@@ -19,13 +19,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from optics.anderson import Anderson
 from optics.bench import Bench
-from optics.grid_levels import box_averaged, level_shapes, prolonged
-from optics.optical_path import Preimages, flat_path_mm
+from optics.path.anderson import Anderson
+from optics.path.grid_levels import box_averaged, level_shapes, prolonged
+from optics.path.optical_path import Preimages, flat_path_mm
+from optics.path.total_reflection import far_and_even, refuse_wide_turns
+from optics.path.transport_level import Misses, TransportLevel
 from optics.spline import Array
-from optics.total_reflection import far_and_even, refuse_wide_turns
-from optics.transport_level import Misses, TransportLevel
 from optics.transport_map import TransportMap
 
 TOLERANCE = 1e-3  # rms of det - g over the rms of g, at which a level is done

@@ -19,7 +19,7 @@ _LEAST_SCALE_MM = 1e-3
 
 
 class FlowStep(Protocol):
-    """The paper's flow after some steps, in the work frame (row 0 at the lowest y); optics.flow makes them.
+    """The paper's flow after some steps, in the work frame (row 0 at the lowest y); optics.paper.flow makes them.
 
     lens_mm (ny, nx, 2)  : where on the lens the light of each screen vertex comes from
     difference (ny, nx)  : D = L J - C at the screen vertices, in units of the mean of the target

@@ -11,7 +11,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from optics import anderson
-from optics.anderson import Anderson
+from optics.path.anderson import Anderson
 
 
 def iterates(matrix: np.ndarray, aim: np.ndarray, steps: int, depth: int) -> list[float]:

@@ -12,10 +12,10 @@ from scipy.interpolate import RectBivariateSpline
 
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.edges import add_edge
 from optics.heightfield import Heightfield
 from optics.refraction import refracted_tangent
 from optics.screen import Screen
+from optics.tubes.edges import add_edge
 
 N = 1.49
 

@@ -14,10 +14,10 @@ from scipy.interpolate import RegularGridInterpolator
 
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.edges import polygon_coverage
 from optics.heightfield import Heightfield
 from optics.light import Light
 from optics.screen import Screen
+from optics.tubes.edges import polygon_coverage
 
 N = 1.49
 WIDE, HIGH, THROW, THICK = 24.0, 16.0, 25.0, 9.0

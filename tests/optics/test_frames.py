@@ -16,8 +16,8 @@ from optics.irradiance import target_irradiance
 from optics.light import Light
 from optics.map_inversion import screen_positions
 from optics.metrics import score_caustic
-from optics.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.outline import is_inside
+from optics.path.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.transport import OpticalPath, solve_transport
 
 PIXELS = 48

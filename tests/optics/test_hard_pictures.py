@@ -7,7 +7,7 @@ import pytest
 
 from optics.bench import Bench
 from optics.irradiance import target_irradiance
-from optics.optical_path import Preimages
+from optics.path.optical_path import Preimages
 from optics.transport import solve_transport
 from tests.benchmarks.hard_pictures import KINDS, hard_pictures
 from tests.benchmarks.targets import MOST_TURNED, ending

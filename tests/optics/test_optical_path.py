@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from optics.beam_path import heights_on_beam, trace_back
 from optics.bench import Bench
 from optics.light import Beam, Light, leave, meet
+from optics.path.beam_path import heights_on_beam, trace_back
 
 WIDTH, THROW = 50.0, 120.0
 aside = st.floats(-0.2, 0.2)

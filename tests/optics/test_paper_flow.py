@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from optics.errors import TargetError
-from optics.flow import FlowSettings, pixel_vertices, solve_paper_map
-from optics.mesh import TriangleMesh
+from optics.paper.flow import FlowSettings, pixel_vertices, solve_paper_map
+from optics.paper.mesh import TriangleMesh
 
 
 def soft_picture(ny: int = 40, nx: int = 40, contrast: float = 0.7):

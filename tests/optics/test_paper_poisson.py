@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from optics.mesh import TriangleMesh
-from optics.poisson import NeumannPoisson, divergence_load
+from optics.paper.mesh import TriangleMesh
+from optics.paper.poisson import NeumannPoisson, divergence_load
 
 
 def moved_square(n: int) -> TriangleMesh:

@@ -5,11 +5,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from optics.face_light import face_light
-from optics.flow import FlowSettings, solve_paper_map
-from optics.mesh import MeshPair, TriangleMesh
-from optics.mesh_surgery import flip, neighbours_of
-from optics.remesh import without_short_lived
+from optics.paper.face_light import face_light
+from optics.paper.flow import FlowSettings, solve_paper_map
+from optics.paper.mesh import MeshPair, TriangleMesh
+from optics.paper.mesh_surgery import flip, neighbours_of
+from optics.paper.remesh import without_short_lived
 
 
 def shaken(seed: int, *, nx: int = 13, ny: int = 10, by: float = 0.25) -> TriangleMesh:

@@ -16,8 +16,8 @@ from optics.light import Light
 from optics.metrics import score_caustic
 from optics.settings import LensSettings
 from optics.spline import _fit_columns
-from optics.tube_picture import TubePicture
-from optics.tube_rays import fit_transposed
+from optics.tubes.picture import TubePicture
+from optics.tubes.rays import fit_transposed
 
 BENCH = Bench.centred(
     width_mm=20.0,

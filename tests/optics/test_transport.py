@@ -14,10 +14,10 @@ from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.errors import TotalReflectionError
-from optics.even_light import rim_slopes
-from optics.grid_levels import box_averaged, level_shapes
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
+from optics.path.even_light import rim_slopes
+from optics.path.grid_levels import box_averaged, level_shapes
 from optics.refraction import refracted_tangent
 from optics.settings import LensSettings
 from optics.transport import solve_transport

@@ -13,11 +13,11 @@ from PIL import Image
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
-from optics.flow import FlowSettings, PaperFlow
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
-from optics.paper_surface import PaperLens, paper_lens
+from optics.paper.flow import FlowSettings, PaperFlow
+from optics.paper.surface import PaperLens, paper_lens
 from optics.settings import LensSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from optics.flow import FlowSnapshot
 from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.paper.flow import FlowSnapshot
 from service.figures import comparison_png, picture_png, rounded_up, srgb_levels, through_focus_png
 from service.figures_lens import flow_png, heightfield_png, raking_light
 from service.figures_paths import PathSample, toolpath_png

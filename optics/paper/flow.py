@@ -19,16 +19,16 @@ What the paper leaves open, and what is done here:
   only the component along it is followed. Zero intensity has no continuous map: the target is lifted to a floor.
 
 What becomes of a mesh that gets stuck is `FlowSettings.remeshing`: nothing (here, as in the paper's section 4),
-vertices cut out and darts thrown (optics.flow_darts, its section 5), or an even grid again (optics.flow_even).
+vertices cut out and darts thrown (flow_darts, its section 5), or an even grid again (flow_even).
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from optics.flow_darts import flow_with_darts
-from optics.flow_even import flow_on_even_grids
-from optics.flow_record import (
+from optics.paper.flow_darts import flow_with_darts
+from optics.paper.flow_even import flow_on_even_grids
+from optics.paper.flow_record import (
     KEPT_STEPS,
     FlowSettings,
     FlowSnapshot,
@@ -38,9 +38,9 @@ from optics.flow_record import (
     Remeshing,
     pixel_vertices,
 )
-from optics.flow_rules import check_target, face_intensities, floor_note, held_to_the_frame, rms_over, verdict_on
-from optics.mesh import MeshPair, TriangleMesh
-from optics.poisson import NeumannPoisson
+from optics.paper.flow_rules import check_target, face_intensities, floor_note, held_to_the_frame, rms_over, verdict_on
+from optics.paper.mesh import MeshPair, TriangleMesh
+from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
 
 __all__ = [

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from optics.mesh import MeshPair
+from optics.paper.mesh import MeshPair
 from optics.spline import Array
 
 Progress = Callable[[str, float], None]
@@ -21,8 +21,8 @@ KEPT_STEPS = (1, 3, 5, 7, 25)  # of the paper's Fig. 6; and the last
 class FlowSettings:
     """When the flow stops, how little light it aims at, and what becomes of a mesh that gets stuck.
 
-    remeshing : "none", as in the paper's section 4; "simple", its section 5 (see optics.flow_darts); "clean", its
-                future work (see optics.flow_even)
+    remeshing : "none", as in the paper's section 4; "simple", its section 5 (see optics.paper.flow_darts); "clean", its
+                future work (see optics.paper.flow_even)
     """
 
     max_steps: int = 60

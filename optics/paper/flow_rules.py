@@ -7,10 +7,10 @@ from itertools import pairwise
 import numpy as np
 
 from optics.errors import TargetError
-from optics.face_light import face_light
-from optics.flow_record import FlowSettings, FlowStep, pixel_vertices
-from optics.mesh import MeshPair
-from optics.mesh_surgery import Neighbours
+from optics.paper.face_light import face_light
+from optics.paper.flow_record import FlowSettings, FlowStep, pixel_vertices
+from optics.paper.mesh import MeshPair
+from optics.paper.mesh_surgery import Neighbours
 from optics.spline import Array
 
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from optics.beam_path import heights_on_beam, trace_back
 from optics.bench import Bench
 from optics.light import Beam, meet
 from optics.outline import RimCurves
+from optics.path.beam_path import heights_on_beam, trace_back
 from optics.spline import Array
 
 _NEWTON_STEPS = 40

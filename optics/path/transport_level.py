@@ -20,7 +20,7 @@ from numba import njit
 from scipy import fft
 
 from optics.bench import Bench
-from optics.optical_path import Preimages
+from optics.path.optical_path import Preimages
 from optics.spline import Array
 from optics.threads import over_rows, thread_count
 

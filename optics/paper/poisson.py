@@ -18,7 +18,7 @@ import scipy.sparse as sparse
 from numba import njit
 from numpy.typing import NDArray
 
-from optics.mesh import TriangleMesh, Triangles
+from optics.paper.mesh import TriangleMesh, Triangles
 from optics.spline import Array
 
 _MOST_ITERATIONS = 300

@@ -7,7 +7,7 @@ same, every triangle on the lens is as good as on the first day, and the next st
 itself. What is thin or large now lies on the screen, where no step rule cares: the dark parts of the picture have few
 vertices, the bright ones many, as light is where vertices are. No vertex is random, so lines and edges stay straight.
 
-- D of a face is exact whatever its shape on the screen (optics.face_light); the Poisson source is its light, as before.
+- D of a face is exact whatever its shape on the screen (face_light); the Poisson source is its light, as before.
 - Steps start on every second of the lens's own vertices; the last grid *is* the lens's, so the surface is solved on it
   and nothing is resampled on the way to the heightfield.
 - Reading the map bilinearly keeps it one-to-one but for a few triangles beside creases: their screen points are
@@ -22,7 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import map_coordinates
 
-from optics.flow_record import (
+from optics.map_inversion import screen_positions
+from optics.paper.flow_record import (
     KEPT_STEPS,
     FlowSettings,
     FlowSnapshot,
@@ -31,11 +32,10 @@ from optics.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.flow_rules import excess_on_faces, floor_note, floored, held_to_the_frame, rms_over
-from optics.map_inversion import screen_positions
-from optics.mesh import MeshPair, TriangleMesh, Triangles
-from optics.mesh_surgery import Neighbours, neighbours_of
-from optics.poisson import NeumannPoisson
+from optics.paper.flow_rules import excess_on_faces, floor_note, floored, held_to_the_frame, rms_over
+from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
+from optics.paper.mesh_surgery import Neighbours, neighbours_of
+from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
 
 _COARSER = (2, 1)

@@ -15,14 +15,14 @@ import numpy as np
 
 from optics.bench import Bench
 from optics.errors import TotalReflectionError, UnsupportedBenchError
-from optics.flow import FlowSettings, PaperFlow, solve_paper_map
-from optics.flow_darts import on_lattice
 from optics.heightfield import Heightfield
-from optics.mesh import TriangleMesh
-from optics.poisson import NeumannPoisson, divergence_load
+from optics.paper.flow import FlowSettings, PaperFlow, solve_paper_map
+from optics.paper.flow_darts import on_lattice
+from optics.paper.mesh import TriangleMesh
+from optics.paper.poisson import NeumannPoisson, divergence_load
+from optics.paper.smooth_map import SmoothGridMap, spline_over
 from optics.refraction import slope_for_shift
 from optics.settings import LensSettings
-from optics.smooth_map import SmoothGridMap, spline_over
 from optics.spline import Array
 
 Progress = Callable[[str, float], None]

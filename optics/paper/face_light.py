@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from optics.mesh import TriangleMesh, Triangles
+from optics.paper.mesh import TriangleMesh, Triangles
 from optics.spline import Array
 
 
@@ -20,7 +20,7 @@ def face_light(
 ) -> Array:
     """(n,) integrals of target (ny, nx) over the median dual faces of a mesh that covers [0, w] x [0, h] [mm^2].
 
-    neighbours (m, 3) : the triangle across from each corner, -1 on the rim (optics.mesh_surgery.neighbours_of)
+    neighbours (m, 3) : the triangle across from each corner, -1 on the rim (optics.paper.mesh_surgery.neighbours_of)
     """
     ny, nx = target.shape
     left = np.zeros_like(target)

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.interpolate import CloughTocher2DInterpolator
 from scipy.spatial import Delaunay
 
-from optics.flow_record import (
+from optics.paper.flow_record import (
     KEPT_STEPS,
     FlowSettings,
     FlowSnapshot,
@@ -15,11 +15,11 @@ from optics.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.flow_rules import excess_on_faces, floor_note, floored, rms_over, verdict_on
-from optics.mesh import MeshPair, TriangleMesh
-from optics.mesh_surgery import neighbours_of
-from optics.poisson import NeumannPoisson
-from optics.remesh import without_short_lived
+from optics.paper.flow_rules import excess_on_faces, floor_note, floored, rms_over, verdict_on
+from optics.paper.mesh import MeshPair, TriangleMesh
+from optics.paper.mesh_surgery import neighbours_of
+from optics.paper.poisson import NeumannPoisson
+from optics.paper.remesh import without_short_lived
 from optics.spline import Array
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from optics.mesh import Triangles, smallest_positive_root
+from optics.paper.mesh import Triangles, smallest_positive_root
 from optics.spline import Array
 
 Neighbours = NDArray[np.int32]

@@ -16,10 +16,10 @@ import math
 import numpy as np
 from numba import njit
 
-from optics.edges import add_edge
 from optics.light import Beam
 from optics.spline import Array
-from optics.tube_rays import push_row
+from optics.tubes.edges import add_edge
+from optics.tubes.rays import push_row
 
 _POINT_AREA = 1e-10  # as in caustic.py: a tube focused on less than this [pixels] falls on one point
 

@@ -14,10 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from optics.edges import add_edge, add_point
 from optics.light import Beam, leave, meet, strength_on_face
 from optics.refraction import refracted_tangent
 from optics.spline import Array, spline_weights
+from optics.tubes.edges import add_edge, add_point
 
 _POINT_AREA = 1e-10  # a tube focused on less than this [pixels] falls on one point
 

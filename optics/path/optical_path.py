@@ -18,12 +18,12 @@ import math
 
 import numpy as np
 
-from optics.beam_path import corner_points, face_areas, heights_on_beam, trace_back
 from optics.bench import Bench
-from optics.even_light import preimage_areas, preimages_of_corners, rim_slopes
 from optics.light import Beam, meet
 from optics.outline import dimmed_outside, lowered_outside, rim_curves
-from optics.rims import Rims, corner_rays, solve_rims
+from optics.path.beam_path import corner_points, face_areas, heights_on_beam, trace_back
+from optics.path.even_light import preimage_areas, preimages_of_corners, rim_slopes
+from optics.path.rims import Rims, corner_rays, solve_rims
 from optics.spline import Array, BicubicSpline
 from optics.threads import over_rows
 

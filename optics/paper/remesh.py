@@ -16,8 +16,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from optics.mesh import MeshPair, TriangleMesh, Triangles
-from optics.mesh_surgery import (
+from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
+from optics.paper.mesh_surgery import (
     MOST_AROUND,
     Neighbours,
     around,

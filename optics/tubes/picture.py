@@ -16,8 +16,8 @@ from optics.heightfield import Heightfield
 from optics.light import Beam, meet, strength_on_face
 from optics.spline import Array, BicubicSpline
 from optics.threads import over_rows, thread_count
-from optics.tube_gradient import pull_tubes, spread_tubes
-from optics.tube_rays import fit_transposed, trace_rows
+from optics.tubes.gradient import pull_tubes, spread_tubes
+from optics.tubes.rays import fit_transposed, trace_rows
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
 
