@@ -52,14 +52,17 @@ bench: $(READY)
 lock:
 	uv pip compile pyproject.toml --generate-hashes --no-header --universal --python-version 3.11 -o requirements.lock
 	uv pip compile pyproject.toml --extra dev --generate-hashes --no-header --universal --python-version 3.11 -o requirements-dev.lock
+	uv pip compile pyproject.toml --extra soak --constraint requirements-dev.lock --generate-hashes --no-header --universal --python-version 3.11 -o requirements-soak.lock
 	uv pip compile pyproject.toml docker/build.in --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock --generate-hashes --no-header --universal --python-version 3.11 -o docker/requirements.lock
 
 # The claims of the paper, with our pictures and figures beside them: docs/paper.md.
 paper: $(READY)
 	$(BIN)/python -m tests.paper
 
-# Long trials (two hours): the streamer against the simulated mill, the job server under kill -9: out/soak.json, out/soak.md.
+# Long trials (two hours): the streamer against the simulated mill, the job server under kill -9, simulated light against
+# another renderer: out/soak.json, out/soak.md.
 soak: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-soak.lock
 	$(BIN)/python -m tests.trials
 
 clean:
