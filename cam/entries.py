@@ -47,8 +47,8 @@ def leave(x_mm: float, y_mm: float, *, safe_z_mm: float) -> Path:
 def ramp(polyline_mm: Array, start_mm: float) -> Array:
     """(m, 3) there and back on the first stretch, sinking at RAMP_SLOPE, never below the polyline, to its start.
 
-    The polyline is part of one row: its y is constant. Long drops over short polylines go back and forth often. Where
-    the path is higher than the ramp the tool follows the path.
+    The polyline is straight from above, along X or along Y. Long drops over short polylines go back and forth often.
+    Where the path is higher than the ramp the tool follows the path.
     """
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(polyline_mm[:, :2], axis=0).T))])
     longest = min(float(run[-1]), RAMP_STRETCH_MM)
@@ -61,11 +61,12 @@ def ramp(polyline_mm: Array, start_mm: float) -> Array:
     inner = run[(run > 0) & (run < stretch)]
     places = np.union1d(np.linspace(0.0, stretch, max(3, ceil(stretch / 0.25) + 1)), inner)
     path = np.column_stack([np.interp(places, run, polyline_mm[:, a]) for a in range(3)])
+    along = 0 if np.ptp(polyline_mm[:, 0]) > 0 else 1
     sunk: list[Array] = []
     for leg in range(legs):
         way, done = (path, places) if leg % 2 == 0 else (path[::-1], stretch - places[::-1])
         points = way.copy()
         points[:, 2] = np.maximum(way[:, 2], start_mm - RAMP_SLOPE * (leg * stretch + done))
-        sunk.append(thinned(points, STRAIGHT_MM))
+        sunk.append(thinned(points, STRAIGHT_MM, along=along))
     sunk[-1][-1] = polyline_mm[0]
     return np.concatenate(sunk)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from math import ceil, inf, pi
 
 import numpy as np
+import numpy.typing as npt
 
 from cam.entries import enter, leave
 from cam.moves import Array, Path, cut
@@ -161,12 +162,11 @@ def layer_paths(
     A link on the layer's own surface is always allowed: nothing stands higher above it than a step-down. It is taken
     while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two.
     """
-    tips = layer.tips_mm(field.target_mm)
-    left = field.stock_mm if above is None else np.minimum(field.stock_mm, above.tips_mm(field.target_mm))
-    active = left + (stock.slack_mm if above is None else 0.0) > tips + TOUCH_MM
+    left, tips = _stock_and_tips(field, layer, above)
     per_radius = surface.radius_mm / field.step_mm
     pad, gap, reach = ceil(per_radius / 4), round(2 * per_radius), round(4 * per_radius)
     sag = rough_sag_mm(surface.allowance_mm + layer.offset_mm)
+    active = _with_neighbours(_stands_above(left, tips, stock, above))
     by_row = [spans(row, pad=pad, gap=gap) for row in active]
     total = sum(map(len, by_row))
     before: Run | None = None
@@ -190,6 +190,66 @@ def layer_paths(
         on_progress(done / total)
     if before is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
+    if total:
+        yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
+
+
+def _stock_and_tips(field: Field, layer: Layer, above: Layer | None) -> tuple[Array, Array]:
+    """Tips at which the ball meets what the layer above has left, and the layer's own tips."""
+    left = field.stock_mm if above is None else np.minimum(field.stock_mm, above.tips_mm(field.target_mm))
+    return left, layer.tips_mm(field.target_mm)
+
+
+def _stands_above(left: Array, tips: Array, stock: StockTouch, above: Layer | None) -> npt.NDArray[np.bool_]:
+    """(n rows, n samples): whether there is anything to cut."""
+    return np.asarray(left + (stock.slack_mm if above is None else 0.0) > tips + TOUCH_MM)
+
+
+def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Active rows and, beside what is active, the rows before and after: a last row leaves stock up to the next."""
+    grown = active.copy()
+    grown[1:] |= active[:-1]
+    grown[:-1] |= active[1:]
+    return grown
+
+
+def _end_walls(
+    field: Field,
+    surface: ToolSurface,
+    stock: StockTouch,
+    layer: Layer,
+    above: Layer | None,
+    spec: PassSpec,
+    *,
+    safe_z_mm: float,
+) -> Iterator[Path]:
+    """Along the walls at which the rows end, where stock stood above the layer: both sides, each from front to back.
+
+    Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
+    a later layer, or a later pass, would take flakes of several layers off at once.
+    """
+    y = _between(field.rows.y_mm, field.step_mm)
+    for x_mm in (field.x_mm[0], field.x_mm[-1]):
+        x = np.full_like(y, x_mm)
+        column = Field(
+            rows=field.rows,
+            x_mm=y,
+            target_mm=surface.tip_heights_mm(x, y)[None, :],
+            stock_mm=stock.over(x[:1], y).T,
+        )
+        left, tips = _stock_and_tips(column, layer, above)
+        sag = rough_sag_mm(surface.allowance_mm + layer.offset_mm)
+        for first, last in spans(_stands_above(left, tips, stock, above)[0], pad=1, gap=y.size):
+            points = thinned(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
+            height = float(left[0, first]) + stock.slack_mm + 2 * sag
+            yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
+            yield cut(points, spec.feed_mm_per_min)
+            yield leave(points[-1, 0], points[-1, 1], safe_z_mm=safe_z_mm)
+
+
+def _between(y_mm: Array, step_mm: float) -> Array:
+    """Positions of the rows and, no farther apart than step_mm, between them."""
+    return np.asarray(on_ticks(np.linspace(y_mm[0], y_mm[-1], ceil((y_mm[-1] - y_mm[0]) / step_mm) + 1)))
 
 
 def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run, tolerance_mm: float) -> Array:

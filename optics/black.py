@@ -1,10 +1,10 @@
 """Pictures that are hard for a lens, before one is designed: black areas, fine strokes, single dots; and what helps.
 
 Black comes out of creases. On the direct branch these are valleys, and a ball of radius r leaves their bottoms round: a
-bottom of curvature 1/r spreads its light by M + k H / r instead of by M (M: screen over aperture, H: throw, k = n - 1,
-or 2 of a mirror), so that black receives M / (M + k H / r) of the mean irradiance. On the inverted branch black comes
-out of ridges, which any ball can cut; there the rays cross before the screen, and the slopes to turn every one over are
-the price.
+bottom of curvature 1/r spreads its light by m + k H / r instead of by M (M: screen over aperture; m: what a flat
+surface spreads it by, 1 of parallel light; H: throw; k = n - 1, or 2 of a mirror), so that black receives
+M / (m + k H / r) of the mean irradiance. On the inverted branch black comes out of ridges, which any ball can cut;
+there the rays cross before the screen, and the slopes to turn every one over are the price.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ import numpy as np
 from scipy.ndimage import uniform_filter
 
 from optics.bench import Bench, Branch
-from optics.errors import TotalReflectionError
+from optics.errors import OpticsError
 from optics.map_inversion import screen_positions
+from optics.outline import notched_share
 from optics.path.grid_levels import box_averaged
 from optics.path.optical_path import heights_mm
 from optics.spline import Array
@@ -46,8 +47,16 @@ def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
     s = bench.screen
     spread = math.sqrt(s.width_mm * s.height_mm / (bench.width_mm * bench.height_mm))
     bending = 2.0 if bench.mirror else bench.refractive_index - 1
-    in_valley = spread / (spread + bending * bench.throw_mm / radius_mm) * float(target.mean())
+    in_valley = spread / (_flat_spread(bench) + bending * bench.throw_mm / radius_mm) * float(target.mean())
     return float(np.maximum(target[dark], in_valley).sum() / target.sum())
+
+
+def _flat_spread(bench: Bench) -> float:
+    """How many times as large as the aperture its patch of light is behind a flat surface, near the axis."""
+    if bench.light.kind != "point":
+        return 1.0
+    glass_mm = 0.0 if bench.mirror else bench.thickness_mm / bench.refractive_index
+    return 1.0 + bench.throw_mm / (bench.light.distance_mm + glass_mm)
 
 
 def fine_detail(target: Array) -> float:
@@ -78,6 +87,11 @@ def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel:
             f"the brightest pixel is to get {peak:.0f} times the mean, more than a lens of this grid can focus; larger "
             f"spots or a floor of grey under the picture (a hundredth of its white) help"
         )
+    if notched := notched_share(bench):
+        words.append(
+            f"the outline leaves out {100 * notched:.0f} % of its convex hull: the picture's frame gets its light "
+            "from beside the notches too, and with it dark and bright lines; a convex outline has none"
+        )
     return tuple(words)
 
 
@@ -99,7 +113,7 @@ def suited_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: fl
         return "direct"
     try:
         slope, relief_mm = _sketched(target, inverted)
-    except TotalReflectionError:
+    except OpticsError:
         return "direct"
     fits = relief_mm + _SPARE_MM <= bench.thickness_mm
     return "inverted" if slope <= steepest and fits else "direct"

@@ -57,7 +57,7 @@ def simulate_caustic(
     total = reflected = 0.0
     with ThreadPoolExecutor(max_workers=thread_count()) as pool:
         for beam in bench.bundle(beams):
-            light, lost = _add_beam(pool, spline, beam, _aim(bench, pixels), cover, tubes_per_cell, acc)
+            light, lost = _add_beam(pool, spline, beam, aim_at(bench, pixels), cover, tubes_per_cell, acc)
             total += light
             reflected += lost
     irradiance = np.cumsum(acc, axis=1)[:, :nx] * (ny * nx / total)
@@ -87,7 +87,8 @@ def _add_beam(
     return total, reflected
 
 
-def _aim(bench: Bench, pixels: tuple[int, int]) -> Aim:
+def aim_at(bench: Bench, pixels: tuple[int, int]) -> Aim:
+    """The bench's screen of (ny, nx) pixels as kernels take it."""
     screen = bench.screen
     return Aim(
         throw=bench.throw_mm,

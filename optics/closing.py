@@ -8,6 +8,8 @@ from numba import njit
 from optics.spline import Array
 from optics.threads import over_rows
 
+_LEVEL = 0.1  # of the band: a rise of the rim that does no harm
+
 
 @njit(cache=True, nogil=True)
 def _lower_envelopes(row_lo: int, row_hi: int, f: Array, curvature: float, out: Array) -> None:
@@ -52,15 +54,21 @@ def _closed(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
 
 
 def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> int:
-    """How many vertices outside the middle of a ball may be that touches the rim; 0 where the rims are level."""
+    """How many vertices outside the middle of a ball may be that touches the rim; 0 where the rims are level.
+
+    A rim of slope s is raised by s^2 radius / 2 where the surface ends with it: level is where that is next to nothing
+    beside the closing's band.
+    """
     steepest = max(
         np.abs(z_mm[0] - z_mm[1]).max() / dy_mm,
         np.abs(z_mm[-1] - z_mm[-2]).max() / dy_mm,
         np.abs(z_mm[:, 0] - z_mm[:, 1]).max() / dx_mm,
         np.abs(z_mm[:, -1] - z_mm[:, -2]).max() / dx_mm,
     )
-    reach = int(steepest * radius_mm / min(dx_mm, dy_mm))
-    return min(reach + 1, min(z_mm.shape) - 1) if reach > 0 else 0
+    spacing_mm = min(dx_mm, dy_mm)
+    if steepest**2 * radius_mm / 2 <= _LEVEL * spacing_mm**2 / (4 * radius_mm):
+        return 0
+    return min(int(steepest * radius_mm / spacing_mm) + 1, min(z_mm.shape) - 1)
 
 
 def closed_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:

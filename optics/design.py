@@ -15,7 +15,7 @@ from optics.paper.surface import paper_lens
 from optics.polish import PolishRecord, polished
 from optics.settings import LensSettings
 from optics.spline import Array
-from optics.transport import TOLERANCE
+from optics.transport import TOLERANCE, OpticalPath
 from optics.transport_map import TransportMap
 
 _DEAR_DB = 3.0  # a closing that costs more is worth a sentence
@@ -79,6 +79,7 @@ def _by_transport(target: Array, settings: LensSettings, report: Progress) -> Le
             target,
             settings.bench,
             steps=settings.polish_steps,
+            ball_mm=settings.closing_radius_mm,
             on_progress=lambda share: report("polish", share),
         )
     return LensDesign(
@@ -100,14 +101,21 @@ def _by_transport(target: Array, settings: LensSettings, report: Progress) -> Le
 def _message(seen: Pass) -> str:
     last, lost = seen.path.levels[-1], seen.lost_share
     way = f"rms {last.rms:.1e} of the mean irradiance after {last.iterations} steps at full size"
+    if seen.path.floor > 0:
+        way += f", aimed at {_softened(seen.path)}, as without the surface would fold"
     if seen.converged:
         return f"converged: {way}"
     if seen.loses_light:
-        return (
-            f"{100 * lost:.0f} % of the light misses the screen: the picture is finer than the lens can show "
-            f"(the map has {way})"
-        )
+        reason = "the picture is finer than the lens can show"
+        if seen.path.bench.light.extended:
+            reason = f"the source is large for this picture and screen, or {reason}"
+        return f"{100 * lost:.0f} % of the light misses the screen: {reason} (the map has {way})"
     return f"stopped: {way}, wanted {TOLERANCE:g}; the lens is usable, its contrast may be lower than the picture's"
+
+
+def _softened(path: OpticalPath) -> str:
+    aim = f"the picture with {100 * path.floor:g} % of even light"
+    return f"{aim} and blurred by {path.blur_pixels:g} pixels" if path.blur_pixels > 0 else aim
 
 
 def _warnings(done: Corrected) -> tuple[str, ...]:
@@ -119,6 +127,6 @@ def _warnings(done: Corrected) -> tuple[str, ...]:
         return ()
     return (
         f"filling valleys for a ball of radius {cost.radius_mm:g} mm costs {lost_db:.1f} dB and brings "
-        f"{100 * leak:.1f} % more of the light into dark areas (before corrections): a smaller ball, a longer "
+        f"{100 * leak:.1f} % more of the light into dark areas: a smaller ball, a longer "
         "throw or a wider lens keeps more of the picture",
     )

@@ -32,6 +32,18 @@ class TotalReflectionError(OpticsError):
         )
 
 
+class NoSurfaceError(OpticsError):
+    """The solver came to no surface that sends the light to the screen, though no single ray says why."""
+
+    def __init__(self, *, lost_share: float) -> None:
+        self.lost_share = lost_share
+        super().__init__(
+            f"no surface was found that sends this light onto this screen ({100 * lost_share:.0f} % of the lens has no "
+            f"height): light or screen are too near or too far aside; a longer throw, a lamp further away or a smaller "
+            f"shift help"
+        )
+
+
 class UnsupportedBenchError(OpticsError):
     """The method was made for a simpler set-up."""
 

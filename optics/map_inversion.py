@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from optics.spline import Array
 
@@ -84,28 +85,54 @@ def _visit(
 
 
 @njit(cache=True, nogil=True)
-def _fill_from_neighbours(u: Array, v: Array) -> int:
-    """Give open vertices the mean of their known neighbours; returns how many are still open."""
+def _fill_from_neighbours(u: Array, v: Array) -> None:
+    """Give open vertices the mean of their known neighbours, ring by ring outward from what is known.
+
+    Each vertex is looked at as often as it has neighbours, however wide the open part is (beside a round lens).
+    """
     ny, nx = u.shape
-    old_u, old_v = u.copy(), v.copy()
-    left = 0
+    ring, size = np.empty((ny * nx, 2), np.int64), 0
+    waiting = np.zeros((ny, nx), np.bool_)
     for j in range(ny):
         for i in range(nx):
-            if not math.isnan(old_u[j, i]):
-                continue
-            n, su, sv = 0, 0.0, 0.0
-            for jj in range(max(j - 1, 0), min(j + 2, ny)):
-                for ii in range(max(i - 1, 0), min(i + 2, nx)):
-                    if not math.isnan(old_u[jj, ii]):
-                        n += 1
-                        su += old_u[jj, ii]
-                        sv += old_v[jj, ii]
-            if n > 0:
-                u[j, i] = su / n
-                v[j, i] = sv / n
-            else:
-                left += 1
-    return left
+            if not math.isnan(u[j, i]):
+                size = _queue_open_around(j, i, u, waiting, ring, size)
+    start = 0
+    while start < size:
+        stop = size
+        means = np.empty((stop - start, 2))
+        for k in range(start, stop):
+            means[k - start, 0], means[k - start, 1] = _mean_around(ring[k, 0], ring[k, 1], u, v)
+        for k in range(start, stop):
+            u[ring[k, 0], ring[k, 1]], v[ring[k, 0], ring[k, 1]] = means[k - start, 0], means[k - start, 1]
+        for k in range(start, stop):
+            size = _queue_open_around(ring[k, 0], ring[k, 1], u, waiting, ring, size)
+        start = stop
+
+
+@njit(cache=True, nogil=True)
+def _queue_open_around(j: int, i: int, u: Array, waiting: NDArray[np.bool_], ring: NDArray[np.int64], size: int) -> int:
+    """Add the open vertices beside (j, i) that are not in the queue yet; returns its size."""
+    for jj in range(max(j - 1, 0), min(j + 2, u.shape[0])):
+        for ii in range(max(i - 1, 0), min(i + 2, u.shape[1])):
+            if math.isnan(u[jj, ii]) and not waiting[jj, ii]:
+                waiting[jj, ii] = True
+                ring[size, 0], ring[size, 1] = jj, ii
+                size += 1
+    return size
+
+
+@njit(cache=True, nogil=True)
+def _mean_around(j: int, i: int, u: Array, v: Array) -> tuple[float, float]:
+    """Means of u and v over the known vertices beside (j, i)."""
+    count, sum_u, sum_v = 0, 0.0, 0.0
+    for jj in range(max(j - 1, 0), min(j + 2, u.shape[0])):
+        for ii in range(max(i - 1, 0), min(i + 2, u.shape[1])):
+            if not math.isnan(u[jj, ii]):
+                count += 1
+                sum_u += u[jj, ii]
+                sum_v += v[jj, ii]
+    return sum_u / count, sum_v / count
 
 
 def screen_positions(lens_x: Array, lens_y: Array, x_mm: Array, y_mm: Array) -> tuple[Array, Array]:
@@ -127,6 +154,5 @@ def screen_positions(lens_x: Array, lens_y: Array, x_mm: Array, y_mm: Array) -> 
             return u, v
     if np.isnan(u).all():
         raise ValueError("the moved grid covers none of the vertices")
-    while _fill_from_neighbours(u, v) > 0:
-        pass
+    _fill_from_neighbours(u, v)
     return u, v

@@ -19,6 +19,7 @@ from optics.spline import Array
 _SAMPLES = 2049
 _BLEND = 5.0  # margins over which the surface outside becomes smooth
 _MASK = 257  # nodes along a side of the mask of an outline that the frame does not fit
+_SHALLOW = 0.001  # of the hull: notches that do not count
 _COARSEST, _DIM_AT_COARSEST, _DIMMEST = 32, 0.3, 0.03
 
 
@@ -99,9 +100,12 @@ def _hull(bench: Bench) -> Array:
     return np.asarray(corners[ConvexHull(corners).vertices])
 
 
-def _is_convex(bench: Bench) -> bool:
-    """Whether the outline fills its convex hull, but for a thousandth."""
-    return bench.outline_mm is None or _area(np.asarray(bench.outline_mm)) > 0.999 * _area(_hull(bench))
+def notched_share(bench: Bench) -> float:
+    """Of the outline's convex hull, what the outline leaves out: 0 of a lens that the frame fits all around."""
+    if bench.outline_mm is None:
+        return 0.0
+    share = 1.0 - _area(np.asarray(bench.outline_mm)) / _area(_hull(bench))
+    return share if share > _SHALLOW else 0.0
 
 
 def _area(corners: Array) -> float:
@@ -115,7 +119,7 @@ def dimmed_outside(beam: Beam, bench: Bench, *, pixels: int) -> Beam:
     Only for outlines that are not convex. Light that is as good as absent may be sent anywhere, which leaves
     the solver without a hold, so a few per cent stay; the corrections see the true outline and make up for them.
     """
-    if _is_convex(bench):
+    if notched_share(bench) == 0.0:
         return beam
     x, y = np.linspace(0.0, bench.width_mm, _MASK), np.linspace(0.0, bench.height_mm, _MASK)
     mask = is_inside(np.asarray(bench.outline_mm), x, y).astype(np.float64)

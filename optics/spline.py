@@ -49,6 +49,13 @@ def spline_weights(f: float) -> tuple[float, float, float, float]:
     return g * g * g / 6.0, (4.0 - 6.0 * f * f + 3.0 * f**3) / 6.0, (4.0 - 6.0 * g * g + 3.0 * g**3) / 6.0, f**3 / 6.0
 
 
+@njit(cache=True, nogil=True, inline="always")
+def slope_weights(f: float) -> tuple[float, float, float, float]:
+    """Derivatives of `spline_weights` by the fraction f of the cell."""
+    g = 1.0 - f
+    return -0.5 * g * g, 1.5 * f * f - 2.0 * f, 2.0 * g - 1.5 * g * g, 0.5 * f * f
+
+
 @njit(cache=True, nogil=True)
 def spline_jet(
     coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: float, y: float

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from optics.bench import Bench
+from optics.errors import NoSurfaceError
 from optics.path.anderson import Anderson
 from optics.path.grid_levels import box_averaged, level_shapes, prolonged
 from optics.path.optical_path import Preimages, flat_path_mm
@@ -93,7 +94,8 @@ def solve_transport(
     tolerance   : rms of det - g over that of g, with folds and the skim's share, at which a level is done
     returns converged = False, with its history, where the finest level stopped early; of a picture that folds, the
     first of its softer versions that does not (of a warm start that does, the start)
-    raises TotalReflectionError where the throw is too short for the way the light must go
+    raises TotalReflectionError where the throw is too short for the way the light must go, NoSurfaceError where no
+    iterate sent all light to the screen for another reason
     """
     g = target / target.mean()
     report = on_progress or (lambda share: None)
@@ -105,6 +107,8 @@ def solve_transport(
         path = _solve_levels(aim, bench, skim_mm, None, tolerance, most_iterations, report)
         if path.levels[-1].turned <= _FOLDED:
             break
+    if not math.isfinite(path.levels[-1].rms):
+        raise NoSurfaceError(lost_share=1.0)
     return replace(path, floor=floor, blur_pixels=blur_pixels, converged=path.converged and floor == 0.0)
 
 

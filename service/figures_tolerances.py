@@ -14,6 +14,7 @@ _LINE: dict[str, Any] = {"marker": "o", "markersize": 4, "linewidth": 1.2, "colo
 _SHIFT: dict[str, Any] = {"marker": "s", "markersize": 3.5, "linewidth": 1.0, "color": "#c77700", "linestyle": "--"}
 _SMALL = 8.5
 _HEADROOM_DB = 3.0
+_SEEN_DEG = "diameter seen from the lens [degrees]; the sun has 0.53"
 
 
 def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, white: float) -> bytes:
@@ -68,8 +69,7 @@ def _draw_tilt(axes: Axes, found: Tolerances) -> None:
 def _draw_blur(axes: Axes, found: Tolerances) -> None:
     axes.plot([point.size_deg for point in found.sources], [point.psnr_db for point in found.sources], **_LINE)
     axes.set_xlim(0.0, 1.25 * found.sources[-1].size_deg)
-    beyond = "beyond the source that it is made for [degrees]" if found.blur_mm > 0 else "[degrees]; the sun has 0.53"
-    _label(axes, "Source of some size", f"seen from the lens, {beyond}")
+    _label(axes, "Source of some size" if found.blur_mm == 0 else "Source of another size", _SEEN_DEG)
     for point in found.sources:
         axes.annotate(
             f"{point.diameter_mm:.2g} mm", (point.size_deg, point.psnr_db),

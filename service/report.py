@@ -30,7 +30,8 @@ _PICTURES = (
     (
         "tolerances.png",
         "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken out), and "
-        "a source of some size.",
+        "a source of another size. Simulated with fewer rays than the scores above, so a decibel or two may lie "
+        "between them: what counts is the loss along a curve.",
     ),
     ("lens.png", "The lens surface from above, as it lies on the mill: heights with contour lines, and its relief."),
     ("flow.png", "The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6)."),
@@ -177,7 +178,7 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
                 f"{row.get('file', 'a pass')}: a ball of {2 * radius_mm:g} mm diameter has to reach "
                 f"{stick_out_mm - _CLEARANCE_MM:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
                 f"with clearance. Use a tapered ball cutter or one with a long relieved neck, and check that it clears "
-                f"the walls of the lens."
+                f"the walls of the lens. A longer throw makes the lens flatter, about half as deep at twice the length."
             )
     return sentences
 
@@ -189,7 +190,7 @@ def _throw(
     if job is None:
         return None
     optics, image = table(spec.get("optics")), table(spec.get("image"))
-    own_mm = source_spread_mm(spec, job.throw_mm)
+    own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, job.throw_mm)
     spread_mm = job.throw_mm * 2 * tan(radians(_SUN_DEG) / 2) if own_mm is None else own_mm
     screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
     pixel_mm = screen_mm / float(image["pixels"]) if image.get("pixels") else None

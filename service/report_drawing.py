@@ -86,7 +86,7 @@ def side_view(job: SetUp) -> Markup:
         _text(left + width + 24, zero + 4, "Z0 = stock top", colour=_ACCENT),
         _dimension_up(left - 24, wall + 2, zero, f"throw {job.throw_mm:g} mm"),
         _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
-        _text(left + width + 24, back + 4, "flat, polished back"),
+        _text(left + width + 24, back + 4, "flat back" if job.is_mirror else "flat, polished back"),
         *_arriving_light(job, left, width, zero, back),
         *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
     ]
@@ -104,7 +104,9 @@ def _arriving_light(job: SetUp, left: float, width: float, zero: float, back: fl
     arrows = [_arrow(middle + spread * off, low, middle + off, high, colour="#c77700") for off in (-65.0, 0.0, 65.0)]
     source = "parallel light" if job.lamp_mm is None else f"lamp, {job.lamp_mm:g} mm away"
     if job.is_mirror:
-        return [*arrows, _text(left + width + 24, zero - 50, f"{source}, from the wall's side", colour="#8a5200")]
+        beside, colour = left + width + 24, "#8a5200"
+        words = ((source, zero - 58), ("from the wall's side", zero - 42))
+        return [*arrows, *(_text(beside, y, line, colour=colour) for line, y in words)]
     return [*arrows, _text(middle, back + 50, f"{source}, square to the back", anchor="middle", colour="#8a5200")]
 
 

@@ -39,7 +39,7 @@ class ReliefTooDeep(SolidError):
         super().__init__(
             f"relief of {relief_mm:.2f} mm does not fit: its deepest point lies {deepest_mm:.2f} mm below the stock "
             f"top, a stock.thickness_mm of {thickness_mm:g} {left}; a floor of at least {min_floor_mm:g} mm is wanted, "
-            f"so a thickness of {self.needed_mm:.2f} mm or more"
+            f"so a thickness of {self.needed_mm:.2f} mm or more, or a longer optics.throw_mm, which makes it flatter"
         )
 
 

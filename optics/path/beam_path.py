@@ -19,7 +19,7 @@ _NEWTON_STEPS = 30
 _CLOSE_ENOUGH_MM = 1e-4  # of a Newton step: it converges quadratically, so that less than 1e-10 mm is left
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def trace_back(
     beam: Beam, qx: float, qy: float, throw: float, c: float, sx: float, sy: float, guess: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -45,7 +45,7 @@ def trace_back(
     return ray, px, py, t, face_x, face_y
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ray_from_point(
     beam: Beam, qx: float, qy: float, throw: float, c: float, sx: float, sy: float, sz: float, guess: float
 ) -> float:
@@ -140,7 +140,7 @@ def corner_points(
             ray, px[r, k], py[r, k], _, _, _ = trace_back(beam, left + k * dx, bottom + r * dy, throw, mid, sx, sy, ray)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def heights_on_beam(
     row_lo: int, row_hi: int, path: Array, qx: Array, qy: Array, x: Array, y: Array, throw: float, beam: Beam, t: Array
 ) -> None:
@@ -164,7 +164,7 @@ def heights_on_beam(
             t[r, k] = (b - root) / a if a > 0.0 and b < 0.0 else e / (b + math.copysign(root, b))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _height_on_point_beam(
     beam: Beam, x: float, y: float, path: float, shift2: float, throw: float, guess: float
 ) -> float:

@@ -19,6 +19,7 @@ import math
 import numpy as np
 
 from optics.bench import Bench
+from optics.errors import NoSurfaceError
 from optics.light import Beam, meet
 from optics.outline import dimmed_outside, lowered_outside, rim_curves
 from optics.path.beam_path import corner_points, face_areas, heights_on_beam, trace_back
@@ -194,6 +195,7 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
 
     c (ny, nx) at the pixel centres; u, v (my, mx) fractional indices of pixel corners.
     t is stationary in q, so the error of q enters squared.
+    raises NoSurfaceError where there is a lens point that has no height
     """
     ny, nx = c.shape
     s, beam = bench.screen, bench.beam()
@@ -206,4 +208,6 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
         part = np.empty_like(path)
         over_rows(heights_on_beam, rows.size, path, qx, qy, x_mm, y_mm[rows], bench.throw_mm, beam, part)
         t[rows] = part
+    if not np.isfinite(t).all():
+        raise NoSurfaceError(lost_share=float(np.mean(~np.isfinite(t))))
     return lowered_outside(t, bench, x_mm, y_mm, margin_mm=bench.width_mm / nx)

@@ -66,7 +66,7 @@ def _on_curve(curve: Array, cells_per_mm: float, at: float) -> tuple[float, floa
     return curve[i] + (u - i) * rise, rise * cells_per_mm
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _side(
     beam: Beam, throw: float, upright: bool, q_across: float, q_along: Array, edge: Array, half: float,
     tangential: Array, curve: Array, cells_per_mm: float, most: float, slope: Array, points: Array,

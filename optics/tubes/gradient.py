@@ -1,4 +1,4 @@
-"""The picture of a lens by flux tubes, as caustic.py draws it, and the transpose of its derivative by the heights.
+"""The transpose of the derivative of a lens's picture (spread.py) by its heights.
 
 Of a picture error r(pixel) = dE/dI, a tube with light f, area A on the screen and W = its integral of r contributes
 f W / A to dE. With rho = f / A and rbar = W / A, moving its border by v gains  rho * integral over the border of
@@ -18,69 +18,8 @@ from numba import njit
 
 from optics.light import Beam
 from optics.spline import Array
-from optics.tubes.edges import add_edge
 from optics.tubes.rays import push_row
-
-_POINT_AREA = 1e-10  # as in caustic.py: a tube focused on less than this [pixels] falls on one point
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _doubled_area(xa: float, ya: float, xb: float, yb: float, xc: float, yc: float) -> float:
-    return (xb - xa) * (yc - ya) - (xc - xa) * (yb - ya)
-
-
-@njit(cache=True, nogil=True)
-def _drop(acc: Array, x: float, y: float, light: float) -> None:
-    """All of the light into the pixel at (x, y)."""
-    if 0.0 <= x < acc.shape[1] - 1 and 0.0 <= y < acc.shape[0]:
-        j, i = int(y), int(x)
-        acc[j, i] += light
-        acc[j, i + 1] -= light
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _tube(acc: Array, light: float, xa: float, ya: float, xb: float, yb: float, xc: float, yc: float) -> float:
-    """Density of a tube whose border has to be walked; 0 where its light is dropped whole into one pixel, or lost."""
-    area = 0.5 * _doubled_area(xa, ya, xb, yb, xc, yc)
-    if not math.isfinite(area):
-        return 0.0
-    i, j = math.floor(xa), math.floor(ya)
-    within = i == math.floor(xb) and i == math.floor(xc) and j == math.floor(yb) and j == math.floor(yc)
-    if within or abs(area) < _POINT_AREA:
-        _drop(acc, (xa + xb + xc) / 3.0, (ya + yb + yc) / 3.0, light)
-        return 0.0
-    return light / area
-
-
-@njit(cache=True, nogil=True)
-def spread_tubes(row_lo: int, row_hi: int, hit_x: Array, hit_y: Array, light: Array, acc: Array) -> None:
-    """Add tube rows row_lo..row_hi - 1 to acc (ny, nx + 1), whose sums along x are the picture.
-
-    light (rows, columns) of each lattice quad, which its two triangles share; (1, 1) where all have the same.
-    """
-    columns = hit_x.shape[1] - 1
-    upper = np.zeros(columns)
-    many = light.shape[0] > 1
-    for k in range(row_lo, row_hi):
-        below_x, below_y, above_x, above_y = hit_x[k], hit_y[k], hit_x[k + 1], hit_y[k + 1]
-        before = 0.0
-        for c in range(columns):
-            half = 0.5 * (light[k, c] if many else light[0, 0])
-            xa, ya, xb, yb = below_x[c], below_y[c], below_x[c + 1], below_y[c + 1]
-            xc, yc, xd, yd = above_x[c], above_y[c], above_x[c + 1], above_y[c + 1]
-            lower = _tube(acc, half, xa, ya, xb, yb, xd, yd)
-            over = _tube(acc, half, xa, ya, xd, yd, xc, yc)
-            if lower != upper[c]:
-                add_edge(acc, xa, ya, xb, yb, lower - upper[c])
-            if over != lower:
-                add_edge(acc, xa, ya, xd, yd, over - lower)
-            if before != over:
-                add_edge(acc, xa, ya, xc, yc, before - over)
-            before = lower
-            upper[c] = over
-        add_edge(acc, below_x[columns], below_y[columns], above_x[columns], above_y[columns], before)
-    for c in range(columns):
-        add_edge(acc, hit_x[row_hi, c], hit_y[row_hi, c], hit_x[row_hi, c + 1], hit_y[row_hi, c + 1], -upper[c])
+from optics.tubes.spread import POINT_AREA, triangle_area
 
 
 @njit(cache=True, nogil=True)
@@ -120,8 +59,8 @@ def _pull_on_corners(
     r: Array, summed: Array, light: float, xa: float, ya: float, xb: float, yb: float, xc: float, yc: float
 ) -> tuple[float, float, float, float, float, float]:
     """Gain by moving the corners of one tube: (ax, ay, bx, by, cx, cy)."""
-    area = 0.5 * _doubled_area(xa, ya, xb, yb, xc, yc)
-    if not math.isfinite(area) or abs(area) < _POINT_AREA:
+    area = triangle_area(xa, ya, xb, yb, xc, yc)
+    if not math.isfinite(area) or abs(area) < POINT_AREA:
         return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     i, j = math.floor(xa), math.floor(ya)
     if i == math.floor(xb) and i == math.floor(xc) and j == math.floor(yb) and j == math.floor(yc):
@@ -160,11 +99,11 @@ def pull_tubes(
     for k in range(row_lo, row_hi):
         above[:] = 0.0
         for c in range(columns):
-            half = 0.5 * (light[k, c] if many else light[0, 0])
             xa, ya, xb, yb = hit_x[k, c], hit_y[k, c], hit_x[k, c + 1], hit_y[k, c + 1]
             xc, yc, xd, yd = hit_x[k + 1, c], hit_y[k + 1, c], hit_x[k + 1, c + 1], hit_y[k + 1, c + 1]
-            lower = _pull_on_corners(r, summed, half, xa, ya, xb, yb, xd, yd)
-            over = _pull_on_corners(r, summed, half, xa, ya, xd, yd, xc, yc)
+            own, other = (light[k, 0, c], light[k, 1, c]) if many else (light[0, 0, 0], light[0, 0, 0])
+            lower = _pull_on_corners(r, summed, own, xa, ya, xb, yb, xd, yd)
+            over = _pull_on_corners(r, summed, other, xa, ya, xd, yd, xc, yc)
             below[0, c] += lower[0] + over[0]
             below[1, c] += lower[1] + over[1]
             below[0, c + 1] += lower[2]

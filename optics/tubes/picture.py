@@ -8,16 +8,17 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from optics.bench import Bench
-from optics.caustic import cells_covered
+from optics.caustic import aim_at, cells_covered
 from optics.heightfield import Heightfield
-from optics.light import Beam, meet, strength_on_face
-from optics.spline import Array, BicubicSpline
+from optics.light import Beam
+from optics.spline import Array
 from optics.threads import over_rows, thread_count
-from optics.tubes.gradient import pull_tubes, spread_tubes
-from optics.tubes.rays import fit_transposed, trace_rows
+from optics.tubes.gradient import pull_tubes
+from optics.tubes.lattice import is_even, light_of_rows, trace_rows
+from optics.tubes.rays import fit_transposed
+from optics.tubes.spread import spread_tubes
 
 _STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
 
@@ -38,9 +39,8 @@ class TubePicture:
         bounds = np.linspace(0, self.rows, _STRIPS + 1).astype(int)
         self.strips = [(int(lo), int(hi)) for lo, hi in pairwise(bounds)]
         self.beams = bench.bundle(beams)
-        spline = lens.spline()
-        self.lights = [self._light(beam, spline) for beam in self.beams]
-        self.spline = spline
+        self.spline = lens.spline()
+        self.lights = self._lights()
         self.hits: tuple[Array, Array] | None = None  # of the one beam, where there is one
 
     def picture(self, z_mm: Array) -> Array:
@@ -110,45 +110,28 @@ class TubePicture:
         if self.hits is not None:
             return self.hits
         hit_x, hit_y = (np.empty((self.rows + 1, self.columns + 1)) for _ in range(2))
-        over_rows(
-            trace_rows, self.rows + 1, *self._surface, self.sub, beam, self.bench.throw_mm,
-            self.bench.screen.left_mm, self.bench.screen.bottom_mm, *self._scale, hit_x, hit_y,
-        )  # fmt: skip
+        aim = aim_at(self.bench, self.pixels)
+        over_rows(trace_rows, self.rows + 1, *self._surface, self.sub, beam, aim, hit_x, hit_y)
         if len(self.beams) == 1:
             self.hits = hit_x, hit_y
         return hit_x, hit_y
 
-    def _light(self, beam: Beam, spline: BicubicSpline) -> Array:
-        """(rows, columns) light of each lattice quad, where the mean pixel gets 1; (1, 1) where all are even."""
-        share = self.pixels[0] * self.pixels[1] / len(self.beams)
+    def _lights(self) -> list[Array]:
+        """Of each beam, (rows, 2, columns) light of each square's triangles; (1, 1, 1) where all have the same.
+
+        Together they give the mean pixel 1.
+        """
         cover = cells_covered(self.lens, self.bench)
-        even = not beam.is_point and beam.x == beam.y == 0.0 and beam.strength.size == 1
-        if even and cover.size == 1:
-            return np.full((1, 1), share / (self.rows * self.columns))
-        light = np.empty((self.rows, self.columns))
-        x = np.linspace(self.lens.x_mm[0], self.lens.x_mm[-1], self.columns + 1)
-        y = np.linspace(self.lens.y_mm[0], self.lens.y_mm[-1], self.rows + 1)
-        _light_of_quads(beam, x, y, spline.heights_mm(x[None, :], y[:, None]), light)
-        if cover.size > 1:
-            light *= np.kron(cover, np.ones((self.sub, self.sub)))
-        return np.asarray(light * (share / light.sum()))
+        whole = (self.rows, 2, self.columns)
+        lights = [self._light(beam, cover) for beam in self.beams]
+        total = sum(float(np.broadcast_to(light, whole).sum()) for light in lights)
+        return [light * (self.pixels[0] * self.pixels[1] / total) for light in lights]
 
-
-@njit(cache=True, nogil=True)
-def _light_of_quads(beam: Beam, x: Array, y: Array, z: Array, light: Array) -> None:
-    """Strength on the face times the area there of each lattice quad; any scale."""
-    rows, columns = light.shape
-    face_x, face_y = np.empty((2, columns + 1)), np.empty((2, columns + 1))
-    for j in range(rows + 1):
-        now, last = j % 2, 1 - j % 2
-        for i in range(columns + 1):
-            _, _, _, _, face_x[now, i], face_y[now, i] = meet(beam, x[i], y[j], z[j, i])
-        if j == 0:
-            continue
-        for i in range(columns):
-            rise_x, rise_y = face_x[now, i + 1] - face_x[last, i], face_y[now, i + 1] - face_y[last, i]
-            fall_x, fall_y = face_x[now, i] - face_x[last, i + 1], face_y[now, i] - face_y[last, i + 1]
-            middle_x = 0.25 * (face_x[now, i] + face_x[now, i + 1] + face_x[last, i] + face_x[last, i + 1])
-            middle_y = 0.25 * (face_y[now, i] + face_y[now, i + 1] + face_y[last, i] + face_y[last, i + 1])
-            area = 0.5 * (rise_x * fall_y - fall_x * rise_y)
-            light[j - 1, i] = area * strength_on_face(beam, middle_x, middle_y)
+    def _light(self, beam: Beam, cover: Array) -> Array:
+        dx, dy = self.lens.dx_mm / self.sub, self.lens.dy_mm / self.sub
+        if is_even(beam) and cover.size == 1:
+            return np.full((1, 1, 1), 0.5 * dx * dy)
+        light = np.empty((self.rows, 2, self.columns))
+        aim = aim_at(self.bench, self.pixels)
+        over_rows(light_of_rows, self.rows, *self._surface, self.sub, beam, aim, cover, light)
+        return light

@@ -1,9 +1,8 @@
-"""Rays through a lattice of points on the lens, and the transpose of their derivative.
+"""Gains by rays turned into gains by heights: the transpose of what lattice.py follows.
 
-The lattice has `sub` points along each side of a heightfield cell. Forward: spline coefficients to points of the
-screen. Backward: what a quantity gains by moving those points, to what it gains by moving the coefficients, through
-Snell's law (or the mirror's), the spline's basis and, in `fit_transposed`, the fit of coefficients to heights. All
-exact.
+What a quantity gains by moving the lit points of the screen, to what it gains by moving the spline's coefficients,
+through Snell's law (or the mirror's), the spline's basis and, in `fit_transposed`, the fit of coefficients to heights.
+All exact.
 """
 
 from __future__ import annotations
@@ -13,51 +12,9 @@ import math
 import numpy as np
 from numba import njit
 
-from optics.light import Beam, leave, meet
-from optics.spline import Array, spline_weights
-
-
-@njit(cache=True, nogil=True, inline="always")
-def slope_weights(f: float) -> tuple[float, float, float, float]:
-    """Derivatives of `spline_weights` by the fraction f of the cell."""
-    g = 1.0 - f
-    return -0.5 * g * g, 1.5 * f * f - 2.0 * f, 2.0 * g - 1.5 * g * g, 0.5 * f * f
-
-
-@njit(cache=True, nogil=True)
-def trace_rows(
-    row_lo: int, row_hi: int, coefs: Array, x0: float, y0: float, dx: float, dy: float, sub: int,
-    beam: Beam, throw: float, left: float, bottom: float, inv_px: float, inv_py: float, hit_x: Array, hit_y: Array,
-) -> None:  # fmt: skip
-    """hit_x, hit_y (rows, columns): where lattice rows row_lo..row_hi - 1 light the screen [pixels]; NaN: nowhere."""
-    cells = coefs.shape[1] - 3
-    value, slope = np.empty(cells + 3), np.empty(cells + 3)
-    for k in range(row_lo, row_hi):
-        combine_rows(coefs, k, sub, dy, value, slope)
-        y = y0 + k * dy / sub
-        for c in range(cells * sub + 1):
-            i = min(c // sub, cells - 1)
-            f = c / sub - i
-            z, zx, zy = _surface(value, slope, i, f, dx)
-            x = x0 + c * dx / sub
-            ax, ay, az, _, _, _ = meet(beam, x, y, z)
-            tx, ty, tz = leave(ax, ay, az, zx, zy, beam.refractive_index, beam.is_mirror)
-            reach = (throw - z) / tz
-            hit_x[k, c] = (x + reach * tx - left) * inv_px
-            hit_y[k, c] = (y + reach * ty - bottom) * inv_py
-
-
-@njit(cache=True, nogil=True)
-def combine_rows(coefs: Array, k: int, sub: int, dy: float, value: Array, slope: Array) -> None:
-    """Coefficients along x of the surface, and of its slope in y, on lattice row k."""
-    cell = min(k // sub, coefs.shape[0] - 4)
-    f = k / sub - cell
-    w0, w1, w2, w3 = spline_weights(f)
-    d0, d1, d2, d3 = slope_weights(f)
-    for i in range(coefs.shape[1]):
-        c0, c1, c2, c3 = coefs[cell, i], coefs[cell + 1, i], coefs[cell + 2, i], coefs[cell + 3, i]
-        value[i] = w0 * c0 + w1 * c1 + w2 * c2 + w3 * c3
-        slope[i] = (d0 * c0 + d1 * c1 + d2 * c2 + d3 * c3) / dy
+from optics.light import Beam, meet
+from optics.spline import Array, slope_weights, spline_weights
+from optics.tubes.lattice import combine_rows
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -136,7 +93,9 @@ def push_row(
     """
     cells = coefs.shape[1] - 3
     value, slope, by_value, by_slope = work[0], work[1], work[2], work[3]
-    combine_rows(coefs, k, sub, dy, value, slope)
+    cell = min(k // sub, coefs.shape[0] - 4)
+    g = k / sub - cell
+    combine_rows(coefs, cell, g, dy, value, slope)
     by_value[:] = 0.0
     by_slope[:] = 0.0
     y = y0 + k * dy / sub
@@ -153,9 +112,7 @@ def push_row(
         for m in range(4):
             by_value[i + m] += w[m] * gz + d[m] * gx
             by_slope[i + m] += w[m] * gy
-    cell = min(k // sub, coefs.shape[0] - 4)
-    f = k / sub - cell
-    w, d = spline_weights(f), slope_weights(f)
+    w, d = spline_weights(g), slope_weights(g)
     for m in range(4):
         for i in range(cells + 3):
             by_coefs[cell + m, i] += w[m] * by_value[i] + d[m] / dy * by_slope[i]

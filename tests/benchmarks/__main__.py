@@ -12,13 +12,29 @@ from service.kernel_cache import use_current_kernels
 
 use_current_kernels()  # before numba
 
-from tests.benchmarks import contact, programs, quality, server, targets, transport, whole  # noqa: E402
+from tests.benchmarks import (  # noqa: E402
+    black,
+    contact,
+    frames,
+    lights,
+    photographs,
+    programs,
+    quality,
+    server,
+    targets,
+    transport,
+    whole,
+)
 from tests.benchmarks.reporting import run_sections  # noqa: E402
 
 SECTIONS = {
     "transport": transport.figures,
     "targets": targets.figures,
     "quality": quality.figures,
+    "photographs": photographs.figures,
+    "black": black.figures,
+    "lights": lights.figures,
+    "frames": frames.figures,
     "contact": contact.figures,
     "programs": programs.figures,
     "make": whole.figures,

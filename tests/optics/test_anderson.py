@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from optics import anderson
+from optics.path import anderson
 from optics.path.anderson import Anderson
 
 

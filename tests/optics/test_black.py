@@ -13,7 +13,10 @@ from optics.bench import Bench
 from optics.black import advice, dark_leak_estimate, fine_detail, suited_branch
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
+from optics.heightfield import Heightfield
+from optics.light import Light
 from optics.metrics import score_caustic
+from optics.screen import Screen
 from optics.settings import LensSettings
 
 BENCH = Bench.centred(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49)
@@ -34,6 +37,27 @@ def test_leak_of_a_valley_is_the_spread_of_its_bottom() -> None:
     assert dark_leak_estimate(target, mirror, 0.5) == pytest.approx(0.5 / (1 + 2 * 100 / 0.5))
     assert dark_leak_estimate(target, replace(BENCH, branch="inverted"), 0.5) == 0
     assert dark_leak_estimate(target, BENCH, 0.0) == 0
+
+
+@pytest.mark.parametrize("light", [Light(), Light(kind="point", distance_mm=90.0)], ids=["parallel", "lamp"])
+@pytest.mark.parametrize("screen_mm", [(300.0, 300.0), (50.0, 50.0)])
+def test_light_from_the_bottom_of_a_valley_is_what_the_estimate_says(
+    light: Light, screen_mm: tuple[float, float]
+) -> None:
+    """A trough of curvature 1/r, bent lengthwise to spread as the screen asks: 1 % for what is not paraxial."""
+    bench = Bench.centred(
+        width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49, screen_mm=screen_mm, light=light
+    )
+    spread, flat = screen_mm[0] / 100, 1.0 if light.kind != "point" else 1 + 100 / (90 + bench.thickness_mm / 1.49)
+    x, y = np.meshgrid(np.linspace(-1, 1, 65), np.linspace(-1, 1, 65))
+    z = x**2 / (2 * 3.0) + (spread - flat) / (0.49 * 100) * y**2 / 2
+    trough = Heightfield(x_mm=50 + x[0], y_mm=50 + y[:, 0], z_mm=z - z.max())
+    spot = Screen(width_mm=0.4, height_mm=0.4, centre_x_mm=50.0, centre_y_mm=50.0)
+    light_there = simulate_caustic(trough, replace(bench, screen=spot), pixels=(4, 4)).irradiance.mean()
+    per_mm2 = light_there / (0.4 * 0.4)  # of the light through 2 x 2 mm
+    black = np.array([[0.0, 2.0]])
+    wanted = dark_leak_estimate(black, bench, 3.0) / 0.5
+    assert per_mm2 * (2 * 2) * spread**2 == pytest.approx(wanted, rel=0.01)
 
 
 @given(radius=st.floats(0.05, 5.0), more=st.floats(1.01, 3.0), floor=st.floats(0.0, 0.019))
@@ -71,6 +95,15 @@ def test_each_difficulty_gets_its_words() -> None:
     assert any("2048 times the mean" in words for words in advice(dots, BENCH, 0.1))
     assert fine_detail(dots) > fine_detail(noise) > 0.3 > fine_detail(ring())
     assert not any("grid" in words for words in advice(noise, BENCH, 0.1, vertices_per_pixel=4))
+
+
+def test_a_notched_outline_gets_its_words_and_a_convex_one_none() -> None:
+    soft = np.ones((32, 32))
+    diamond = np.array([[50.0, 0.0], [100.0, 50.0], [50.0, 100.0], [0.0, 50.0]])
+    arrow = np.array([[50.0, 0.0], [100.0, 100.0], [50.0, 75.0], [0.0, 100.0]])  # a quarter of its hull is notch
+    assert advice(soft, replace(BENCH, outline_mm=diamond), 0.5) == ()
+    (words,) = advice(soft, replace(BENCH, outline_mm=arrow), 0.5)
+    assert "leaves out 25 % of its convex hull" in words
 
 
 def test_branch_is_inverted_only_where_it_gains_and_fits() -> None:

@@ -66,3 +66,10 @@ def test_what_only_the_grid_fills_is_nearly_left_alone() -> None:
     soft = 0.2 * np.sin(1.3 * x + 0.4) * np.cos(1.1 * y)  # curvatures up to 0.34 / mm
     band = D**2 / (4 * 1.5)
     assert np.abs(closed(soft, 1.5) - soft)[12:-12, 12:-12].max() < 0.9 * band
+
+
+@given(slope=st.floats(0.0, 1.0), radius=st.floats(0.05, 3.0))
+def test_a_prism_is_left_alone(slope: float, radius: float) -> None:
+    """No ball is kept from a plane, nor from its rim: a lamp near the lens gives every rim a slope."""
+    prism = slope * np.broadcast_to(D * np.arange(40), (30, 40))
+    assert np.abs(closed(prism, radius) - prism).max() <= 0.1 * D**2 / (4 * radius) + 1e-12

@@ -16,13 +16,18 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
-from optics.paper.flow import FlowSettings, PaperFlow
+from optics.paper.flow import FlowSettings, PaperFlow, held_to_the_frame, pixel_vertices
+from optics.paper.flow_rules import face_intensities
+from optics.paper.mesh import TriangleMesh
+from optics.paper.poisson import NeumannPoisson
 from optics.paper.surface import PaperLens, paper_lens
 from optics.settings import LensSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+SIDE_MM = THROW_MM = 100.0
+INDEX = 1.49
 SETTING = LensSettings(
-    bench=Bench.centred(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49), skim_mm=0.1
+    bench=Bench.centred(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=THROW_MM, refractive_index=INDEX), skim_mm=0.1
 )
 WAYS = {"none": "the paper's section 4", "simple": "its section 5: darts", "clean": "ours: even grids"}
 
@@ -42,11 +47,16 @@ class Result:
 
 @cache
 def target(name: str, pixels: int) -> np.ndarray:
-    """An example picture, sRGB decoded, averaged to pixels x pixels, as the viewer behind the screen sees it."""
+    """An example picture, averaged to pixels x pixels, as the viewer behind the screen sees it.
+
+    Decoded from sRGB, or its grey values taken for light as they are: "camera, undecoded".
+    """
     if name == "slanted edge":
         return slanted_edge(pixels)
-    grey = np.asarray(Image.open(EXAMPLES / f"{name}.png").convert("L"), dtype=np.float64) / 255
-    linear = np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    file, _, tone = name.partition(", ")
+    grey = np.asarray(Image.open(EXAMPLES / f"{file}.png").convert("L"), dtype=np.float64) / 255
+    decoded = np.where(grey <= 0.04045, grey / 12.92, ((grey + 0.055) / 1.055) ** 2.4)
+    linear = (grey if tone == "undecoded" else decoded).astype(np.float32)
     sized = np.asarray(Image.fromarray(linear).resize((pixels, pixels), Image.Resampling.BOX), dtype=np.float64)
     return target_irradiance(np.clip(sized, 0.0, None), viewed_from="behind")
 
@@ -119,7 +129,24 @@ def by_transport(name: str, pixels: int) -> Result:
     )
 
 
-def seen(heightfield: Heightfield, pixels: int, throw_mm: float = 100.0) -> np.ndarray:
+def first_step(name: str, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the first step sees: D (n, n), phi (n, n) [mm^2], grad phi (n, n, 2) [mm]."""
+    vertices = pixel_vertices(pixels, SIDE_MM)
+    mesh, shape = TriangleMesh.structured(vertices, vertices), (pixels, pixels)
+    faces = mesh.dual_areas()
+    wanted, _ = face_intensities(target(name, pixels), faces, FlowSettings().floor)
+    phi = NeumannPoisson(mesh).solve(mesh, (1.0 - wanted) * faces, tolerance=1e-6).values
+    velocity = held_to_the_frame(mesh.vertex_gradients(phi, mesh.areas()), shape)
+    return (1.0 - wanted).reshape(shape), phi.reshape(shape), velocity.reshape(*shape, 2)
+
+
+def slope_rms_mrad(result: Result) -> float:
+    """Of the surface."""
+    steep = np.gradient(result.heightfield.z_mm, result.heightfield.dy_mm, result.heightfield.dx_mm)
+    return 1e3 * float(np.sqrt(np.mean(steep[0] ** 2 + steep[1] ** 2)))
+
+
+def seen(heightfield: Heightfield, pixels: int, throw_mm: float = THROW_MM) -> np.ndarray:
     """The light on a screen of the lens's size, throw_mm above Z0."""
     bench = SETTING.on_bench(throw_mm=throw_mm).bench
     return simulate_caustic(heightfield, bench, pixels=(pixels, pixels)).irradiance

@@ -32,13 +32,36 @@ def panels(path: Path, rows: Sequence[Sequence[tuple[str, Draw]]], *, side: floa
     FigureCanvasAgg(figure).print_jpg(path, pil_kwargs={"quality": 82, "optimize": True})
 
 
-def picture(light: np.ndarray, peak: float) -> Draw:
-    return lambda axes: axes.imshow(as_picture(light, peak), cmap="gray", vmin=0, vmax=255) and None
+Part = tuple[float, float, float, float]
+WHOLE: Part = (0.0, 1.0, 0.0, 1.0)
+
+
+def picture(light: np.ndarray, peak: float, *, part: Part = WHOLE) -> Draw:
+    """part: top, bottom, left and right as shares of the picture's sides."""
+    grey = as_picture(light, peak)
+    top, bottom, left, right = (round(share * side) for share, side in zip(part, np.repeat(grey.shape, 2), strict=True))
+    return lambda axes: axes.imshow(grey[top:bottom, left:right], cmap="gray", vmin=0, vmax=255) and None
 
 
 def difference(values: np.ndarray) -> Draw:
     """D in percent of the mean: red where there is too much."""
     return lambda axes: axes.imshow(100 * values, origin="lower", cmap="RdBu_r", vmin=-100, vmax=100) and None
+
+
+def field(values: np.ndarray) -> Draw:
+    """Blue where lowest, red where highest."""
+    return lambda axes: axes.imshow(values, origin="lower", cmap="RdBu_r") and None
+
+
+def arrows(size: np.ndarray, vectors: np.ndarray, count: int = 20) -> Draw:
+    """Vectors (ny, nx, 2) at count x count places over their length (ny, nx)."""
+
+    def draw(axes: Axes) -> None:
+        axes.imshow(size, origin="lower", cmap="Greys", vmax=1.6 * size.max())
+        j, i = (((np.arange(count) + 0.5) * side / count).astype(int) for side in size.shape)
+        axes.quiver(*np.meshgrid(i, j), *np.moveaxis(vectors[np.ix_(j, i)], -1, 0), width=0.004, color="tab:red")
+
+    return draw
 
 
 def lines(lens_mm: np.ndarray, count: int = 48) -> Draw:

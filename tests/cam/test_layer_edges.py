@@ -1,0 +1,65 @@
+"""Where layers end: at the walls around the run-out, and where the lens meets the top of the block."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from cam.check import PassCheck, check_program
+from cam.duration import Kinematics
+from cam.passes import Stock, ball_pass
+from cam.posts.grbl import GRBL
+from cam.program import generate_program
+from cam.stock_grid import StockGrid
+from tests.cam.conftest import lens
+
+STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2.5)  # walls: a ball reaches 2 mm beyond the lens
+ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.4)
+FINISH = ball_pass("finish", radius_mm=1.0, pitch_mm=0.2, stock_to_leave_mm=0.0, step_down_mm=0.3)
+MILL = Kinematics(
+    max_rate_mm_per_min=(5000, 5000, 3000),
+    acceleration_mm_per_s2=(500, 500, 300),
+    junction_deviation_mm=0.01,
+    planner_blocks=16,
+    lines_per_s=400,
+)
+
+
+def milled(heightfield, specs, *, cell_mm) -> list[PassCheck]:
+    top = StockGrid.block(STOCK, cell_mm)
+    verdicts = []
+    for spec in specs:
+        program = generate_program(heightfield, spec, STOCK, stock_top=top, post=GRBL)
+        verdict = check_program(
+            program,
+            heightfield=heightfield,
+            spec=spec,
+            stock=STOCK,
+            stock_top=top,
+            kinematics=MILL,
+            travel_mm=(300, 300, 100),
+            safe_z_mm=5.0,
+        )
+        verdicts.append(verdict)
+        top = verdict.stock_top
+    return verdicts
+
+
+def test_walls_around_a_dome_hold_no_flakes_for_later_layers():
+    """The tops of a dome part rows in two, so that layers turn at different places of a wall 3 mm high; 0.012 mm cells
+    see the flakes between row ends, 11 um thick. Then another pass with the same ball goes along the same walls.
+    """
+    dome = lens(lambda x, y: -0.1 - 0.06 * ((x - 4.3) ** 2 + (y - 3.2) ** 2))
+    for verdict in milled(dome, [ROUGH, FINISH], cell_mm=0.012):
+        assert verdict.faults == ()
+
+
+@pytest.mark.parametrize("edge_mm", [2.0, 2.09, 2.16, 2.24])
+def test_no_row_is_missing_where_the_lens_meets_the_top_of_the_block(edge_mm):
+    """A plateau whose edge runs along the rows: what stands between the last row with stock and the edge is cut too."""
+    softness_mm = 0.1
+    slope = lens(
+        lambda x, y: -0.05 - 0.8 * softness_mm * np.logaddexp(0.0, (edge_mm - y + 0.02 * x) / softness_mm), per_mm=20
+    )
+    (verdict,) = milled(slope, [ROUGH], cell_mm=0.05)
+    assert verdict.faults == ()
