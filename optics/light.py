@@ -124,7 +124,12 @@ def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float,
 
 @njit(cache=True, nogil=True, inline="always")
 def strength_on_face(beam: Beam, x: float, y: float) -> float:
-    """Light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on."""
+    """Light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on.
+
+    NaN where x or y is not finite: of such a place no cell of the profile can be named.
+    """
+    if not math.isfinite(x + y):
+        return math.nan
     value = 1.0
     if beam.is_point:
         away = beam.face - beam.z

@@ -55,8 +55,10 @@ class Rims:
 
 @njit(cache=True, nogil=True)
 def _on_curve(curve: Array, cells_per_mm: float, at: float) -> tuple[float, float]:
-    """(value, slope) of a curve given at evenly spaced positions from 0, linear between and constant beyond."""
+    """(value, slope) of a curve given at evenly spaced positions from 0, linear between, constant beyond, NaN at NaN."""
     u = at * cells_per_mm
+    if math.isnan(u):
+        return math.nan, math.nan
     if u <= 0.0:
         return curve[0], 0.0
     if u >= curve.size - 1.0:

@@ -9,7 +9,7 @@ from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
 from optics.bench import Bench
-from optics.light import Beam, Light, leave, meet
+from optics.light import Beam, Light, leave, meet, strength_on_face
 from optics.path.beam_path import heights_on_beam, trace_back
 
 WIDTH, THROW = 50.0, 120.0
@@ -75,3 +75,11 @@ def test_the_surface_normal_is_what_snell_asks(
     slope = -normal[:2] / normal[2]
     sent = leave(d[0], d[1], d[2], slope[0], slope[1], beam.refractive_index, beam.is_mirror)
     np.testing.assert_allclose(np.array(sent), s, atol=1e-9)
+
+
+@pytest.mark.parametrize(("x", "y"), [(np.nan, 5.0), (5.0, np.nan), (np.inf, 5.0), (5.0, -np.inf)])
+def test_no_place_has_no_light(x: float, y: float) -> None:
+    """A ray that was lost on its way names no cell of a profile: reading one would leave the array."""
+    light = Light(profile=np.ones((3, 4)))
+    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49, light=light)
+    assert np.isnan(strength_on_face(bench.beam(), x, y))
