@@ -55,7 +55,7 @@ class Rims:
 
 @njit(cache=True, nogil=True)
 def _on_curve(curve: Array, cells_per_mm: float, at: float) -> tuple[float, float]:
-    """(value, slope) of a curve given at evenly spaced positions from 0, linear between, constant beyond, NaN at NaN."""
+    """(value, slope) of a curve at even spacing from 0, linear between, constant beyond; NaN at NaN."""
     u = at * cells_per_mm
     if math.isnan(u):
         return math.nan, math.nan
