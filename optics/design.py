@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from optics.ball_fit import fit_ball
 from optics.black import advice
 from optics.corrections import ClosingCost, Corrected, Pass, corrected
 from optics.heightfield import Heightfield
@@ -56,9 +57,9 @@ def design_lens(target: Array, settings: LensSettings, *, on_progress: Progress 
 
 def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
     started = time.perf_counter()
-    lens = paper_lens(target, settings, on_progress=report)
+    lens, ball_mm = paper_lens(target, settings, on_progress=report), settings.closing_radius_mm
     return LensDesign(
-        heightfield=lens.heightfield,
+        heightfield=fit_ball(lens.heightfield, ball_mm) if ball_mm > 0 else lens.heightfield,
         transport_map=TransportMap(screen_mm=lens.screen_mm, lens_mm=lens.lens_mm),
         converged=lens.converged,
         history=lens.history(),

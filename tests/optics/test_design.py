@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cam.cutter import largest_fitting_radius_mm
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
 from optics.settings import LensSettings
@@ -28,3 +29,14 @@ def test_creases_close_nothing_on_a_finer_grid(settings: LensSettings, soft_pict
     design = design_lens(target, replace(settings, corrections=0, min_radius_mm=2.0, creases=True))
     assert design.closing is None
     assert design.heightfield.z_mm.shape == (4 * 48 + 1, 4 * 48 + 1)
+
+
+def test_the_ball_fits_the_papers_lens_too(settings: LensSettings) -> None:
+    """Its surface knows no cutter: what is too tight for one is opened afterwards."""
+    bare = replace(settings, method="paper")
+    picture = np.ones((24, 24))
+    picture[6:18, 11:13] = 0.1
+    target = target_irradiance(picture, viewed_from="lens")
+    tightest_mm = largest_fitting_radius_mm(design_lens(target, bare).heightfield).everywhere_mm
+    asked = replace(bare, min_radius_mm=2.0 * tightest_mm)
+    assert largest_fitting_radius_mm(design_lens(target, asked).heightfield).everywhere_mm >= asked.min_radius_mm
