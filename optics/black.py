@@ -17,10 +17,8 @@ from scipy.ndimage import uniform_filter
 
 from optics.bench import Bench, Branch
 from optics.errors import OpticsError
-from optics.map_inversion import screen_positions
 from optics.outline import notched_share
 from optics.path.grid_levels import box_averaged
-from optics.path.optical_path import heights_mm
 from optics.spline import Array
 from optics.transport import solve_transport
 
@@ -126,7 +124,6 @@ def _sketched(target: Array, bench: Bench) -> tuple[float, float]:
     if not path.converged:
         return math.inf, math.inf
     x_mm, y_mm = np.linspace(0.0, bench.width_mm, nx + 1), np.linspace(0.0, bench.height_mm, ny + 1)
-    corners = path.transport_map().lens_mm
-    z_mm = heights_mm(path.path_mm, *screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm), x_mm, y_mm, bench)
+    z_mm = path.heights_mm(x_mm, y_mm)
     along, across = np.gradient(z_mm, y_mm, x_mm)
     return float(np.hypot(across, along).max()), float(np.ptp(z_mm))

@@ -17,9 +17,7 @@ from optics.caustic import Caustic, simulate_caustic
 from optics.closing import closed_to_radius
 from optics.errors import NoSurfaceError
 from optics.heightfield import Heightfield
-from optics.map_inversion import screen_positions
 from optics.metrics import CausticScore, score_caustic
-from optics.path.optical_path import heights_mm
 from optics.polish import DESIGN_BEAMS
 from optics.settings import LensSettings
 from optics.spline import Array
@@ -83,7 +81,8 @@ def corrected(target: Array, settings: LensSettings, report: Callable[[str, floa
     path = solve_transport(
         target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)
     )
-    latest = best = first = _seen(path, target, settings)
+    raw = _surface(path, settings)
+    latest = best = first = _seen(path, raw, target, settings)
     history = [_record(0, latest)]
     aim = target
     for number in range(1, settings.corrections + 1):
@@ -91,24 +90,22 @@ def corrected(target: Array, settings: LensSettings, report: Callable[[str, floa
         aim = np.maximum(aim + target - latest.caustic.irradiance, 0.0)
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)
         try:
-            latest = _seen(path, target, settings)
+            latest = _seen(path, _surface(path, settings), target, settings)
         except NoSurfaceError:  # the passes so far are worth more
             break
         history.append(_record(number, latest))
         if latest.score.psnr_db > best.score.psnr_db:  # stripes a pixel wide get worse
             best = latest
     report("corrections", 1.0)
-    return Corrected(best=best, history=history, closing=_closing_cost(first, best, target, settings))
+    return Corrected(best=best, history=history, closing=_closing_cost(raw, first, best, target, settings))
 
 
 def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
-    """Heights at the lens vertices: invert the map, then the closed form of optical_path.heights_mm."""
+    """The lens at its vertices, its top a skim below Z0."""
     ny, nx = path.path_mm.shape
     x_mm = np.linspace(0.0, settings.bench.width_mm, settings.vertices(nx))
     y_mm = np.linspace(0.0, settings.bench.height_mm, settings.vertices(ny))
-    corners = path.transport_map().lens_mm
-    u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
-    t = heights_mm(path.path_mm, u, v, x_mm, y_mm, settings.bench)
+    t = path.heights_mm(x_mm, y_mm)
     return Heightfield(x_mm=x_mm, y_mm=y_mm, z_mm=t - t.max() - settings.skim_mm)
 
 
@@ -135,15 +132,16 @@ def _light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
     )
 
 
-def _seen(path: OpticalPath, target: Array, settings: LensSettings) -> Pass:
-    lens = _shaped(_surface(path, settings), settings)
+def _seen(path: OpticalPath, raw: Heightfield, target: Array, settings: LensSettings) -> Pass:
+    lens = _shaped(raw, settings)
     caustic = _light(lens, target, settings)
     return Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
 
 
-def _closing_cost(first: Pass, best: Pass, target: Array, settings: LensSettings) -> ClosingCost | None:
-    raw = _surface(first.path, settings)
-    if np.array_equal(raw.z_mm, first.lens.z_mm):
+def _closing_cost(
+    raw: Heightfield, first: Pass, best: Pass, target: Array, settings: LensSettings
+) -> ClosingCost | None:
+    if first.lens is raw:
         return None
     without = score_caustic(_light(raw, target, settings).irradiance, target)
     return ClosingCost(

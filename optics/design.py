@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from optics.ball_fit import fit_ball
@@ -52,7 +52,9 @@ def design_lens(target: Array, settings: LensSettings, *, on_progress: Progress 
     """The lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method."""
     report = on_progress or (lambda stage, share: None)
     method = _by_transport if settings.method == "transport" else _by_the_paper
-    return method(target, settings, report)
+    design = method(target, settings, report)
+    hard = advice(target, settings.bench, settings.closing_radius_mm, vertices_per_pixel=settings.vertices_per_pixel)
+    return replace(design, warnings=(*hard, *design.warnings))
 
 
 def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
@@ -90,10 +92,7 @@ def _by_transport(target: Array, settings: LensSettings, report: Progress) -> Le
         history=done.history,
         message=_message(done.best),
         seconds=time.perf_counter() - started,
-        warnings=(
-            *advice(target, settings.bench, settings.closing_radius_mm, vertices_per_pixel=settings.vertices_per_pixel),
-            *_warnings(done),
-        ),
+        warnings=_warnings(done),
         closing=done.closing,
         polish=polish,
     )

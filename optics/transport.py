@@ -21,9 +21,10 @@ from scipy.ndimage import gaussian_filter
 
 from optics.bench import Bench
 from optics.errors import NoSurfaceError
+from optics.map_inversion import screen_positions
 from optics.path.anderson import Anderson
 from optics.path.grid_levels import box_averaged, level_shapes, prolonged
-from optics.path.optical_path import Preimages, flat_path_mm
+from optics.path.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.path.total_reflection import far_and_even, refuse_wide_turns
 from optics.path.transport_level import Misses, TransportLevel
 from optics.spline import Array
@@ -74,6 +75,12 @@ class OpticalPath:
             s.left_mm + np.arange(nx + 1) * s.width_mm / nx, s.bottom_mm + np.arange(ny + 1) * s.height_mm / ny
         )
         return TransportMap(screen_mm=np.stack([qx, qy], axis=-1), lens_mm=np.stack([px, py], axis=-1))
+
+    def heights_mm(self, x_mm: Array, y_mm: Array) -> Array:
+        """(ny, nx) of the surface over x (nx,), y (ny,): the map inverted, then heights in closed form."""
+        corners = self.transport_map().lens_mm
+        u, v = screen_positions(corners[..., 0], corners[..., 1], x_mm, y_mm)
+        return heights_mm(self.path_mm, u, v, x_mm, y_mm, self.bench)
 
 
 def solve_transport(

@@ -17,10 +17,10 @@ from service.report_drawing import SetUp, side_view, top_view
 from service.report_optics import lens_rows, light_sentences, score_rows, screen_sentence, source_spread_mm, table
 from service.report_tolerances import tolerance_sentences
 from service.report_words import duration_h_min, number, size, whole
+from service.spec_light import SUN_DEG
 
 _CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
-_SUN_DEG = 0.533
 _PLACES_SHOWN = 6
 _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
 
@@ -191,7 +191,7 @@ def _throw(
         return None
     optics, image = table(spec.get("optics")), table(spec.get("image"))
     own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, job.throw_mm)
-    spread_mm = job.throw_mm * 2 * tan(radians(_SUN_DEG) / 2) if own_mm is None else own_mm
+    spread_mm = job.throw_mm * 2 * tan(radians(SUN_DEG) / 2) if own_mm is None else own_mm
     screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
     pixel_mm = screen_mm / float(image["pixels"]) if image.get("pixels") else None
     return {

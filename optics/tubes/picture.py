@@ -38,6 +38,7 @@ class TubePicture:
         self.rows, self.columns = ((axis.size - 1) * tubes_per_cell for axis in (lens.y_mm, lens.x_mm))
         bounds = np.linspace(0, self.rows, _STRIPS + 1).astype(int)
         self.strips = [(int(lo), int(hi)) for lo, hi in pairwise(bounds)]
+        self.aim = aim_at(bench, pixels)
         self.beams = bench.bundle(beams)
         self.spline = lens.spline()
         self.lights = self._lights()
@@ -72,8 +73,7 @@ class TubePicture:
                 strip: tuple[int, int], x: Array = hit_x, y: Array = hit_y, light: Array = light, beam: Beam = beam
             ) -> Array:
                 part = np.zeros_like(self.spline.coefs)
-                per_mm_x, per_mm_y = self._scale
-                rays = (*self._surface, self.sub, beam, self.bench.throw_mm, per_mm_x, per_mm_y)
+                rays = (*self._surface, self.sub, beam, self.aim.throw, self.aim.per_mm_x, self.aim.per_mm_y)
                 arguments: tuple[Any, ...] = (*strip, x, y, light, r, summed, *rays, part)
                 pull_tubes(*arguments)
                 return part
@@ -96,12 +96,6 @@ class TubePicture:
         s = self.spline
         return s.coefs, s.x0_mm, s.y0_mm, s.dx_mm, s.dy_mm
 
-    @property
-    def _scale(self) -> tuple[float, float]:
-        """Pixels per mm of the screen."""
-        screen = self.bench.screen
-        return self.pixels[1] / screen.width_mm, self.pixels[0] / screen.height_mm
-
     def _in_strips(self, work: Callable[[tuple[int, int]], Array]) -> list[Array]:
         with ThreadPoolExecutor(max_workers=min(thread_count(), _STRIPS)) as pool:
             return list(pool.map(work, self.strips))
@@ -110,8 +104,7 @@ class TubePicture:
         if self.hits is not None:
             return self.hits
         hit_x, hit_y = (np.empty((self.rows + 1, self.columns + 1)) for _ in range(2))
-        aim = aim_at(self.bench, self.pixels)
-        over_rows(trace_rows, self.rows + 1, *self._surface, self.sub, beam, aim, hit_x, hit_y)
+        over_rows(trace_rows, self.rows + 1, *self._surface, self.sub, beam, self.aim, hit_x, hit_y)
         if len(self.beams) == 1:
             self.hits = hit_x, hit_y
         return hit_x, hit_y
@@ -132,6 +125,5 @@ class TubePicture:
         if is_even(beam) and cover.size == 1:
             return np.full((1, 1, 1), 0.5 * dx * dy)
         light = np.empty((self.rows, 2, self.columns))
-        aim = aim_at(self.bench, self.pixels)
-        over_rows(light_of_rows, self.rows, *self._surface, self.sub, beam, aim, cover, light)
+        over_rows(light_of_rows, self.rows, *self._surface, self.sub, beam, self.aim, cover, light)
         return light

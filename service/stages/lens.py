@@ -10,7 +10,7 @@ from dataclasses import asdict
 from itertools import accumulate
 from typing import Any
 
-from optics.black import advice, dark_leak_estimate
+from optics.black import dark_leak_estimate
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
@@ -68,8 +68,7 @@ def transport_map(shop: Workshop) -> None:
         way = {"screen_mm": design.transport_map.screen_mm, "lens_mm": design.transport_map.lens_mm}
         shop.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
         shop.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
-    _tell_of_design(shop, design, settings)
-    _tell_of_black(shop, target, settings)
+    _tell_of_design(shop, design, target, settings)
     if design.flow is not None:
         from service import figures_lens
 
@@ -127,7 +126,7 @@ def _way(spec: JobSpec, reached: Callable[[float], None]) -> Callable[[str, floa
     return tell
 
 
-def _tell_of_design(shop: Workshop, design: LensDesign, settings: LensSettings) -> None:
+def _tell_of_design(shop: Workshop, design: LensDesign, target: Array, settings: LensSettings) -> None:
     shop.report["optics"] = {
         "method": shop.spec.optics.method,
         "surface": shop.spec.optics.surface,
@@ -136,20 +135,13 @@ def _tell_of_design(shop: Workshop, design: LensDesign, settings: LensSettings) 
         "converged": design.converged,
         "message": design.message,
         "history": design.history,
+        "dark_leak_estimate": dark_leak_estimate(target, settings.bench, settings.closing_radius_mm),
         "closing": None if design.closing is None else plain(asdict(design.closing)),
         "polish": None if design.polish is None else _without_clock(asdict(design.polish)),
     }
     if not design.converged:
         shop.note("optics", f"the lens design has not converged: {design.message}")
     for sentence in design.warnings:
-        shop.note("optics", sentence)
-
-
-def _tell_of_black(shop: Workshop, target: Array, settings: LensSettings) -> None:
-    """What physics lets onto black areas, and what makes a picture hard."""
-    radius_mm = settings.closing_radius_mm
-    shop.report["optics"]["dark_leak_estimate"] = dark_leak_estimate(target, settings.bench, radius_mm)
-    for sentence in advice(target, settings.bench, radius_mm, vertices_per_pixel=settings.vertices_per_pixel):
         shop.note("optics", sentence)
 
 
