@@ -9,7 +9,8 @@ from typing import Literal
 from cam.errors import PassValueError
 from cam.materials import PMMA, Material
 
-Strategy = Literal["raster"]
+Strategy = Literal["raster", "contour"]
+Direction = Literal["x", "y"]
 Link = Literal["u-turn", "retract"]
 
 
@@ -28,11 +29,16 @@ class PassSpec:
 
     stock_to_leave_mm : measured along the surface normal
     step_down_mm      : the most stock one move may take off, measured along Z
+    strategy          : rows, or one connected path along the contour lines of the lens
+    direction         : rows along X or along Y
     link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13)
+    flute_length_mm   : how high the cutter cuts, from its tip; None: not stated
+    shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
     """
 
     name: str
     strategy: Strategy = "raster"
+    direction: Direction = "x"
     link: Link = "u-turn"
     radius_mm: float
     pitch_mm: float
@@ -41,14 +47,21 @@ class PassSpec:
     feed_mm_per_min: float
     plunge_mm_per_min: float
     spindle_rpm: float
+    flute_length_mm: float | None = None
+    shank_radius_mm: float | None = None
 
     def __post_init__(self) -> None:
-        if self.strategy != "raster":
-            raise PassValueError(name="strategy", value=self.strategy, allowed='"raster"')
+        if self.strategy not in ("raster", "contour"):
+            raise PassValueError(name="strategy", value=self.strategy, allowed='"raster" or "contour"')
+        if self.direction not in ("x", "y"):
+            raise PassValueError(name="direction", value=self.direction, allowed='"x" or "y"')
         if self.link not in ("u-turn", "retract"):
             raise PassValueError(name="link", value=self.link, allowed='"u-turn" or "retract"')
         for name in ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"):
             _require(name, getattr(self, name), above=0)
+        for name in ("flute_length_mm", "shank_radius_mm"):
+            if (value := getattr(self, name)) is not None:
+                _require(name, value, above=0)
         _require("stock_to_leave_mm", self.stock_to_leave_mm, at_least=0)
         _require("pitch_mm", self.pitch_mm, at_least=0.001)
         if self.pitch_mm > self.radius_mm:

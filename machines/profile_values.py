@@ -119,6 +119,7 @@ PROFILE_VALUES = Rules(
         "max_rate_mm_per_min": triple(1, 1_000_000, "mm/min"),
         "acceleration_mm_per_s2": triple(0.1, 100_000, "mm/s2"),
         "step_mm": number(1e-6, 1, "mm"),
+        "z_noise_mm": number(0, 0.1, "mm"),
         "junction_deviation_mm": number(1e-5, 10, "mm"),
         "planner_blocks": whole(2, 100_000),
         "lines_per_s": number(0.1, 1_000_000),

@@ -93,6 +93,7 @@ class MachineProfile:
     max_rate_mm_per_min    : fastest rate of each axis
     acceleration_mm_per_s2 : acceleration of each axis
     step_mm                : smallest move of an axis
+    z_noise_mm             : sigma of the height error from one row, or one entry, to the next
     junction_deviation_mm  : GRBL's $11, how far a corner may be rounded in the planner's model
     planner_blocks         : moves the planner looks ahead, as `$I` reports them (GRBL 1.1: 15 of its 16 slots)
     lines_per_s            : blocks the controller can take in a second
@@ -115,6 +116,7 @@ class MachineProfile:
     safe_z_mm: float
     link: LinkSettings = LinkSettings()
     homing: bool = False
+    z_noise_mm: float = 0.0005
     description: str = ""
 
 

@@ -14,7 +14,7 @@ from service.spec import JobSpec, PassRow
 
 _MATERIALS: dict[str, Material] = {"pmma": PMMA}
 _PROFILE_KEYS = {
-    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "junction_deviation_mm",
+    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
     "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm",
 }  # fmt: skip
 

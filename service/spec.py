@@ -49,7 +49,8 @@ class PassRow(Section):
     """One milling pass with a ball end mill; radius_mm is the RADIUS of the ball."""
 
     name: Annotated[str, Field(pattern=r"^[a-z0-9]+(-[a-z0-9]+)*$", max_length=24)] = "finish"
-    strategy: Literal["raster"] = "raster"
+    strategy: Literal["raster", "contour"] = "raster"
+    direction: Literal["x", "y"] = "x"
     link: Literal["u-turn", "retract"] = "u-turn"
     radius_mm: Tool
     pitch_mm: Annotated[float, Field(ge=0.002, le=25)]
@@ -58,13 +59,8 @@ class PassRow(Section):
     feed_mm_per_min: Rate | None = None
     plunge_mm_per_min: Rate | None = None
     spindle_rpm: Speed | None = None
-
-    @field_validator("strategy", mode="before")
-    @classmethod
-    def _available(cls, strategy: object) -> object:
-        if strategy == "contour":
-            raise ValueError("strategy 'contour' is not available yet; allowed: 'raster'")
-        return strategy
+    flute_length_mm: Annotated[float, Field(gt=0, le=200)] | None = None
+    shank_radius_mm: Annotated[float, Field(gt=0, le=50)] | None = None
 
     @model_validator(mode="after")
     def _pitch_fits_the_ball(self) -> Self:
@@ -84,6 +80,7 @@ class MachineSpec(Section):
     max_rate_mm_per_min: Triple | None = None
     acceleration_mm_per_s2: Triple | None = None
     step_mm: Annotated[float, Field(gt=0, le=1)] | None = None
+    z_noise_mm: Annotated[float, Field(ge=0, le=0.1)] | None = None
     junction_deviation_mm: Annotated[float, Field(gt=0, le=1)] | None = None
     planner_blocks: Annotated[int, Field(ge=1, le=100_000)] | None = None
     lines_per_s: Annotated[float, Field(gt=0, le=1_000_000)] | None = None

@@ -9,9 +9,12 @@ from service.spec_files import resolve_spec
 
 _ROW = {
     "strategy": "raster",
+    "direction": "x",
     "link": "u-turn",
     "plunge_mm_per_min": 300.0,
     "spindle_rpm": 9000.0,
+    "flute_length_mm": 15.0,
+    "shank_radius_mm": 3.0,
 }
 BASE: dict[str, Any] = {
     "preset": "draft",
@@ -33,7 +36,8 @@ BASE: dict[str, Any] = {
     ],
     "machine": {
         "profile": "grbl", "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
-        "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "junction_deviation_mm": 0.01,
+        "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
+        "junction_deviation_mm": 0.01,
         "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
     },
 }  # fmt: skip
@@ -49,19 +53,22 @@ OTHER: dict[str, Any] = {
     "stock.thickness_mm": 25.0, "stock.margin_mm": 9.0, "stock.skim_mm": 0.15,
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
-    "machine.step_mm": 0.01, "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
+    "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001,
+    "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
     "machine.lines_per_s": 200.0, "machine.safe_z_mm": 6.0, "machine.spindle_rpm": [2000.0, 19000.0],
     **{
         f"passes.{number}.{key}": value
         for number in range(2)
         for key, value in {
-            "name": "other", "link": "retract", "radius_mm": 2.75, "pitch_mm": 0.7 - number / 2,
+            "name": "other", "strategy": "contour", "direction": "y",
+            "link": "retract", "radius_mm": 2.75, "pitch_mm": 0.7 - number / 2,
             "stock_to_leave_mm": 0.1 + number / 20, "step_down_mm": 1.0 - number / 2, "feed_mm_per_min": 900.0,
             "plunge_mm_per_min": 250.0, "spindle_rpm": 8000.0,
+            "flute_length_mm": 16.0, "shank_radius_mm": 2.9,
         }.items()
     },
 }  # fmt: skip
-ONLY_ONE_VALUE = {"stock.material", "passes.0.strategy", "passes.1.strategy"}
+ONLY_ONE_VALUE = {"stock.material"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     "optics.method": ({}, {"optics.method": "paper"}),
