@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from dataclasses import fields as dataclass_fields
 from importlib import resources
 from pathlib import Path
@@ -153,7 +153,7 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
     file = sources[name]
     values = _values(name, sources, ())
     link = LinkSettings(**values.pop("link", {}))
-    required = {field.name for field in dataclass_fields(MachineProfile)} - {"link", "homing", "description"}
+    required = {field.name for field in dataclass_fields(MachineProfile) if field.default is MISSING}
     missing = sorted(required - set(values))
     if missing:
         raise ProfileError(file, f'{", ".join(missing)}: missing; give them, or start from a profile: extends = "grbl"')
