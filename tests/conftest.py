@@ -16,8 +16,10 @@ use_current_kernels()  # before any test module imports numba
 settings.register_profile("causticmill", deadline=None, derandomize=True, max_examples=50, print_blob=True)
 settings.load_profile("causticmill")
 
-# A runner under nohup hands its ignored SIGHUP down to every command that the tests start.
+# A runner under nohup, or in the background of a script, hands the signals that it ignores down to every command that
+# the tests start.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
