@@ -2,9 +2,10 @@
 
 Nothing of the generator is used here: text -> moves (cam.gcode) -> stock left (cam.removal) on the whole part and in
 fine windows, contact with the exact surface move by move (cam.clearance), track spacing (cam.coverage), time
-(cam.duration) and the rules for single moves (cam.move_rules).
-Two threads share each batch of moves while the next one is parsed; memory does not grow with the program.
-The shank is taken as no wider than the ball; what stands farther than one radius from the axis is not checked.
+(cam.duration), the rules for single moves (cam.move_rules), the bite (cam.engagement) and, where flutes and shank are
+stated, what stands beside them (cam.collision).
+Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
+the tracks of a contour pass, 9 bytes a move (cam.path_quality).
 """
 
 from __future__ import annotations
@@ -12,16 +13,21 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from itertools import chain
 
 import numpy as np
 
 from cam.clearance import Overlaps, SurfaceWitness
+from cam.collision import Collisions, shank_of
 from cam.coverage import Coverage
 from cam.duration import DurationModel, Kinematics
-from cam.gcode import MoveBatch, read_program
+from cam.engagement import Engagement
+from cam.gcode import GRBL, Language, MoveBatch, read_parts
 from cam.move_rules import MoveRules
 from cam.passes import PassSpec, Stock
+from cam.path_quality import PathMeasures, PathQuality
 from cam.removal import Drops, RemovalGrid, deepest
+from cam.rest import RestAreas
 from cam.stock_grid import StockGrid
 from cam.stock_left import ExcessFound, StockLeft, Unreached, find_excess
 from cam.windows import Window, place_windows
@@ -31,12 +37,16 @@ GOUGE_ALLOWED_UM = 1.0
 GAP_ALLOWED_PITCHES = 1.5
 """One row left out makes a gap of two."""
 
+CONTOUR_GAP_PITCHES, ROUNDING_MM = 1.02, 1.5e-4
+"""Of contour passes, which are scanned everywhere; either track may have been moved by half a digit of x and of y."""
+
 SHARES = 2
 RAPID_CLEARANCE_MM = 0.5
 """A rapid may go straight down below the safe height where the stock, as simulated so far, stays this far away."""
 
 UNCUT_ALLOWED_MM = 0.005
 """Within reach, above the cusps: whether the ball fits is only sampled, which is good to a few micrometres."""
+SCAN_SHARE = 0.15  # of a contour pass's check: the scan for gaps at its end
 Progress = Callable[[float], None]
 Bounds = dict[str, list[float]]
 
@@ -63,8 +73,12 @@ class PassCheck:
 
     excess_um        : greatest stock above the wanted surface within the ball's reach, regular cusps included
     excess_ratio     : that, over what pitch, slope and curvature explain at the same place (99.9 % of cells stay below)
+    climb_share      : of the volume, what was cut climbing; slot_length_mm of the path cut at full width, slot_depth_mm
+                       deep at most; flute_need_mm how high above the tip stock was cut
     below_leave_um   : how far the pass cut into the stock it should leave
     unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
+    contour          : of a contour pass, how it runs (`cam.path_quality`)
+    rest             : of a rest pass, where it cuts: area_mm2, regions
     stock_top        : what is left, for the next pass
     """
 
@@ -77,6 +91,10 @@ class PassCheck:
     time_s: float
     entries: int
     max_engagement_mm: float
+    climb_share: float
+    slot_length_mm: float
+    slot_depth_mm: float
+    flute_need_mm: float
     gouge_um: float
     excess_um: float
     excess_ratio: float
@@ -87,6 +105,8 @@ class PassCheck:
     unreached_share: float
     windows: tuple[WindowResult, ...]
     stock_top: StockGrid
+    contour: PathMeasures | None = None
+    rest: RestAreas | None = None
 
     @property
     def ok(self) -> bool:
@@ -102,12 +122,15 @@ class PassCheck:
                 name: getattr(self, name)
                 for name in (
                     *("lines", "bytes", "moves", "path_length_mm", "time_s", "entries", "max_engagement_mm"),
+                    *("climb_share", "slot_length_mm", "slot_depth_mm", "flute_need_mm"),
                     *("gouge_um", "excess_um", "excess_ratio", "below_leave_um", "max_gap_mm", "bounds"),
                     "unreached_share",
                 )
             },
             "unreached": [asdict(place) for place in self.unreached],
             "windows": [asdict(window) for window in self.windows],
+            **({} if self.contour is None else {"contour": self.contour.as_report()}),
+            **({} if self.rest is None else {"rest": self.rest.as_report()}),
         }
 
 
@@ -121,26 +144,33 @@ def check_program(
     kinematics: Kinematics,
     travel_mm: Sequence[float],
     safe_z_mm: float,
+    language: Language = GRBL,
+    digit_mm: float = 0.0,
+    further: Iterable[Iterable[bytes]] = (),
     total_bytes: int | None = None,
     on_progress: Progress | None = None,
 ) -> PassCheck:
     """Cut the program into stock_top and judge it. Raises ProgramError where the text itself is not allowed.
 
     travel_mm   : (3,) what the mill's axes can travel
+    digit_mm    : to which heights are rounded, by the language or by the mill; where that is coarse, more is allowed
+    further     : programs that go on where this one ends, when a pass is split
     total_bytes : length of the program if known; then on_progress is told the share done
     """
-    run = _Run(heightfield, spec, stock, stock_top, kinematics, safe_z_mm)
+    run = _Run(heightfield, spec, stock, stock_top, kinematics, safe_z_mm, digit_mm)
+    report = on_progress or (lambda share: None)
+    cutting = 1.0 if run.quality is None else 1.0 - SCAN_SHARE
     with ThreadPoolExecutor(max_workers=SHARES) as pool:
         waiting: _Pending | None = None
-        for batch in read_program(chunks):
+        for batch in read_parts(chain([chunks], further), language):
             if waiting is not None:
                 run.finish(waiting)
             waiting = run.begin(batch, pool)
-            if on_progress is not None and total_bytes:
-                on_progress(min(1.0, batch.bytes_read / total_bytes))
+            if total_bytes:
+                report(cutting * min(1.0, batch.bytes_read / total_bytes))
         if waiting is not None:
             run.finish(waiting)
-    return run.verdict(travel_mm)
+    return run.verdict(travel_mm, lambda share: report(cutting + (1.0 - cutting) * share))
 
 
 class _Pending:
@@ -164,15 +194,26 @@ class _Run:
         before: StockGrid,
         kinematics: Kinematics,
         safe_z_mm: float,
+        digit_mm: float,
     ) -> None:
+        self.digit_mm = digit_mm
         self.heightfield, self.spec, self.stock, self.before = heightfield, spec, stock, before
-        self.whole = RemovalGrid(before, radius_mm=spec.radius_mm, rapid_clearance_mm=RAPID_CLEARANCE_MM, shares=SHARES)
+        self.whole = RemovalGrid(
+            before,
+            radius_mm=spec.radius_mm,
+            rapid_clearance_mm=RAPID_CLEARANCE_MM,
+            shares=SHARES,
+            shank=shank_of(spec),
+        )
+        self.engagement, self.collisions = Engagement(spec, cell_mm=before.cell_mm), Collisions(spec)
+        self.rest = RestAreas.of(before, heightfield, spec) if spec.where == "rest" else None
         self.places = place_windows(heightfield, spec, before)
         self.windows = [RemovalGrid(place.stock, radius_mm=spec.radius_mm) for place in self.places]
         # A track makes the surface when it is no farther above it than this; layers higher up do not count as cover.
         self._near_mm = 1.5 * spec.stock_to_leave_mm + min(0.1, 0.2 * spec.radius_mm)
         self.witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=self._near_mm)
         self.coverage = Coverage(before, pitch_mm=spec.pitch_mm)
+        self.quality = PathQuality(heightfield, spec) if spec.strategy == "contour" else None
         self.duration = DurationModel(kinematics)
         self.rules = MoveRules(
             heightfield,
@@ -181,7 +222,7 @@ class _Run:
             highest_mm=float(before.top_mm.max()),
             safe_z_mm=safe_z_mm,
             rapid_clearance_mm=RAPID_CLEARANCE_MM,
-            gouge_allowed_um=GOUGE_ALLOWED_UM,
+            gouge_allowed_um=max(GOUGE_ALLOWED_UM, 1500 * digit_mm),
         )
 
     def begin(self, batch: MoveBatch, pool: ThreadPoolExecutor) -> _Pending:
@@ -190,7 +231,10 @@ class _Run:
 
     def watch(self, batch: MoveBatch) -> Overlaps:
         overlaps = self.witness.overlaps(batch)
-        self.coverage.add(batch, overlaps.touch_mm > -self._near_mm)
+        if self.quality is None:
+            self.coverage.add(batch, overlaps.touch_mm > -self._near_mm)
+        else:
+            self.quality.add(batch, overlaps)
         return overlaps
 
     def cut_windows(self, batch: MoveBatch) -> None:
@@ -201,23 +245,31 @@ class _Run:
         drops = deepest([share.result() for share in pending.drops])
         self.whole.passed(pending.batch)
         self.rules.judge(pending.batch, drops, pending.overlaps.result(), self.whole)
+        self.engagement.add(pending.batch, drops)
+        self.collisions.add(pending.batch, drops, self.whole)
         for other in pending.others:
             other.result()
 
-    def verdict(self, travel_mm: Sequence[float]) -> PassCheck:
+    def verdict(self, travel_mm: Sequence[float], report: Progress) -> PassCheck:
         depth, cell = self.whole.rest()
-        self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole)
+        idle = self.rest is not None and not self.rest.core.any()
+        if idle:
+            self.rules.notes.append("the ball before has left nothing to this one: the program only lifts")
+        self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole, may_idle=idle)
         for window in self.windows:
             window.rest()
         after = self.whole.stock()
         left = StockLeft.of(after, self.heightfield, self.spec)
         fine = [StockLeft.of(window.stock(), self.heightfield, self.spec) for window in self.windows]
-        excess = find_excess(left, self.heightfield, self.spec)
+        excess = find_excess(left, self.heightfield, self.spec, None if self.rest is None else self.rest.core)
         gouge_um = self._gouge_um(left, fine)
-        gap_mm = self._gap(left)
+        measures = None if self.quality is None else self.quality.measures(report)
+        gap_mm = self._row_gap(left) if measures is None else self._contour_gap(measures)
         self._judge_excess(excess)
         rules = self.rules
         rules.judge_bounds(travel_mm)
+        for sentence in (*self.collisions.faults, *self.engagement.faults):
+            rules.add_fault(sentence)
         regular = left.in_aperture & ~left.suspicious(self.spec)
         ratio = left.over_mm[regular] / left.cusp_mm[regular]
         return PassCheck(
@@ -230,6 +282,10 @@ class _Run:
             time_s=self.duration.seconds,
             entries=rules.entries,
             max_engagement_mm=rules.max_engagement_mm,
+            climb_share=self.engagement.climb_share,
+            slot_length_mm=self.engagement.slot_length_mm,
+            slot_depth_mm=self.engagement.slot_depth_mm,
+            flute_need_mm=self.engagement.flute_need_mm,
             gouge_um=gouge_um,
             excess_um=excess.excess_um,
             excess_ratio=float(np.quantile(ratio, 0.999)) if ratio.size else 0.0,
@@ -240,6 +296,8 @@ class _Run:
             unreached_share=excess.unreached_share,
             windows=tuple(_window_result(p, f) for p, f in zip(self.places, fine, strict=True)),
             stock_top=after,
+            contour=measures,
+            rest=self.rest,
         )
 
     def _gouge_um(self, left: StockLeft, fine: list[StockLeft]) -> float:
@@ -258,21 +316,32 @@ class _Run:
         lowest_mm = min(result.lowest(grid.cut_by_line > 0)[0] for grid, result in pairs)
         return 1000 * max(0.0, -lowest_mm)
 
-    def _gap(self, left: StockLeft) -> float:
-        """Widest gap between tracks where there was stock to take off; a fault when a row is missing."""
+    def _row_gap(self, left: StockLeft) -> float:
+        """Widest gap between rows where there was stock to take off; a fault when a row is missing."""
         start = StockLeft.of(self.before, self.heightfield, self.spec)
         with np.errstate(invalid="ignore"):
             wanted = start.over_mm > 2 * left.cusp_mm + 0.001
+        if self.rest is not None:
+            wanted &= self.rest.core
         gap_mm, x_mm, y_mm = self.coverage.widest_gap_mm(wanted)
-        allowed_mm = GAP_ALLOWED_PITCHES * self.spec.pitch_mm
+        self._judge_gap(gap_mm, x_mm, y_mm, allowed_mm=GAP_ALLOWED_PITCHES * self.spec.pitch_mm)
+        return gap_mm
+
+    def _contour_gap(self, measures: PathMeasures) -> float:
+        """Widest gap between the tracks of a contour pass, on the whole aperture."""
+        gap = measures.gap
+        allowed_mm = CONTOUR_GAP_PITCHES * self.spec.pitch_mm + max(ROUNDING_MM, 1.5 * self.digit_mm)
+        self._judge_gap(gap.width_mm, gap.x_mm, gap.y_mm, allowed_mm=allowed_mm)
+        return gap.width_mm
+
+    def _judge_gap(self, gap_mm: float, x_mm: float, y_mm: float, *, allowed_mm: float) -> None:
         if gap_mm > allowed_mm:
             self.rules.add_fault(
                 f"tracks are {gap_mm:.4g} mm apart at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.4g} mm)"
             )
-        return gap_mm
 
     def _judge_excess(self, excess: ExcessFound) -> None:
-        allowed_mm = UNCUT_ALLOWED_MM + 0.25 * self.spec.stock_to_leave_mm
+        allowed_mm = UNCUT_ALLOWED_MM + 0.25 * self.spec.stock_to_leave_mm + 1.5 * self.digit_mm
         if excess.uncut_mm > allowed_mm:
             self.rules.add_fault(
                 f"{1000 * excess.uncut_mm:.1f} µm more than the cusps are left at X{excess.x_mm:.3f} "

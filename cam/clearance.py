@@ -83,12 +83,15 @@ def _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, cx, cy, tip, radius, 
 
 @njit(cache=True, nogil=True)
 def _overlaps(  # type: ignore[no-untyped-def]
-    coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place, touch
+    coefs, x0, y0, inv_dx, inv_dy, width, height, points, rapid, pause, radius, near, offset, depth, place, touch, rest
 ):
-    """depth (n,), place (n, 2), touch (n,) of every move. offset (2,): from tip to last contact, kept between calls."""
+    """depth (n,), place (n, 2), touch and rest (n,) of every move.
+
+    offset (2,): from tip to last contact, kept between calls
+    """
     trial = np.zeros(2)
     for k in range(depth.size):
-        depth[k] = touch[k] = -math.inf
+        depth[k] = touch[k] = rest[k] = -math.inf
         if rapid[k] or pause[k] >= 0.0:
             continue
         dx = points[k + 1, 0] - points[k, 0]
@@ -104,11 +107,13 @@ def _overlaps(  # type: ignore[no-untyped-def]
             tip = points[k, 2] + t * dz
             found, px, py, any_place = _overlap(coefs, x0, y0, inv_dx, inv_dy, width, height, x, y, tip, radius, offset)
             touch[k] = max(touch[k], any_place)
+            if j == pieces:
+                rest[k] = any_place
             if found > depth[k]:
                 depth[k] = found
                 place[k, 0] = px
                 place[k, 1] = py
-        if touch[k] > -near or touch[k] == -math.inf:
+        if rest[k] > -near or touch[k] == -math.inf:
             continue
         for start_x, start_y in _OTHER_STARTS:  # it may rest on another flank than the one that was followed
             trial[0] = start_x * radius
@@ -119,6 +124,7 @@ def _overlaps(  # type: ignore[no-untyped-def]
                 depth[k] = found
                 place[k, 0] = px
                 place[k, 1] = py
+            rest[k] = max(rest[k], any_place)
             if any_place > touch[k]:
                 touch[k] = any_place
                 offset[0] = trial[0]
@@ -132,11 +138,13 @@ class Overlaps:
     depth_mm (n,)    : in the aperture; -inf for rapids, pauses and moves beyond its reach
     place_mm (n, 2)  : where that is
     touch_mm (n,)    : the same with the run-out, on which a large ball may ride while its tip is over the aperture
+    end_touch_mm (n,): that where the move ends
     """
 
     depth_mm: Array
     place_mm: Array
     touch_mm: Array
+    end_touch_mm: Array
 
 
 class SurfaceWitness:
@@ -152,9 +160,10 @@ class SurfaceWitness:
         self._offset = np.zeros(2)
 
     def overlaps(self, batch: MoveBatch) -> Overlaps:
-        depth, touch, place = np.empty(len(batch)), np.empty(len(batch)), np.full((len(batch), 2), np.nan)
+        depth, touch, rest = np.empty(len(batch)), np.empty(len(batch)), np.empty(len(batch))
+        place = np.full((len(batch), 2), np.nan)
         _overlaps(
             *(*self._surface.kernel_arguments, *self._size, batch.points_mm, batch.is_rapid, batch.pause_s),
-            *(self._radius_mm, self._near_mm, self._offset, depth, place, touch),
+            *(self._radius_mm, self._near_mm, self._offset, depth, place, touch, rest),
         )
-        return Overlaps(depth_mm=depth, place_mm=place, touch_mm=touch)
+        return Overlaps(depth_mm=depth, place_mm=place, touch_mm=touch, end_touch_mm=rest)

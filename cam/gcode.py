@@ -1,24 +1,36 @@
 """G-code text back to moves, in a stream: the reader that does not trust who wrote the program.
 
-The dialect is the GRBL 1.1 subset a finishing program needs: straight moves, dwell, spindle, comments. Everything
-else is refused with its line, because a word that is skipped here and obeyed by the mill is a broken cutter. One
-compiled pass over the bytes keeps the whole modal state; a chunk boundary may fall anywhere.
+Of each control's language the subset is read that a finishing program needs: straight moves, dwell, spindle, comments.
+Everything else is refused with its line, because a word that is skipped here and obeyed by the mill is a broken cutter.
+One compiled pass over the bytes keeps the whole modal state; a chunk boundary may fall anywhere.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cam import gcode_parse as modal
+from cam import rml_parse
 from cam.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
+from cam.gcode_languages import GRBL, LANGUAGES, Language
 from optics.heightfield import Array
 
-__all__ = ["ALLOWED", "LINE_LIMIT", "MoveBatch", "ProgramError", "read_program"]
+__all__ = [
+    "ALLOWED",
+    "GRBL",
+    "LANGUAGES",
+    "LINE_LIMIT",
+    "Language",
+    "MoveBatch",
+    "ProgramError",
+    "read_parts",
+    "read_program",
+]
 
-LINE_LIMIT = 79  # bytes before the line end that GRBL 1.1 holds
+LINE_LIMIT = 79  # bytes before the line end that GRBL 1.1 holds; more than any control needs
 BATCH_BYTES = 4 << 20
 
 
@@ -61,11 +73,31 @@ class MoveBatch:
         return self.points_mm[1:]
 
 
-def read_program(chunks: Iterable[bytes]) -> Iterator[MoveBatch]:
+def read_program(chunks: Iterable[bytes], language: Language = GRBL) -> Iterator[MoveBatch]:
     """Moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
+    yield from read_parts([chunks], language)
+
+
+def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> Iterator[MoveBatch]:
+    """Moves of a pass that is written as several programs, run one after the other, each given in pieces of its text.
+
+    Each begins with nothing known but where the one before has left the tool; lines and bytes are counted through.
+    """
     state = np.zeros(modal.LINE + 1)
     state[:3] = np.nan
-    state[modal.UNIT], state[modal.ABSOLUTE], state[modal.MOTION] = 1.0, 1.0, -1.0
+    bytes_read = lines_read = 0
+    for chunks in parts:
+        state[3:] = 0.0
+        state[modal.UNIT], state[modal.ABSOLUTE], state[modal.MOTION] = 1.0, 1.0, -1.0
+        for batch in _batches(chunks, language, state):
+            yield replace(batch, line=batch.line + lines_read, lines_read=batch.lines_read + lines_read,
+                          bytes_read=batch.bytes_read + bytes_read) if lines_read else batch  # fmt: skip
+        lines_read, bytes_read = batch.lines_read + lines_read, batch.bytes_read + bytes_read
+
+
+def _batches(chunks: Iterable[bytes], language: Language, state: Array) -> Iterator[MoveBatch]:
+    rules = language.rules()
+    parse = rml_parse.parse if language.kind == "rml" else modal.parse
     rest = b""
     bytes_read = 0
     for text, is_last in _large_pieces(chunks):
@@ -75,7 +107,7 @@ def read_program(chunks: Iterable[bytes]) -> Iterator[MoveBatch]:
             buffer += b"\n"
         done = 0
         while done < len(buffer):
-            batch, used = _read_batch(buffer, done, state, bytes_read)
+            batch, used = _read_batch(parse, buffer, done, state, rules, bytes_read)
             done += used
             if len(batch) or (is_last and done == len(buffer)):
                 yield batch
@@ -100,13 +132,20 @@ def _large_pieces(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
     yield b"".join(held), True
 
 
-def _read_batch(buffer: bytes, start: int, state: Array, bytes_read: int) -> tuple[MoveBatch, int]:
+def _read_batch(
+    parse: Callable[..., tuple[int, int, int, int]],
+    buffer: bytes,
+    start: int,
+    state: Array,
+    rules: np.ndarray,
+    bytes_read: int,
+) -> tuple[MoveBatch, int]:
     raw = np.frombuffer(buffer, dtype=np.uint8)[start:]
     room = buffer.count(b"\n", start) + 64
     points = np.empty((room + 1, 3))
     rapid, spindle = np.zeros(room, dtype=np.bool_), np.zeros(room, dtype=np.bool_)
     feed, pause, line = np.empty(room), np.empty(room), np.empty(room, dtype=np.int64)
-    used, n, code, bad = modal.parse(raw, state, modal.POWERS, points, rapid, feed, line, spindle, pause)
+    used, n, code, bad = parse(raw, state, rules, modal.POWERS, points, rapid, feed, line, spindle, pause)
     end = buffer.find(b"\n", start + bad)
     if code and end >= 0:  # without its line end the line is judged when the rest of it has come
         raise ProgramError(int(state[modal.LINE]) + 1, buffer[start + bad : end], REFUSALS[code])

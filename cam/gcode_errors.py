@@ -8,6 +8,7 @@ ALLOWED = (
     "G0 G1 G4 G17 G20 G21 G40 G49 G54 G80 G90 G91 G94, M2 M3 M5 M7 M8 M9 M30, F N P S X Y Z, "
     "comments in ( ) and after ;"
 )
+ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
 
 (
     LONG,
@@ -28,7 +29,18 @@ ALLOWED = (
     DWELL_MOVES,
     GROUP_TWICE,
     USELESS_P,
-) = range(1, 19)
+    PERCENT_PLACE,
+    BAD_NAME,
+    NEEDS_POINT,
+    DECIMALS_LEFT_OUT,
+    TWO_DIGITS_ONLY,
+    USELESS_WORD,
+    NO_COMMAND,
+    BAD_NUMBERS,
+    NO_SEMICOLON,
+    RELATIVE,
+    NO_VELOCITY,
+) = range(1, 30)
 
 REFUSALS = {
     LONG: "a line holds at most 79 characters",
@@ -41,7 +53,7 @@ REFUSALS = {
     BAD_FEED: "a feed must be above 0 mm/min",
     NO_MOTION: "coordinates need G0 or G1 on this line or before",
     BLIND: "the position is not known yet: first G0 Z to the safe height, then G0 X Y, all absolute (G90)",
-    BAD_DWELL: "G4 needs P, its seconds, 0 or more",
+    BAD_DWELL: "G4 needs P, its seconds, 0 or more (on some controls X or F instead)",
     NO_SPEED: "M3 needs a speed: give S above 0 rpm on this line or before",
     AFTER_END: "nothing may follow M2 or M30",
     PERCENT: "no % marks in this dialect: GRBL answers error:1",
@@ -49,6 +61,17 @@ REFUSALS = {
     DWELL_MOVES: "G4 stands alone, without a motion",
     GROUP_TWICE: "two words of one modal group on the line (such as G0 and G1)",
     USELESS_P: "P belongs to G4",
+    PERCENT_PLACE: "% stands alone on its line, first in the program and after its end",
+    BAD_NAME: "a program's name is O and 1 to 16 letters or digits, alone on its line before the first move",
+    NEEDS_POINT: "this control reads a coordinate or feed without a decimal point in its least input (X8.0, not X8)",
+    DECIMALS_LEFT_OUT: "more decimals than this control takes",
+    TWO_DIGITS_ONLY: "this control takes G and M words with two digits only (G01, not G1)",
+    USELESS_WORD: "H belongs to G15, Q to G64",
+    NO_COMMAND: f"not a command that is read here; allowed: {ALLOWED_RML}",
+    BAD_NUMBERS: "the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)",
+    NO_SEMICOLON: "each command ends with ; on its own line",
+    RELATIVE: "after ^PR only Z0,0,n, straight up, until ^PA",
+    NO_VELOCITY: "a move needs a speed: V, from 0.1 to 50 mm/s",
 }
 
 

@@ -10,10 +10,13 @@ from cam.gcode_errors import (
     ARC,
     BAD_DWELL,
     BAD_FEED,
+    BAD_NAME,
     BLIND,
+    DECIMALS_LEFT_OUT,
     DWELL_MOVES,
     GROUP_TWICE,
     LONG,
+    NEEDS_POINT,
     NO_FEED,
     NO_LETTER,
     NO_MOTION,
@@ -21,20 +24,34 @@ from cam.gcode_errors import (
     NO_SPEED,
     OPEN_COMMENT,
     PERCENT,
+    PERCENT_PLACE,
     REPEATED,
+    TWO_DIGITS_ONLY,
     USELESS_P,
+    USELESS_WORD,
     WRONG_WORD,
+)
+from cam.gcode_languages import (
+    BLENDS,
+    DECIMALS,
+    DWELL,
+    DWELL_F,
+    DWELL_X,
+    LETTERS,
+    OFFSETS_BY_H,
+    POINTED,
+    TAPE,
+    TWO_DIGITS,
 )
 
 # Slots of the modal state: position [mm], feed [mm/min], speed [rpm], mm per unit, 1 for G90, 0 or 1 for G0 or G1 (-1:
-# none yet), spindle on, end seen, seconds dwelt before the position was known, lines read.
-X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, LINE = range(12)
+# none yet), spindle on, end seen, seconds dwelt before the position was known, % marks seen, lines read.
+X, Y, Z, FEED, SPEED, UNIT, ABSOLUTE, MOTION, SPINDLE, ENDED, DWELT, TAPED, LINE = range(13)
 POWERS = 10.0 ** np.arange(19)
-_NUMBERED = sum(1 << (ord(letter) - ord("A")) for letter in "FNPSXYZ")  # letters that carry a value
 
 
 @njit(cache=True, nogil=True)
-def _record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
+def record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
     """Entry n, a move to the state's position or a pause there (seconds >= 0); returns n + 1."""
     for d in range(3):
         points[n + 1, d] = state[d]
@@ -47,8 +64,10 @@ def _record(n, state, is_rapid, seconds, points, rapid, feed, line, spindle, pau
 
 
 @njit(cache=True, nogil=True)
-def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
+def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):  # type: ignore[no-untyped-def]
     """All whole lines of raw -> moves. Returns (bytes used, moves, refusal code, start of the refused line)."""
+    letters, pointed_letters, most_decimals = rules[LETTERS], rules[POINTED], rules[DECIMALS]
+    two_digits = rules[TWO_DIGITS] != 0
     n = 0
     at = 0
     size = raw.size
@@ -65,6 +84,9 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
         g_dwell = False
         g_unit = 0.0
         g_distance = -1.0
+        g_blend = False
+        g_offset = False
+        percent = False
         m_spindle = -1
         m_end = False
         groups = 0
@@ -92,9 +114,25 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
             if letter >= 32:
                 letter -= 32  # lower case
             if c < 65 or letter < 0 or letter > 25:
-                if c == 37:
+                if c != 37:
+                    return begin, n, NO_LETTER, begin
+                if rules[TAPE] == 0:
                     return begin, n, PERCENT, begin
-                return begin, n, NO_LETTER, begin
+                if percent:
+                    return begin, n, PERCENT_PLACE, begin
+                percent = True
+                p += 1
+                continue
+            if letter == 14 and rules[TAPE]:  # O, the program's name: letters and digits
+                p += 1
+                length = 0
+                while p < size and (48 <= raw[p] <= 57 or 65 <= raw[p] <= 90):
+                    p += 1
+                    length += 1
+                if seen or length < 1 or length > 16:
+                    return begin, n, BAD_NAME, begin
+                seen |= 1 << 14
+                continue
             # The number after the letter.
             p += 1
             while p < size and (raw[p] == 32 or raw[p] == 9):
@@ -121,9 +159,15 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                 p += 1
             if digits == 0 or digits > 17:
                 return begin, n, NO_NUMBER, begin
+            if (pointed_letters >> letter) & 1 and not pointed:
+                return begin, n, NEEDS_POINT, begin
+            if decimals > most_decimals:
+                return begin, n, DECIMALS_LEFT_OUT, begin
             value = mantissa / powers[decimals]
             if negative:
                 value = -value
+            if two_digits and (letter == 6 or letter == 12) and digits - decimals < 2:
+                return begin, n, TWO_DIGITS_ONLY, begin
             if letter == 6:  # G
                 code = int(np.rint(value * 10.0))
                 if abs(value * 10.0 - code) > 1e-9:
@@ -149,8 +193,14 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                     group = 8
                 elif code == 170:
                     group = 16
-                elif code == 540:
+                elif code == 540 and not rules[OFFSETS_BY_H]:
                     group = 32
+                elif code == 150 and rules[OFFSETS_BY_H]:
+                    g_offset = True
+                    group = 32
+                elif code == 640 and rules[BLENDS]:
+                    g_blend = True
+                    group = 512
                 elif code == 940:
                     group = 64
                 elif code == 400 or code == 490 or code == 800:
@@ -180,7 +230,7 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                     return begin, n, GROUP_TWICE, begin
                 groups |= group
                 seen |= 1 << 12
-            elif (_NUMBERED >> letter) & 1:
+            elif (letters >> letter) & 1:
                 if seen & (1 << letter):
                     return begin, n, REPEATED, begin
                 seen |= 1 << letter
@@ -194,10 +244,38 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
             stop -= 1
         if stop - begin > 79:
             return begin, n, LONG, begin
-        if seen & ~(1 << 13):  # anything but an N word
+        if percent:
+            if seen or (state[TAPED] == 0.0 and state[LINE] > 0.0) or (state[TAPED] > 0.0 and not state[ENDED]):
+                return begin, n, PERCENT_PLACE, begin
+            if state[TAPED] > 1.0:
+                return begin, n, PERCENT_PLACE, begin
+            state[TAPED] += 1.0
+        if seen & (1 << 14) and (seen != 1 << 14 or state[MOTION] >= 0.0):
+            return begin, n, BAD_NAME, begin
+        if seen & ~(1 << 13 | 1 << 14):  # anything but an N word and a name
             if state[ENDED]:
                 return begin, n, AFTER_END, begin
+            if (seen & (1 << 7) and not g_offset) or (seen & (1 << 16) and not g_blend):  # H, Q
+                return begin, n, USELESS_WORD, begin
             axes = seen & (7 << 23)
+            halt = -1.0
+            if g_dwell:  # its seconds: a word that means something else without G4
+                if rules[DWELL] == DWELL_X:
+                    if axes != 1 << 23:
+                        return begin, n, BAD_DWELL, begin
+                    halt = values[23]
+                    axes = 0
+                elif rules[DWELL] == DWELL_F:
+                    if not seen & (1 << 5):
+                        return begin, n, BAD_DWELL, begin
+                    halt = values[5]
+                    seen &= ~(1 << 5)
+                else:
+                    if not seen & (1 << 15):
+                        return begin, n, BAD_DWELL, begin
+                    halt = values[15]
+                if halt < 0.0:
+                    return begin, n, BAD_DWELL, begin
             if g_unit:
                 state[UNIT] = g_unit
             if g_distance >= 0.0:
@@ -210,19 +288,14 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                 if values[18] < 0.0:
                     return begin, n, NO_SPEED, begin
                 state[SPEED] = values[18]
-            halt = -1.0
             if m_spindle >= 0:
                 if m_spindle == 1 and not state[SPEED] > 0.0:
                     return begin, n, NO_SPEED, begin
                 state[SPINDLE] = m_spindle
-                halt = 0.0
-            if g_dwell:
-                if not seen & (1 << 15) or values[15] < 0.0:
-                    return begin, n, BAD_DWELL, begin
-                if axes or g_motion >= 0:
-                    return begin, n, DWELL_MOVES, begin
-                halt = values[15]
-            elif seen & (1 << 15):
+                halt = max(halt, 0.0)
+            if g_dwell and (axes or g_motion >= 0):
+                return begin, n, DWELL_MOVES, begin
+            if seen & (1 << 15) and not g_blend and not (g_dwell and rules[DWELL] == 0):
                 return begin, n, USELESS_P, begin
             if m_end and not axes:
                 halt = max(halt, 0.0)
@@ -231,7 +304,7 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
             if halt >= 0.0 and np.isnan(state[X] + state[Y] + state[Z]):
                 state[DWELT] += halt
             elif halt >= 0.0:
-                n = _record(n, state, False, halt, points, rapid, feed, line, spindle, pause)
+                n = record(n, state, False, halt, points, rapid, feed, line, spindle, pause)
             if axes:
                 if state[MOTION] < 0.0:
                     return begin, n, NO_MOTION, begin
@@ -256,9 +329,9 @@ def parse(raw, state, powers, points, rapid, feed, line, spindle, pause):  # typ
                     for d in range(3):
                         points[n, d] = state[d]
                 if moved and known:
-                    n = _record(n, state, not is_cut, -1.0, points, rapid, feed, line, spindle, pause)
+                    n = record(n, state, not is_cut, -1.0, points, rapid, feed, line, spindle, pause)
                 elif state[DWELT] > 0.0 and not np.isnan(state[X] + state[Y] + state[Z]):
-                    n = _record(n, state, False, state[DWELT], points, rapid, feed, line, spindle, pause)
+                    n = record(n, state, False, state[DWELT], points, rapid, feed, line, spindle, pause)
                     state[DWELT] = 0.0
             if m_end:
                 state[ENDED] = 1.0

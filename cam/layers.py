@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from math import ceil, inf, pi
+from itertools import pairwise
+from math import ceil, inf, pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
 
-from cam.entries import enter, leave
+from cam.entries import Pocket, enter, leave
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
-from cam.raster import Rows, on_ticks, ordered
+from cam.raster import Rows, climbs_rightward, on_ticks, ordered
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
 from cam.vertices import rough_sag_mm, thinned
@@ -27,6 +29,12 @@ SKIM_MM = 0.05
 
 TOUCH_MM = 1e-6
 """Stock less than this above a tip is not worth a cut."""
+
+LAYER_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.01
+"""Of the step-down: a layer's cusps and chords. Those of two layers may add up, and the check allows 5 % for them."""
+
+SLOT_FEED = 0.5
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +78,19 @@ class Field:
     def step_mm(self) -> float:
         return float(self.x_mm[1] - self.x_mm[0])
 
+    def coarser(self, distance_mm: float) -> Field:
+        """Rows no farther apart than distance_mm; the stock over each is the most that stands up to its neighbours, so
+        that nothing between two rows is overlooked.
+        """
+        stride = max(1, int(distance_mm / max(1e-9, float(np.diff(self.rows.y_mm).max()))))
+        if stride == 1:
+            return self
+        rows = self.rows.every(stride)
+        chosen = np.searchsorted(self.rows.y_mm, rows.y_mm)
+        above = maximum_filter1d(self.stock_mm - self.target_mm, 2 * stride + 1, axis=0, mode="nearest")
+        target = self.target_mm[chosen]
+        return Field(rows=rows, x_mm=self.x_mm, target_mm=target, stock_mm=target + above[chosen])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LayerPlan:
@@ -88,12 +109,18 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
         count = ceil(depth / spec.step_down_mm) - 1
         parallel = (Layer(offset_mm=k * spec.step_down_mm, level_mm=-inf) for k in range(count, 0, -1))
         return LayerPlan(layers=tuple(parallel), exact_rows=True)
-    keep = min(SKIM_MM, spec.step_down_mm / 2) if spec.finishes else 0.0
+    exact = spec.finishes or spec.strategy == "contour"
+    keep = min(SKIM_MM, spec.step_down_mm / 2) if exact else 0.0
     top = float(stock.height_mm.max())
     lowest = float(field.target_mm[field.stock_mm > field.target_mm].min()) + keep
     count = ceil((top - lowest) / spec.step_down_mm)
     planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
-    return LayerPlan(layers=tuple(planes), exact_rows=spec.finishes)
+    return LayerPlan(layers=tuple(planes), exact_rows=exact)
+
+
+def layer_row_distance_mm(spec: PassSpec) -> float:
+    """Of layers that exact rows follow: their cusps, p^2 / 8R, are 2 % of the step-down at most."""
+    return min(spec.radius_mm / 5, sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm))
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,7 +142,7 @@ class Run:
         return self.last if self.upward else self.first
 
 
-def spans(active: Array, *, pad: int, gap: int) -> list[tuple[int, int]]:
+def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[tuple[int, int]]:
     """Stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
     merged: list[tuple[int, int]] = []
@@ -128,11 +155,16 @@ def spans(active: Array, *, pad: int, gap: int) -> list[tuple[int, int]]:
     return merged
 
 
-def chained(by_row: list[list[tuple[int, int]]], *, most_samples: int, link: bool) -> Iterator[Run]:
-    """Every span once: up the rows from neighbour to neighbour, there and back, while the next start is near enough."""
+def chained(
+    by_row: list[list[tuple[int, int]]], *, most_samples: int, link: bool, first_upward: bool = True
+) -> Iterator[Run]:
+    """Every span once: up the rows from neighbour to neighbour, there and back, while the next start is near enough.
+
+    link : False cuts every span by itself, all of them the first way
+    """
     for bottom in range(len(by_row)):
         while by_row[bottom]:
-            row, upward = bottom, True
+            row, upward = bottom, first_upward
             first, last = by_row[bottom].pop(0)
             run = Run(row, first, last, upward, False)
             yield run
@@ -165,33 +197,71 @@ def layer_paths(
     left, tips = _stock_and_tips(field, layer, above)
     per_radius = surface.radius_mm / field.step_mm
     pad, gap, reach = ceil(per_radius / 4), round(2 * per_radius), round(4 * per_radius)
-    sag = rough_sag_mm(surface.allowance_mm + layer.offset_mm)
-    active = _with_neighbours(_stands_above(left, tips, stock, above))
-    by_row = [spans(row, pad=pad, gap=gap) for row in active]
+    sag = _sag_mm(surface, layer, spec)
+    standing = _stands_above(left, tips, stock, above)
+    by_row = [spans(row, pad=pad, gap=gap) for row in _with_neighbours(standing)]
     total = sum(map(len, by_row))
+    pocket = _pocket(field, surface, layer)
     before: Run | None = None
     place = np.empty(3)
-    runs = chained(by_row, most_samples=reach, link=spec.link == "u-turn")
+    linked = spec.link == "u-turn"
+    runs = chained(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
     for done, run in enumerate(runs, start=1):
         samples = slice(run.first, run.last + 1)
         points = np.column_stack(
             [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
         )
-        points = thinned(points if run.upward else points[::-1], sag)
+        slot = _slots(standing, run, pad=pad)
+        if not run.upward:
+            points, slot = points[::-1], slot[::-1]
+        standing[run.row, samples] = False
         if run.joined and before is not None:
             yield cut(_link(field, surface, layer, before, run, sag), spec.feed_mm_per_min)
         else:
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
             height = float(left[run.row, run.start]) + stock.slack_mm + 2 * sag
-            yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
-        yield cut(points, spec.feed_mm_per_min)
+            yield from enter(thinned(points, sag), height, spec, safe_z_mm=safe_z_mm, pocket=pocket)
+        yield from _cuts(points, slot, sag, spec)
         before, place = run, points[-1]
         on_progress(done / total)
     if before is not None:
         yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
     if total:
         yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
+
+
+def _slots(standing: npt.NDArray[np.bool_], run: Run, *, pad: int) -> npt.NDArray[np.bool_]:
+    """(n,) samples of a run where stock stands on both sides of it. standing (n rows, n samples): not cut yet."""
+    samples = slice(run.first, run.last + 1)
+    below, above = max(run.row - 1, 0), min(run.row + 1, len(standing) - 1)
+    both = standing[run.row, samples] & standing[below, samples] & standing[above, samples]
+    slot = np.zeros_like(both)
+    for first, last in spans(both, pad=pad, gap=2 * pad):
+        slot[first : last + 1] = True
+    return slot
+
+
+def _cuts(points: Array, slot: npt.NDArray[np.bool_], sag_mm: float, spec: PassSpec) -> Iterator[Path]:
+    """The points of a run, thinned; slots at their slower feed."""
+    edges = np.flatnonzero(np.diff(slot)) + 1
+    for first, end in pairwise([0, *edges.tolist(), len(points)]):
+        feed = spec.feed_mm_per_min * (SLOT_FEED if slot[first] else 1.0)
+        yield cut(thinned(points[first:end], sag_mm), feed)
+
+
+def _sag_mm(surface: ToolSurface, layer: Layer, spec: PassSpec) -> float:
+    """How far a layer's chords may be off: a little of what it leaves, and of what the next one may then meet."""
+    return min(rough_sag_mm(surface.allowance_mm + layer.offset_mm), LAYER_SAG_SHARE * spec.step_down_mm)
+
+
+def _pocket(field: Field, surface: ToolSurface, layer: Layer) -> Pocket:
+    """The layer's own surface, over all that its rows and turns may touch."""
+    rows = field.rows
+    return Pocket(
+        floor_mm=lambda x, y: layer.tips_mm(surface.tip_heights_mm(x, y)),
+        region_mm=(float(field.x_mm[0]), float(field.x_mm[-1]), float(rows.y_mm[0]), float(rows.y_mm[-1])),
+    )
 
 
 def _stock_and_tips(field: Field, layer: Layer, above: Layer | None) -> tuple[Array, Array]:
@@ -238,7 +308,7 @@ def _end_walls(
             stock_mm=stock.over(x[:1], y).T,
         )
         left, tips = _stock_and_tips(column, layer, above)
-        sag = rough_sag_mm(surface.allowance_mm + layer.offset_mm)
+        sag = _sag_mm(surface, layer, spec)
         for first, last in spans(_stands_above(left, tips, stock, above)[0], pad=1, gap=y.size):
             points = thinned(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
             height = float(left[0, first]) + stock.slack_mm + 2 * sag

@@ -145,8 +145,8 @@ class MoveRules:
             self._last_rapid, self._last_spindle = bool(batch.is_rapid[k]), bool(batch.spindle_on[k])
         self._spindle_left_on = bool(batch.spindle_on[-1]) and not batch.ended
 
-    def judge_rest(self, drops: Drops, whole: RemovalGrid) -> None:
-        """What the ball still removes where it stops."""
+    def judge_rest(self, drops: Drops, whole: RemovalGrid, *, may_idle: bool = False) -> None:
+        """What the ball still removes where it stops. may_idle: the program need not move, nothing was left to cut."""
         one = np.array([True])
         self._judge_drops(
             drops,
@@ -156,7 +156,7 @@ class MoveRules:
             spindle=one & self._last_spindle,
             clear=one & self._last_clear,
         )
-        if not self.moves:
+        if not self.moves and not may_idle:
             self.add_fault("the program moves nothing (allowed: at least one move)")
         if not self._ended:
             self.add_fault(f"the program stops after line {self.lines} without M2 or M30 (allowed: only with one)")

@@ -12,6 +12,7 @@ from cam.materials import PMMA, Material
 Strategy = Literal["raster", "contour"]
 Direction = Literal["x", "y"]
 Link = Literal["u-turn", "retract"]
+Where = Literal["everywhere", "rest"]
 
 
 def _require(name: str, value: float, *, above: float | None = None, at_least: float | None = None) -> None:
@@ -31,7 +32,9 @@ class PassSpec:
     step_down_mm      : the most stock one move may take off, measured along Z
     strategy          : rows, or one connected path along the contour lines of the lens
     direction         : rows along X or along Y
-    link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13)
+    link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13): slower,
+                        but every row runs the way that climbs
+    where             : everywhere, or only where the pass before could not reach (cam.rest)
     flute_length_mm   : how high the cutter cuts, from its tip; None: not stated
     shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
     """
@@ -40,6 +43,7 @@ class PassSpec:
     strategy: Strategy = "raster"
     direction: Direction = "x"
     link: Link = "u-turn"
+    where: Where = "everywhere"
     radius_mm: float
     pitch_mm: float
     stock_to_leave_mm: float
@@ -57,6 +61,10 @@ class PassSpec:
             raise PassValueError(name="direction", value=self.direction, allowed='"x" or "y"')
         if self.link not in ("u-turn", "retract"):
             raise PassValueError(name="link", value=self.link, allowed='"u-turn" or "retract"')
+        if self.where not in ("everywhere", "rest"):
+            raise PassValueError(name="where", value=self.where, allowed='"everywhere" or "rest"')
+        if self.where == "rest" and self.strategy != "raster":
+            raise PassValueError(name="where", value=self.where, allowed='only rows: strategy = "raster"')
         for name in ("radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"):
             _require(name, getattr(self, name), above=0)
         for name in ("flute_length_mm", "shank_radius_mm"):

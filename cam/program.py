@@ -4,20 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from itertools import chain
+from math import inf
 
 import numpy as np
 
+from cam.contour.path import contour_path
 from cam.cutter import largest_fitting_radius_mm, reached_share
 from cam.entries import enter, leave
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
-from cam.layers import Field, Layer, LayerPlan, layer_paths, plan_layers
+from cam.layers import SLOT_FEED, Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
 from cam.moves import Array, Path, cut
+from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
-from cam.posts.post import Post, ProgramWriter, number
-from cam.raster import Rows, continuous_rows, separate_rows
+from cam.posts.post import number
+from cam.posts.writer import Dialect
+from cam.raster import Rows, climbs_rightward, continuous_rows, separate_rows
+from cam.rest import RestAreas, rest_paths
+from cam.rounding import Rounding, on_raster
 from cam.stock_grid import StockGrid
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
+from cam.turned import turned_block, turned_lens, turned_paths, turned_stock
 from cam.vertices import VertexRule, finish_rule, rough_rule
 from optics.heightfield import Heightfield
 
@@ -39,14 +46,45 @@ def generate_program(
     stock: Stock,
     *,
     stock_top: StockGrid,
-    post: Post,
+    post: Dialect,
     safe_z_mm: float = SAFE_Z_MM,
     slope_error_rad: float = SLOPE_ERROR_RAD,
     on_progress: Progress | None = None,
 ) -> Iterator[bytes]:
-    """The pass as text in pieces of about a megabyte; memory does not grow with the program's length.
+    """The pass as one program: text in pieces of about a megabyte; memory does not grow with the program's length.
 
     Raises CutterTooLargeError, StockTooThinError, SafeHeightError or PassValueError before the first piece.
+    """
+    parts = generate_parts(
+        heightfield,
+        spec,
+        stock,
+        stock_top=stock_top,
+        post=post,
+        safe_z_mm=safe_z_mm,
+        slope_error_rad=slope_error_rad,
+        on_progress=on_progress,
+    )
+    return chain.from_iterable(parts)
+
+
+def generate_parts(
+    heightfield: Heightfield,
+    spec: PassSpec,
+    stock: Stock,
+    *,
+    stock_top: StockGrid,
+    post: Dialect,
+    safe_z_mm: float = SAFE_Z_MM,
+    slope_error_rad: float = SLOPE_ERROR_RAD,
+    limits: PartLimits | None = None,
+    step_mm: float = 0.0,
+    number: int = 1,
+    on_progress: Progress | None = None,
+) -> Iterator[Iterator[bytes]]:
+    """The pass as one program after the other, each within the limits; read each to its end before the next.
+
+    step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
     """
     paths = pass_paths(
         heightfield,
@@ -57,14 +95,18 @@ def generate_program(
         slope_error_rad=slope_error_rad,
         on_progress=on_progress,
     )
-    writer = ProgramWriter(post)
-    first = writer.start(remarks(spec, stock), rpm=spec.spindle_rpm, safe_z_mm=safe_z_mm)
-    moves = chain.from_iterable(writer.write(path) for path in paths)
-    yield from _gathered(chain([first], moves, _last(writer, safe_z_mm)))
-
-
-def _last(writer: ProgramWriter, safe_z_mm: float) -> Iterator[bytes]:
-    yield writer.end(safe_z_mm=safe_z_mm)  # only once all moves are out: it forgets the modal state
+    frame = PassFrame(
+        remarks=remarks(spec, stock),
+        rpm=spec.spindle_rpm,
+        plunge_mm_per_min=spec.plunge_mm_per_min,
+        safe_z_mm=safe_z_mm,
+        aperture_mm=(stock.width_mm, stock.height_mm),
+        number=number,
+    )
+    rounding = Rounding(digits=post.digits.coarsened(step_mm), pitch_mm=spec.pitch_mm)
+    if spec.finishes and rounding.matters:
+        paths = on_raster(paths, rounding)
+    return map(_gathered, programs(paths, post, frame, limits))
 
 
 def _gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
@@ -103,30 +145,53 @@ def pass_paths(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     on_progress: Progress | None = None,
 ) -> Iterator[Path]:
-    """Moves of one raster pass, from safe height back to safe height: layers where the stock asks for them, then rows.
+    """Moves of one pass, from safe height back to safe height: layers where the stock asks for them, then the surface.
 
     The first move is a rapid at safe height: whoever writes the program brings the tool up there before it.
     """
+    along_y = spec.direction == "y"
+    if along_y:
+        heightfield, stock, stock_top = turned_lens(heightfield), turned_block(stock), turned_stock(stock_top)
+    paths = _paths_along_x(heightfield, spec, stock, stock_top, safe_z_mm, slope_error_rad, on_progress)
+    yield from turned_paths(paths) if along_y else paths
+
+
+def _paths_along_x(
+    heightfield: Heightfield,
+    spec: PassSpec,
+    stock: Stock,
+    stock_top: StockGrid,
+    safe_z_mm: float,
+    slope_error_rad: float,
+    on_progress: Progress | None,
+) -> Iterator[Path]:
     surface = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
     _check_job(heightfield, spec, stock, surface, safe_z_mm, slope_error_rad)
     rows = Rows.over(stock, spec)
     met = StockTouch.of(stock_top, spec.radius_mm)
+    if spec.where == "rest" and met.flat:
+        raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
     field = Field.along(rows, surface, met)
     plan = plan_layers(field, met, spec)
     if plan.layers and plan.exact_rows:
-        # Only the exact rows need the pitch; at a fifth of the radius the layers' cusps are 0.5 % of it.
-        stride = max(1, int(spec.radius_mm / 5 / spec.pitch_mm))
-        field = Field.along(rows.every(stride), surface, met) if stride > 1 else field
+        field = field.coarser(layer_row_distance_mm(spec))  # only the exact rows need the pitch
     above = plan.layers[-1] if plan.layers else None
     report = on_progress or (lambda fraction: None)
     share = _layer_share(field, rows, plan)
     yield from _all_layers(field, surface, met, plan, spec, safe_z_mm, lambda done: report(share * done))
     del field
-    if plan.exact_rows:
-        rule = _vertex_rule(heightfield, spec, slope_error_rad)
-        polylines = (continuous_rows if spec.link == "u-turn" else separate_rows)(surface, rows, rule)
-        counted = _counting(polylines, rows, lambda done: report(share + (1 - share) * done))
-        yield from _rows_paths(counted, met, above, spec, safe_z_mm=safe_z_mm)
+    rule = _vertex_rule(heightfield, spec, slope_error_rad)
+    if spec.where == "rest":
+        most_mm = above.offset_mm + CUSP_MM if above else inf
+        yield from rest_paths(
+            *(RestAreas.of(stock_top, heightfield, spec), surface, met, rows, rule, spec),
+            most_mm=most_mm,
+            safe_z_mm=safe_z_mm,
+            on_progress=lambda done: report(share + (1 - share) * done),
+        )
+    elif plan.exact_rows:
+        polylines = _polylines(heightfield, surface, rows, rule, spec, lambda done: report(share + (1 - share) * done))
+        yield from _polyline_paths(polylines, met, above, spec, safe_z_mm=safe_z_mm)
     report(1.0)
 
 
@@ -195,18 +260,28 @@ def _all_layers(
         above = layer
 
 
-def _counting(polylines: Iterator[Array], rows: Rows, report: Progress) -> Iterator[Array]:
+def _polylines(
+    heightfield: Heightfield, surface: ToolSurface, rows: Rows, rule: VertexRule, spec: PassSpec, report: Progress
+) -> Iterator[Array]:
+    """The exact surface: pieces of one path, or rows each by itself."""
+    if spec.strategy == "contour":
+        yield from contour_path(heightfield, surface, spec, rule, on_progress=report)
+        return
+    if spec.link == "u-turn":
+        polylines = continuous_rows(surface, rows, rule)
+    else:
+        polylines = separate_rows(surface, rows, rule, rightward=climbs_rightward(spec))
     low, high = rows.y_mm[0], rows.y_mm[-1]
     for polyline in polylines:
         yield polyline
         report(float((polyline[-1, 1] - low) / (high - low)))
 
 
-def _rows_paths(
+def _polyline_paths(
     polylines: Iterator[Array], met: StockTouch, above: Layer | None, spec: PassSpec, *, safe_z_mm: float
 ) -> Iterator[Path]:
-    """Exact rows: one unbroken path, or each row entered and left by itself."""
-    lifts = spec.link == "retract"
+    """One unbroken path, or rows each entered and left by itself."""
+    lifts = spec.strategy == "raster" and spec.link == "retract"
     last = np.empty(3)
     for index, polyline in enumerate(polylines):
         if lifts or index == 0:
@@ -217,8 +292,13 @@ def _rows_paths(
             if above is not None:
                 height = min(height, float(above.tips_mm(start[2:])[0]) + CUSP_MM)
             yield from enter(_first_row(polyline), height, spec, safe_z_mm=safe_z_mm)
-        yield cut(polyline, spec.feed_mm_per_min)
         last = polyline[-1]
+        if index == 0:  # stock stands on both sides of the first row
+            first = _first_row(polyline)
+            yield cut(first, SLOT_FEED * spec.feed_mm_per_min)
+            polyline = polyline[len(first) :]
+        if len(polyline):
+            yield cut(polyline, spec.feed_mm_per_min)
     yield leave(last[0], last[1], safe_z_mm=safe_z_mm)
 
 

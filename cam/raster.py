@@ -1,4 +1,4 @@
-"""Rows along X: where they lie, and the exact surface followed along all of them without lifting."""
+"""Rows along X (`cam.turned` makes them rows along Y): where they lie, and the exact surface followed along them."""
 
 from __future__ import annotations
 
@@ -106,13 +106,22 @@ def continuous_rows(surface: ToolSurface, rows: Rows, rule: VertexRule) -> Itera
     yield from ordered(lambda first: _chunk(surface, rows, rule, first), starts)
 
 
-def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule) -> Iterator[Array]:
-    """Every row by itself, all in +X (paper, Fig. 13)."""
+def climbs_rightward(spec: PassSpec) -> bool:
+    """Whether rows cut one way, each beyond the last in Y, climb when they run in +X.
+
+    The spindle turns clockwise, so a cutter climbs with the stock on its right: rows in -X, the next one farther in +Y.
+    Rows along Y are made with the axes exchanged (cam.turned), which makes right of left.
+    """
+    return spec.direction == "y"
+
+
+def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightward: bool) -> Iterator[Array]:
+    """Every row by itself, all the same way (paper, Fig. 13)."""
+    start, end = (rows.left_mm, rows.right_mm) if rightward else (rows.right_mm, rows.left_mm)
 
     def row(index: int) -> Array:
         out = np.empty((most_vertices(rows.length_mm, rule), 3))
-        y = rows.y_mm[index]
-        return out[: march_row(surface.kernel, rule, y, rows.left_mm, rows.right_mm, out, 0)].copy()
+        return out[: march_row(surface.kernel, rule, rows.y_mm[index], start, end, out, 0)].copy()
 
     yield from ordered(row, range(rows.y_mm.size))
 

@@ -189,9 +189,15 @@ class ExcessFound:
     unreached_share: float
 
 
-def find_excess(left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> ExcessFound:
-    """Tell stock that was forgotten from stock the ball cannot get at."""
+def find_excess(
+    left: StockLeft, heightfield: Heightfield, spec: PassSpec, among: np.ndarray | None = None
+) -> ExcessFound:
+    """Tell stock that was forgotten from stock the ball cannot get at. among (ny, nx): the cells that are judged."""
     suspects = left.suspicious(spec)
+    judged_over_mm = left.over_mm
+    if among is not None:
+        suspects = suspects & among
+        judged_over_mm = np.where(among, left.over_mm, np.nan)
     flat = np.flatnonzero(suspects)
     stride = max(1, -(-flat.size // _JUDGED))
     judged = flat[::stride]
@@ -199,7 +205,7 @@ def find_excess(left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> Ex
     out_of_reach = np.zeros(left.over_mm.shape, dtype=np.bool_)
     out_of_reach.flat[judged[~reach]] = True
     forgotten = judged[reach]
-    regular = np.where(suspects, -np.inf, np.nan_to_num(left.over_mm, nan=-np.inf))
+    regular = np.where(suspects, -np.inf, np.nan_to_num(judged_over_mm, nan=-np.inf))
     cell = int(regular.argmax())
     excess_mm, uncut_mm = float(regular.flat[cell]), 0.0
     if forgotten.size:

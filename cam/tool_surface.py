@@ -20,7 +20,10 @@ GUARD_SHARE = 0.6
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ToolSurface:
-    """Tip heights of one ball over one lens, in and around the aperture; made by `over`."""
+    """Tip heights of one ball over one lens, in and around the aperture; made by `over`.
+
+    lowest_mm, highest_mm : bounds of all tips that may be asked for; a tip is never below the surface under it
+    """
 
     radius_mm: float
     allowance_mm: float
@@ -44,6 +47,8 @@ class ToolSurface:
         heights, most = (np.empty((y.size, x.size)) for _ in range(2))
         least, steepest = _lattice(*spline.kernel_arguments, x, y, heights, most)
         guarded = _grown(most > GUARD_SHARE / ball_mm, (ball_mm + step) / step)
+        sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
+        tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
         bend = max(0.0, -least) + (1 + steepest**2) ** 1.5 / ball_mm  # of f, at most
         kernel = Ball(
             *spline.kernel_arguments,
@@ -59,7 +64,7 @@ class ToolSurface:
         return cls(
             radius_mm=radius_mm,
             allowance_mm=allowance_mm,
-            lowest_mm=float(heights.min()) + allowance_mm,
+            lowest_mm=float(heights[np.ix_(*tips)].min()) + allowance_mm,
             highest_mm=float(heights.max()) + allowance_mm,
             guarded_share=float(guarded.mean()),
             kernel=kernel,

@@ -99,6 +99,9 @@ class MachineProfile:
     lines_per_s            : blocks the controller can take in a second
     spindle_rpm            : slowest and fastest speed
     safe_z_mm              : height above the stock top at which rapids travel
+    whole_steps            : heights are written in whole steps, where the light suffers least from it
+    most_program_mb        : a larger program is split; None: never
+    most_program_hours     : a longer program is split; None: never
     homing                 : has switches and a homing cycle, so that a lost position can be found again
     description            : what it is, in words
     """
@@ -117,6 +120,9 @@ class MachineProfile:
     link: LinkSettings = LinkSettings()
     homing: bool = False
     z_noise_mm: float = 0.0005
+    whole_steps: bool = False
+    most_program_mb: float | None = None
+    most_program_hours: float | None = None
     description: str = ""
 
 

@@ -22,6 +22,8 @@ from service.stages.programs import first_stock, simulate
 from service.summary import duration
 
 T = TypeVar("T")
+Task = tuple[Sequence[Path], PassSpec]
+"""The programs of a pass, in the order in which they are run, and the pass."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,12 +74,13 @@ def check_programs(
         tasks, stock, machine = _of_the_job(programs, folder)
     else:
         tasks, stock, machine = _of_the_command_line(programs, heightfield, settings)
-    _require_programs([path for path, _ in tasks])  # the job's earlier ones, too
+    _require_programs([path for paths, _ in tasks for path in paths])  # the job's earlier ones, too
     watch, stock_top, verdicts = Stopwatch(reporter), first_stock(stock), []
-    for path, spec in tasks:
+    for paths, spec in tasks:
+        path = paths[0]
         with watch.stage(f"check {path.name}") as reached:
             try:
-                result = simulate(path, spec, heightfield, stock, stock_top, machine, reached)
+                result = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
             except CamError as error:  # text that no mill should be given
                 verdicts.append(_unreadable(path, error))
                 break
@@ -108,24 +111,26 @@ def _unreadable(path: Path, error: CamError) -> Verdict:
     return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 
-def _of_the_job(programs: Sequence[Path], folder: Path) -> tuple[list[tuple[Path, PassSpec]], Stock, MachineProfile]:
-    """Passes by file name from the job's report and spec; passes before the last one asked for are run as well."""
+def _of_the_job(programs: Sequence[Path], folder: Path) -> tuple[list[Task], Stock, MachineProfile]:
+    """Passes by file name from the job's report and spec; passes before the last one asked for are run as well, and all
+    parts of a pass."""
     spec: JobSpec = stored_spec(folder)
     rows = job_files.read_report(folder).get("passes", [])
-    of_file = {row["file"]: number for number, row in enumerate(rows)}
+    files = [[name for name, _ in job_files.files_of_pass(row)] for row in rows]
+    of_file = {name: number for number, names in enumerate(files) for name in names}
     for path in programs:
         if path.name not in of_file or path.parent.resolve() != folder.resolve():
             raise InputError(f"{path}: not a program of the job in {folder}; say --radius-mm and --pitch-mm")
     last = max(of_file[path.name] for path in programs)
     given = {path.name: path for path in programs}
-    names = [row["file"] for row in rows[: last + 1]]
-    tasks = [(given.get(name, folder / name), pass_) for name, pass_ in zip(names, cam_passes_of(spec), strict=False)]
+    paths = [[given.get(name, folder / name) for name in names] for names in files[: last + 1]]
+    tasks: list[Task] = list(zip(paths, cam_passes_of(spec), strict=False))
     return tasks, cam_stock_of(spec), machine_of(spec)
 
 
 def _of_the_command_line(
     programs: Sequence[Path], heightfield: Heightfield, settings: CheckSettings
-) -> tuple[list[tuple[Path, PassSpec]], Stock, MachineProfile]:
+) -> tuple[list[Task], Stock, MachineProfile]:
     """Passes from options, what is left out from the job spec's defaults."""
     count = len(programs)
     radii = _each("--radius-mm", settings.radius_mm, count)
@@ -149,7 +154,8 @@ def _of_the_command_line(
         )
     except SpecError as error:
         raise InputError(*str(error).splitlines()) from None
-    return list(zip(programs, cam_passes_of(spec), strict=True)), cam_stock_of(spec), machine_of(spec)
+    tasks: list[Task] = [([path], pass_) for path, pass_ in zip(programs, cam_passes_of(spec), strict=True)]
+    return tasks, cam_stock_of(spec), machine_of(spec)
 
 
 def _each(option: str, values: Sequence[T], count: int) -> list[T]:

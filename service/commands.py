@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service import mill_commands
+from service import mill_commands, plan_commands
 from service.client import commands as client_commands
 from service.errors import EXIT_FAILURE
 from service.host import commands as host_commands
@@ -35,7 +35,9 @@ PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="Any pi
 FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of an earlier design or make.")]
 OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all files of the job.")]
 SpecOption = Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")]
-PresetOption = Annotated[str | None, typer.Option("--preset", metavar="NAME", help="Passes: paper or draft.")]
+PresetOption = Annotated[
+    str | None, typer.Option("--preset", metavar="NAME", help="Passes: paper, draft or recommended.")
+]
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. optics.width_mm=40. Repeatable.")
 ]
@@ -190,6 +192,7 @@ def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
         print(line)
 
 
+plan_commands.register(app)
 mill_commands.register(app)
 token_commands.register(app)
 client_commands.register(app)

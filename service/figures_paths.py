@@ -1,4 +1,8 @@
-"""toolpath.png: each pass seen from above, the whole part on the left and single tracks on the right."""
+"""toolpath.png: each pass seen from above, the whole part, and beside or below it single tracks.
+
+Of a contour pass the whole part shows pieces of the path, coloured by height: a piece along a contour line has one
+colour. Its single tracks are coloured by the order in which they are cut.
+"""
 
 from __future__ import annotations
 
@@ -13,28 +17,41 @@ from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from service.contour_sample import ContourSample
 from service.figures import Array, new_figure, panel_height, png_bytes
 from service.path_sample import PathSample
 
 __all__ = ["PathSample", "toolpath_png"]
 
 _CMAP = ListedColormap(colormaps["viridis"](np.linspace(0.0, 0.87, 256)))  # its yellow end is lost on white
+_ORDER = ListedColormap(colormaps["turbo"](np.linspace(0.03, 0.97, 256)))
 _RAPID = "crimson"
+_SIDE_BY_SIDE = 3  # passes
 _DOTS_UP_TO = 15_000  # vertices; more of them make a solid patch
 
 
 def toolpath_png(samples: Sequence[PathSample], *, width_mm: float, height_mm: float, margin_mm: float = 0.0) -> bytes:
-    """One row of two panels for each pass; colour is the height of the tool tip, the same in all panels."""
+    """Two panels for each pass, side by side; of three passes or more one above the other, so that the picture fits
+    half a page. Colour is the height of the tool tip, the same in all panels.
+    """
+    count = max(1, len(samples))
     block_in = panel_height(5.1, height_mm + 2 * margin_mm, width_mm + 2 * margin_mm)
-    row_in = 1.0 + max(block_in, 3.0)  # the square on the right needs some height
-    figure = new_figure(12.6, row_in * max(1, len(samples)) + 0.3)
-    panels = figure.subplots(max(1, len(samples)), 2, squeeze=False)
+    row_in = 1.0 + max(block_in, 3.0)  # the square of single tracks needs some height
+    if count < _SIDE_BY_SIDE:
+        figure = new_figure(12.6, row_in * count + 0.3)
+        panels = figure.subplots(count, 2, squeeze=False)
+    else:
+        figure = new_figure(5.9 * count + 0.8, 2 * row_in + 0.3)
+        panels = figure.subplots(2, count, squeeze=False).T
     depths = np.concatenate([sample.bounds_mm()[:, 2] for sample in samples]) if samples else np.zeros(1)
     deepest = float(np.nanmin(depths)) if np.isfinite(depths).any() else 0.0
     norm = Normalize(vmin=min(deepest, -1e-3), vmax=0.0)
     for (whole, window), sample in zip(panels, samples, strict=False):
         _draw_whole_part(whole, sample, norm, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
-        _draw_window(window, sample, norm, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+        if isinstance(sample, ContourSample):
+            _draw_contour_window(window, sample, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+        else:
+            _draw_window(window, sample, norm, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
     mappable = LineCollection([], cmap=_CMAP, norm=norm)
     bar = figure.colorbar(mappable, ax=panels, fraction=0.02, pad=0.01, aspect=40)
     bar.set_label("height of the tool tip z [mm], 0 = top of the stock")
@@ -45,6 +62,9 @@ def toolpath_png(samples: Sequence[PathSample], *, width_mm: float, height_mm: f
         Line2D([], [], color="0.55", linewidth=1.2, label="block"),
         Line2D([], [], color="black", marker="+", markersize=10, linestyle="none", label="work zero"),
     ]
+    if any(isinstance(sample, ContourSample) for sample in samples):
+        end = Line2D([], [], color=_RAPID, marker="s", linestyle="none", markersize=6, label="the contour path ends")
+        marks.insert(2, end)
     figure.legend(handles=marks, loc="outside lower center", ncols=len(marks), frameon=False, fontsize=9)
     return png_bytes(figure)
 
@@ -52,7 +72,9 @@ def toolpath_png(samples: Sequence[PathSample], *, width_mm: float, height_mm: f
 def _draw_whole_part(
     axes: Axes, sample: PathSample, norm: Normalize, *, width_mm: float, height_mm: float, margin_mm: float
 ) -> None:
-    _draw_moves(axes, sample.cuts_mm(), sample.rapids_mm(), norm, width=0.9)
+    is_contour = isinstance(sample, ContourSample)
+    tracks = sample.tracks_mm() if isinstance(sample, ContourSample) else sample.cuts_mm()
+    _draw_moves(axes, tracks, sample.rapids_mm(), norm, width=1.1 if is_contour else 0.9)
     _draw_block(axes, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
     _draw_entries(axes, sample)
     window = sample.window
@@ -66,7 +88,13 @@ def _draw_whole_part(
     axes.set_ylim(min(-margin_mm, low[1]) - edge, max(height_mm + margin_mm, high[1]) + edge)
     axes.set_title(f"{sample.label}: the whole part", fontsize=11)
     shown = f"of rows {sample.pitch_mm:g} mm apart one every {sample.row_distance_mm:.3g} mm is drawn"
-    if sample.row_distance_mm <= sample.pitch_mm:
+    if isinstance(sample, ContourSample):
+        shown = (
+            f"one path of {sample.length_mm / 1000:,.1f} m along the contour lines,\n"
+            f"tracks {sample.pitch_mm:g} mm apart; pieces about {sample.row_distance_mm:.2g} mm apart are drawn"
+        )
+        _draw_ends(axes, sample)
+    elif sample.row_distance_mm <= sample.pitch_mm:
         shown = f"rows {sample.pitch_mm:g} mm apart, all drawn"
     _label_axes(axes, f"x [mm]\n{sample.moves:,} moves, {sample.rapids:,} of them rapid; {shown}")
 
@@ -89,6 +117,32 @@ def _draw_window(
     axes.set(xlim=(window.x0_mm, window.x1_mm), ylim=(window.y0_mm, window.y1_mm))
     axes.set_title(f"The small square, {window.x1_mm - window.x0_mm:.2g} mm wide", fontsize=11)
     _label_axes(axes, f"x [mm]\n{drawn}; rows {sample.pitch_mm:g} mm apart")
+
+
+def _draw_contour_window(
+    axes: Axes, sample: ContourSample, *, width_mm: float, height_mm: float, margin_mm: float
+) -> None:
+    """Every move, coloured by when it is cut."""
+    moves, along = sample.window_tracks()
+    flat: Any = moves[:, :, :2]
+    lines = LineCollection(flat, cmap=_ORDER, norm=Normalize(0.0, 100.0), linewidths=1.2, capstyle="round")
+    lines.set_array(100 * along)
+    axes.add_collection(lines)
+    bar = axes.inset_axes((1.02, 0.0, 0.03, 1.0))
+    axes.figure.colorbar(lines, cax=bar).set_label("cut at % of the path", fontsize=8)
+    bar.tick_params(labelsize=7)
+    _draw_block(axes, width_mm=width_mm, height_mm=height_mm, margin_mm=margin_mm)
+    _draw_ends(axes, sample)
+    window = sample.window
+    axes.set(xlim=(window.x0_mm, window.x1_mm), ylim=(window.y0_mm, window.y1_mm))
+    axes.set_title(f"The small square, {window.x1_mm - window.x0_mm:.2g} mm wide", fontsize=11)
+    _label_axes(axes, f"x [mm]\nevery move; tracks at most {sample.pitch_mm:g} mm apart")
+
+
+def _draw_ends(axes: Axes, sample: ContourSample) -> None:
+    (x0, y0, _), (x1, y1, _) = sample.ends_mm()
+    axes.plot(x0, y0, "v", color=_RAPID, markersize=9, markeredgecolor="white", zorder=9)
+    axes.plot(x1, y1, "s", color=_RAPID, markersize=7, markeredgecolor="white", zorder=9)
 
 
 def _draw_moves(axes: Axes, cuts: Array, jumps: Array, norm: Normalize, *, width: float) -> None:

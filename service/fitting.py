@@ -9,6 +9,7 @@ import shutil
 from math import isfinite
 from pathlib import Path
 
+from cam.collision import lens_over_flutes_mm
 from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
 from machines.profiles import MachineProfile
@@ -37,6 +38,29 @@ def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm:
         f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * (1 - share):.2g} % of the lens; "
         f"{fits}{remedy}"
     )
+
+
+def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
+    """InputError where flutes are shorter than one bite, or the lens itself would stand against the shank.
+
+    Only what is stated of a cutter can be asked; stock that is still to come off is for the check of each program.
+    """
+    for number, spec in enumerate(passes):
+        flutes_mm = spec.flute_length_mm
+        if flutes_mm is None:
+            continue
+        if flutes_mm < spec.step_down_mm:
+            raise InputError(
+                f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is shorter than one bite; allowed: at least the "
+                f"step-down of {spec.step_down_mm:g} mm"
+            )
+        over_mm = lens_over_flutes_mm(heightfield, spec)
+        if over_mm > 0:
+            raise InputError(
+                f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is too short: where it is deepest the lens beside "
+                f"the cutter stands {over_mm:.2f} mm above the flutes, within reach of a shank of radius "
+                f"{spec.shank_radius_mm or spec.radius_mm:g} mm; allowed: at least {flutes_mm + over_mm:.1f} mm"
+            )
 
 
 def require_travel(

@@ -18,7 +18,7 @@ import secrets
 import shutil
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -28,11 +28,12 @@ from service.errors import FailedError, InputError, sentence_of_os_error
 SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
 LENS_FILES = ("target.png", HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
-LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png")
+LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png")
 TOOLPATH = "toolpath.png"
+PLAN = "plan.png"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
-_KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH}
+_KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH, PLAN}
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "optics", "timings_s", "warnings_by_part", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
@@ -48,13 +49,24 @@ class WrittenProgram:
     bytes: int
 
 
-def program_name(number: int, name: str, suffix: str) -> str:
-    """pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix with its dot."""
-    return f"pass-{number}-{name}{suffix}"
+def program_name(number: int, name: str, suffix: str, part: int | None = None) -> str:
+    """pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix with its dot. Part: pass-1-rough-02.nc."""
+    return f"pass-{number}-{name}{suffix}" if part is None else f"pass-{number}-{name}-{part:02d}{suffix}"
+
+
+def files_of_pass(row: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(name, sha256) of the programs of one row of report `passes`, in the order in which they are run."""
+    return [(part["file"], part["sha256"]) for part in row.get("parts") or [row]]
 
 
 def is_program(name: str) -> bool:
     return _PROGRAM.fullmatch(name) is not None
+
+
+def run_order(name: str) -> tuple[int, int, str]:
+    """Programs sorted by this are in the order in which they are run."""
+    pass_number, _, rest = name.removeprefix("pass-").partition("-")
+    return int(pass_number), len(rest), rest  # a hundredth part has one more digit
 
 
 def is_known(name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -15,14 +16,17 @@ from service.spec import JobSpec, PassRow
 _MATERIALS: dict[str, Material] = {"pmma": PMMA}
 _PROFILE_KEYS = {
     "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
-    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm",
+    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm", "whole_steps", "most_program_mb", "most_program_hours",
 }  # fmt: skip
 
 
 def preset_rows(preset: str) -> list[dict[str, Any]]:
-    """A preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish."""
+    """A preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish.
+
+    Those of "recommended" are none: they are planned once the picture is known.
+    """
     rows = []
-    for spec in cam_passes.PRESETS[preset]:
+    for spec in cam_passes.PRESETS.get(preset, ()):
         row = {key: value for key, value in asdict(spec).items() if not key.endswith(("_per_min", "_rpm"))}
         rows.append({**row, "name": "finish" if spec.finishes else "rough"})
     return rows
@@ -59,6 +63,8 @@ def with_feeds(spec: JobSpec) -> JobSpec:
         rows.append(_filled(row, machine, _MATERIALS[spec.stock.material]))
     if problems:
         raise SpecError(problems)
+    if spec.to_be_planned:
+        return spec
     optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})
     return spec.model_copy(update={"optics": optics, "passes": tuple(rows)})
 
@@ -78,6 +84,20 @@ def without_derived(spec: JobSpec) -> dict[str, Any]:
             row = row.model_copy(update=dict.fromkeys(same))
         rows.append(row)
     return spec.model_copy(update={"passes": tuple(rows)}).plain()
+
+
+def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
+    """The spec with the passes that its stage `passes` has planned; itself where they stand already, or not yet."""
+    if not spec.to_be_planned or "plan" not in report:
+        return spec
+    planned = report["plan"]
+    optics = spec.optics
+    if not any(optics.foreseen_blur_mm):
+        optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
+    if optics.min_radius_mm is None and not optics.creases:
+        optics = optics.model_copy(update={"min_radius_mm": planned["min_radius_mm"]})
+    rows = tuple(PassRow.model_validate(row) for row in planned["passes"])
+    return spec.model_copy(update={"optics": optics, "passes": rows})
 
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:

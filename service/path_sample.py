@@ -39,28 +39,44 @@ class Window:
         )
 
 
+def _square(x0_mm: float, y0_mm: float, side_mm: float) -> Window:
+    return Window(x0_mm=x0_mm, y0_mm=y0_mm, x1_mm=x0_mm + side_mm, y1_mm=y0_mm + side_mm)
+
+
 class PathSample:
     """What toolpath.png needs of one pass; `add` the batches of its program in order."""
 
     def __init__(
-        self, *, label: str, pitch_mm: float, radius_mm: float, width_mm: float, height_mm: float, limit: int = 200_000
+        self,
+        *,
+        label: str,
+        pitch_mm: float,
+        radius_mm: float,
+        width_mm: float,
+        height_mm: float,
+        along: str = "x",
+        everywhere: bool = True,
+        limit: int = 200_000,
     ) -> None:
+        """along: which way the rows run; everywhere: False where only places are cut: the window shows the first."""
         self.label = label
         self.pitch_mm = pitch_mm
         side_mm = min(max(18 * pitch_mm, 0.6), 0.5 * min(width_mm, height_mm))
-        x0_mm = -radius_mm - 0.12 * side_mm  # rows turn round one cutter radius outside the aperture
-        y0_mm = 0.5 * height_mm - 0.5 * side_mm
-        self.window = Window(x0_mm=x0_mm, y0_mm=y0_mm, x1_mm=x0_mm + side_mm, y1_mm=y0_mm + side_mm)
+        rim_mm = -radius_mm - 0.12 * side_mm  # rows turn round one cutter radius outside the aperture
+        middle_x_mm, middle_y_mm = 0.5 * width_mm - 0.5 * side_mm, 0.5 * height_mm - 0.5 * side_mm
+        corner_mm = (rim_mm, middle_y_mm) if along == "x" else (middle_x_mm, rim_mm)
+        self.window = _square(*corner_mm, side_mm)
+        self._window_follows = not everywhere
         apart_mm = min(width_mm, height_mm) / 50
         self.row_distance_mm = apart_mm if apart_mm > 4 * pitch_mm else pitch_mm  # few rows: all of them
         self.moves = self.rapids = self.entries = 0
         self._limit = limit
         self._axis: int | None = None  # of the rows' position: 1 where they run along x
         self._last_was_rapid = True
-        self._cuts = _Segments(limit)
-        self._jumps = _Segments(limit // 10)
-        self._zoomed_cuts = _Segments(limit)
-        self._zoomed_jumps = _Segments(limit // 10)
+        self._cuts = Segments(limit)
+        self._jumps = Segments(limit // 10)
+        self._zoomed_cuts = Segments(limit)
+        self._zoomed_jumps = Segments(limit // 10)
         self._entry_points: list[Array] = []
         self._entry_stride = 1
         self._extremes = np.full((2, 3), np.nan)  # lowest and highest x, y, z of the cutting moves
@@ -75,6 +91,11 @@ class PathSample:
             return
         self.moves += len(rapid)
         self.rapids += int(np.count_nonzero(rapid))
+        if self._window_follows and not rapid.all():
+            self._window_follows = False
+            side_mm = self.window.x1_mm - self.window.x0_mm
+            x_mm, y_mm, _ = start_mm[int(np.argmin(rapid))]
+            self.window = _square(float(x_mm) - 0.5 * side_mm, float(y_mm) - 0.12 * side_mm, side_mm)
         self._note_entries(start_mm, rapid)
         self._note_extremes(start_mm, end_mm, ~rapid)
         self._keep_rows(start_mm, end_mm, rapid)
@@ -150,7 +171,7 @@ class PathSample:
         return np.asarray(off <= 0.5001 * self.pitch_mm)
 
 
-class _Segments:
+class Segments:
     """A growing array of moves; the owner thins it out whenever it is full."""
 
     def __init__(self, limit: int) -> None:

@@ -14,19 +14,19 @@ from typing import Any
 
 from service import job_files
 from service.fitting import shortage
-from service.passes import cam_passes_of, cam_stock_of
+from service.passes import cam_passes_of, cam_stock_of, with_plan
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.stages.arrays import load_heightfield, load_target
 from service.stages.lens import require_fit_in_stock, solid_block
 from service.stages.order import merge_notes, merge_reports
 from service.stages.plan import plan, stage_of
-from service.stages.programs import require_post
+from service.stages.planning import passes_for_lens
 from service.stages.words import in_the_services_words
 from service.stages.workshop import Workshop
 
 _LAST = "report"
-_LENS = ("image", "irradiance", "map", "heightfield", "caustic")
+_LENS = ("image", "irradiance", "passes", "map", "heightfield", "caustic")
 
 
 @dataclass
@@ -45,6 +45,7 @@ class Job:
         for name in stages:
             stage = stage_of(name)
             self.work(stage.load(), number=stage.number)
+            self.spec = with_plan(self.spec, self.report)
 
     def work(self, function: Callable[[Workshop], None], *, number: int = 0) -> None:
         """Call a stage's function and join what it adds to the report and the notes."""
@@ -67,12 +68,11 @@ class Job:
 
 def make(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
     """The whole chain. Returns what report.json holds."""
-    require_post(spec)
     job_files.require_usable_output(output, force=force)
     with _job(output, spec, reporter, picture=picture) as job:
-        job.run(*_LENS)
+        job.run(*_lens_stages(spec))
         job.work(_note_shortage)
-        job.run(*(stage for stage in plan(spec) if stage not in _LENS))
+        job.run(*(stage for stage in plan(job.spec) if stage not in _LENS))
     return job.report
 
 
@@ -80,19 +80,22 @@ def design(picture: Path, output: Path, spec: JobSpec, *, reporter: Reporter, fo
     """The lens and its light, no programs; programs of an earlier lens disappear with it."""
     job_files.require_usable_output(output, force=force)
     with _job(output, spec, reporter, picture=picture) as job:
-        job.run(*_LENS, _LAST)
+        job.run(*_lens_stages(spec), _LAST)
     return job.report
 
 
 def cam(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
     """Programs for the lens in a job's folder."""
-    require_post(spec)
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _job(output, spec, reporter, keep=kept) as job:
         lens = job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
         job.work(lambda shop: require_fit_in_stock(shop, lens))
+        if spec.to_be_planned:
+            job.desk[job_files.MAP] = load_target(output / job_files.MAP)
+            job.work(passes_for_lens)
+            job.spec = with_plan(job.spec, job.report)
         job.work(_note_shortage)
-        job.run(*(stage for stage in plan(spec) if stage not in (*_LENS, _LAST)))
+        job.run(*(stage for stage in plan(job.spec) if stage not in (*_LENS, _LAST)))
         job.work(lambda shop: solid_block(shop, lens))  # the stock may have changed
         job.run(_LAST)
     return job.report
@@ -107,6 +110,10 @@ def caustic(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any
         job.desk[job_files.MAP] = load_target(output / job_files.MAP)
         job.run("caustic", _LAST)
     return job.report
+
+
+def _lens_stages(spec: JobSpec) -> tuple[str, ...]:
+    return tuple(stage for stage in plan(spec) if stage in _LENS)
 
 
 def _note_shortage(shop: Workshop) -> None:
@@ -131,7 +138,7 @@ def _job(
 
 def _take_over(job: Job, earlier: dict[str, Any], *, programs: bool) -> None:
     """What an earlier report says of the parts that this command does not make anew."""
-    keys = ("source", "optics", "timings_s", *(("passes",) if programs else ()))
+    keys = ("source", "optics", "timings_s", *(("passes", "as_milled") if programs else ()))
     job.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})
     job.notes = {part: list(notes.get(part, ())) for part in ("optics", *(("passes",) if programs else ()))}

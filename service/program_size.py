@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from service.spec import JobSpec
+from service.spec import USUAL_ROWS, JobSpec
 
 FINISH_BYTES_PER_MM, ROUGH_BYTES_PER_MM = 160.0, 20.0  # of path, measured on a photograph; within a factor of three
 SURE = 4.0  # a disk that has less than this part of the estimate does not hold them, certainly
@@ -19,5 +19,5 @@ def job_bytes(spec: JobSpec) -> float:
     size_mm = (spec.optics.width_mm, spec.optics.height_mm)
     return sum(
         pass_bytes(size_mm, radius_mm=row.radius_mm, pitch_mm=row.pitch_mm, finishes=row.stock_to_leave_mm == 0)
-        for row in spec.passes
+        for row in spec.passes or USUAL_ROWS
     )

@@ -13,7 +13,10 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
 
+from service.outlines import ellipse_mm
+from service.report_checks import check_rows, flutes_in_words, order_in_words
 from service.report_drawing import SetUp, side_view, top_view
+from service.report_milled import milled_sentences
 from service.report_optics import lens_rows, light_sentences, score_rows, screen_sentence, source_spread_mm, table
 from service.report_tolerances import tolerance_sentences
 from service.report_words import duration_h_min, number, size, whole
@@ -26,6 +29,11 @@ _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blur
 
 _PICTURES = (
     ("comparison.png", "Target, simulated caustic and the difference between them."),
+    (
+        "as-milled.png",
+        "Target, design and the surface that the programs leave, whole and in the part with the most detail. The last "
+        "one counts the grooves of every move, the steps of the machine and its height errors.",
+    ),
     ("through-focus.png", "The same lens with the screen at other distances. Only at the throw is it in focus."),
     (
         "tolerances.png",
@@ -55,7 +63,7 @@ def render_report(
     """
     spec = spec or {}
     passes = _passes(report, spec)
-    job = _set_up(report, spec)
+    job = _set_up(report, spec, passes)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
     return _template().render(
         title=title or table(report.get("source")).get("file") or "lens",
@@ -73,8 +81,12 @@ def render_report(
         notes=[note for note in _notes(passes) if note not in warnings],
         coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
         score_rows=score_rows(report),
+        milled=milled_sentences(table(report.get("as_milled"))),
         lens_rows=lens_rows(report, spec),
         throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
+        check_rows=check_rows(passes),
+        clearance_mm=_CLEARANCE_MM,
+        lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
         highest_z_mm=max((_z_bounds(row)[1] for row in passes if _z_bounds(row)), default=None),
         main_pictures=[name for name in ("target.png", "caustic.png", "caustic-as-milled.png") if name in files],
         pictures=[(name, caption) for name, caption in _PICTURES if name in files],
@@ -95,7 +107,7 @@ def _sentences(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
 
 
-def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any]) -> SetUp | None:
+def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> SetUp | None:
     """The sizes to draw; None where the spec does not give them."""
     optics, stock = table(spec.get("optics")), table(spec.get("stock"))
     relief_mm = table(report.get("optics")).get("relief_mm")
@@ -108,10 +120,35 @@ def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any]) -> SetUp | None:
             margin_mm=float(stock.get("margin_mm", 0.0)),
             is_mirror=optics.get("surface") == "mirror",
             lamp_mm=table(optics.get("light")).get("distance_mm"),
+            outline_mm=_outline(optics),
+            swept_mm=_swept(passes),
             deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
         )
     except (KeyError, TypeError, ValueError):
         return None
+
+
+def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
+    """Corners of a lens that is no rectangle."""
+    outline = optics.get("outline", "rectangle")
+    if outline == "ellipse":
+        return ellipse_mm(float(optics["width_mm"]), float(optics["height_mm"]))
+    return () if isinstance(outline, str) else [(float(x), float(y)) for x, y in outline]
+
+
+def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, float] | None:
+    """Left, right, front and back of what the balls of all programs go over, their radius included."""
+    sides = []
+    for row in passes:
+        bounds, radius_mm = table(row.get("bounds")), row.get("radius_mm")
+        if radius_mm is None or not all(len(bounds.get(axis) or ()) == 2 for axis in "xy"):
+            return None
+        (left, right), (front, back) = bounds["x"], bounds["y"]
+        sides.append((left - radius_mm, right + radius_mm, front - radius_mm, back + radius_mm))
+    if not sides:
+        return None
+    lefts, rights, fronts, backs = zip(*sides, strict=True)
+    return min(lefts), max(rights), min(fronts), max(backs)
 
 
 def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -124,6 +161,7 @@ def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
         if _z_bounds(row):
             row["stick_out_mm"] = _CLEARANCE_MM - min(_z_bounds(row)[0], 0.0)
+        row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
         rows.append(row)
     return rows
 
@@ -190,6 +228,7 @@ def _throw(
     if job is None:
         return None
     optics, image = table(spec.get("optics")), table(spec.get("image"))
+    radii = [row.get("radius_mm") or 0.0 for row in passes]
     own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, job.throw_mm)
     spread_mm = job.throw_mm * 2 * tan(radians(SUN_DEG) / 2) if own_mm is None else own_mm
     screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
@@ -198,7 +237,7 @@ def _throw(
         "one_percent_mm": 0.01 * job.throw_mm,
         "tolerances": tolerance_sentences(tolerances, throw_mm=job.throw_mm),
         "from_back_mm": job.throw_mm + job.thickness_mm,
-        "ring_stays": job.margin_mm > 2 * max((row.get("radius_mm") or 0.0 for row in passes), default=0.0),
+        "ring_stays": job.ring_mm > 0 and job.margin_mm > 2 * max(radii, default=0.0),
         "spread_mm": spread_mm,
         "spread_pixels": spread_mm / pixel_mm if pixel_mm else None,
         "spread_of": "The sun's disc" if own_mm is None else "The size of the source",

@@ -5,6 +5,7 @@ Only numbers go into them, so they are safe to place in the page as they are.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from markupsafe import Markup
@@ -15,7 +16,11 @@ _BLOCK, _LENS, _ACCENT = "#dfe8f0", "#ffffff", "#b3261e"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetUp:
-    """Sizes of a job in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel."""
+    """Sizes of a job in mm; deepest_mm is None before there is a lens, lamp_mm where light is parallel.
+
+    outline_mm : corners of a lens that is no rectangle
+    swept_mm   : left, right, front and back of what the cutter's flanks go over; None before there are programs
+    """
 
     width_mm: float
     height_mm: float
@@ -25,6 +30,16 @@ class SetUp:
     deepest_mm: float | None = None
     is_mirror: bool = False
     lamp_mm: float | None = None
+    outline_mm: Sequence[Sequence[float]] = ()
+    swept_mm: tuple[float, float, float, float] | None = None
+
+    @property
+    def ring_mm(self) -> float:
+        """Width of the block's top that no cutter touches, at its narrowest; None of it: below 0."""
+        if self.swept_mm is None:
+            return self.margin_mm
+        left, right, front, back = self.swept_mm
+        return self.margin_mm - max(-left, right - self.width_mm, -front, back - self.height_mm)
 
 
 def top_view(job: SetUp) -> Markup:
@@ -37,7 +52,8 @@ def top_view(job: SetUp) -> Markup:
     arrow = min(60.0, 0.45 * min(w, h))
     parts = [
         _box(left, top, w, h, _BLOCK, "#5b6b7a"),
-        _box(left + m, top + m, w - 2 * m, h - 2 * m, _LENS, "#1f2933"),
+        *_swept(job, zero_x, zero_y, scale),
+        *_lens(job, zero_x, zero_y, scale),
         _arrow(zero_x, zero_y, zero_x + arrow, zero_y),
         _arrow(zero_x, zero_y, zero_x, zero_y - arrow),
         f'<circle cx="{zero_x:.1f}" cy="{zero_y:.1f}" r="4.5" fill="{_ACCENT}"/>',
@@ -52,6 +68,29 @@ def top_view(job: SetUp) -> Markup:
     if job.margin_mm > 0:
         parts.append(_text(left + w + 6, top + h - m / 2 + 4, f"margin {job.margin_mm:g}"))
     return _svg(left + 340, top + h + 58, "The block from above", parts)
+
+
+def _swept(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
+    """What the cutter's flanks go over, where a ring is left around it."""
+    if job.swept_mm is None or job.ring_mm <= 0:
+        return []
+    left, right, front, back = job.swept_mm
+    box = f'x="{zero_x + scale * left:.1f}" y="{zero_y - scale * back:.1f}"'
+    size = f'width="{scale * (right - left):.1f}" height="{scale * (back - front):.1f}"'
+    return [f'<rect {box} {size} fill="#eef2f6" stroke="#8795a1" stroke-dasharray="4 3"/>']
+
+
+def _lens(job: SetUp, zero_x: float, zero_y: float, scale: float) -> list[str]:
+    """The aperture, and in it the outline of a lens that is no rectangle."""
+    w, h = scale * job.width_mm, scale * job.height_mm
+    if not job.outline_mm:
+        return [_box(zero_x, zero_y - h, w, h, _LENS, "#1f2933")]
+    points = " ".join(f"{zero_x + scale * x:.1f},{zero_y - scale * y:.1f}" for x, y in job.outline_mm)
+    return [
+        f'<rect x="{zero_x:.1f}" y="{zero_y - h:.1f}" width="{w:.1f}" height="{h:.1f}" fill="none" stroke="#5b6b7a" '
+        'stroke-width="0.8" stroke-dasharray="2 3"/>',
+        f'<polygon points="{points}" fill="{_LENS}" stroke="#1f2933" stroke-width="1.4"/>',
+    ]
 
 
 def _lens_size(job: SetUp, left: float, top: float, w: float, h: float, m: float) -> tuple[str, str]:

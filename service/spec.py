@@ -7,17 +7,28 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from service.spec_light import LightSpec
 from service.spec_optics import OpticsSpec
 from service.spec_section import Section
 
-__all__ = ["ImageSpec", "JobSpec", "LightSpec", "MachineSpec", "OpticsSpec", "PassRow", "Section", "StockSpec"]
+__all__ = [
+    "ImageSpec",
+    "JobSpec",
+    "LightSpec",
+    "MachineSpec",
+    "OpticsSpec",
+    "PassRow",
+    "PlanSpec",
+    "Section",
+    "StockSpec",
+]
 
-PRESETS = ("paper", "draft")
+PRESETS = ("paper", "draft", "recommended")
 MATERIALS = ("pmma",)
 MAX_PIXELS = 4096
+MOST_PASSES = 20
 MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array
 MIN_FLOOR_MM = 2.0  # stock that must be left under the deepest point: less bends and rings under the cutter
 
@@ -52,6 +63,7 @@ class PassRow(Section):
     strategy: Literal["raster", "contour"] = "raster"
     direction: Literal["x", "y"] = "x"
     link: Literal["u-turn", "retract"] = "u-turn"
+    where: Literal["everywhere", "rest"] = "everywhere"
     radius_mm: Tool
     pitch_mm: Annotated[float, Field(ge=0.002, le=25)]
     stock_to_leave_mm: Annotated[float, Field(ge=0, le=10)] = 0.0
@@ -71,6 +83,17 @@ class PassRow(Section):
             )
         return self
 
+    @model_validator(mode="after")
+    def _goes_together(self) -> Self:
+        if self.where == "rest" and self.strategy == "contour":
+            raise ValueError('where = "rest" goes with rows only; allowed: strategy = "raster"')
+        if self.shank_radius_mm is not None and self.flute_length_mm is None:
+            raise ValueError(
+                f"shank_radius_mm = {self.shank_radius_mm:g} says nothing without the height at which it begins; "
+                "allowed: with flute_length_mm"
+            )
+        return self
+
 
 class MachineSpec(Section):
     """The mill: a profile by name, and any of its figures set otherwise. Triples are X, Y, Z."""
@@ -81,6 +104,9 @@ class MachineSpec(Section):
     acceleration_mm_per_s2: Triple | None = None
     step_mm: Annotated[float, Field(gt=0, le=1)] | None = None
     z_noise_mm: Annotated[float, Field(ge=0, le=0.1)] | None = None
+    whole_steps: bool | None = None
+    most_program_mb: Annotated[float, Field(ge=0.1, le=1_000_000)] | None = None
+    most_program_hours: Annotated[float, Field(ge=0.05, le=10_000)] | None = None
     junction_deviation_mm: Annotated[float, Field(gt=0, le=1)] | None = None
     planner_blocks: Annotated[int, Field(ge=1, le=100_000)] | None = None
     lines_per_s: Annotated[float, Field(gt=0, le=1_000_000)] | None = None
@@ -102,15 +128,53 @@ class MachineSpec(Section):
         return values
 
 
-class JobSpec(Section):
-    """A whole job. `passes` left out means those of the preset."""
+class PlanSpec(Section):
+    """What preset "recommended" aims at, one thing at the most: hours of machine time to stay within, the blur to stay
+    under, or the PSNR to reach in the least time. Without any: nearly the best picture in the least time.
+    """
 
-    preset: Literal["paper", "draft"] = "paper"
+    hours: Annotated[float, Field(gt=0, le=10_000)] | None = None
+    blur_mm: Annotated[float, Field(gt=0, le=100)] | None = None
+    psnr_db: Annotated[float, Field(gt=0, le=100)] | None = None
+
+    @model_validator(mode="after")
+    def _one_thing(self) -> Self:
+        given = [name for name, value in self.model_dump().items() if value is not None]
+        if len(given) > 1:
+            raise ValueError(f"{' and '.join(given)} cannot all be aimed at; allowed: one of them")
+        return self
+
+
+class JobSpec(Section):
+    """A whole job. `passes` left out means those of the preset; those of "recommended" are planned for the picture."""
+
+    preset: Literal["paper", "draft", "recommended"] = "paper"
+    plan: PlanSpec = PlanSpec()
     image: ImageSpec = ImageSpec()
     optics: OpticsSpec = OpticsSpec()
     stock: StockSpec = StockSpec()
-    passes: Annotated[tuple[PassRow, ...], Field(min_length=1, max_length=20, strict=False)]
+    passes: Annotated[
+        tuple[PassRow, ...], Field(max_length=MOST_PASSES, strict=False, json_schema_extra={"minItems": 1})
+    ]
     machine: MachineSpec = MachineSpec()
+
+    @field_validator("passes")
+    @classmethod
+    def _some(cls, passes: tuple[PassRow, ...], info: ValidationInfo) -> tuple[PassRow, ...]:
+        if not passes and info.data.get("preset") != "recommended":
+            raise ValueError(f"is empty; allowed: a list of 1 to {MOST_PASSES} tables")
+        return passes
+
+    @model_validator(mode="after")
+    def _rest_of_something(self) -> Self:
+        if self.passes and self.passes[0].where == "rest":
+            raise ValueError('passes.0.where = "rest" has no pass before it; allowed: "everywhere" for the first')
+        return self
+
+    @property
+    def to_be_planned(self) -> bool:
+        """Whether the passes are still to be found, from the picture."""
+        return not self.passes
 
     @property
     def pixel_rows(self) -> int:
@@ -124,6 +188,8 @@ class JobSpec(Section):
         if self.optics.min_radius_mm is not None:
             return self.optics.min_radius_mm
         finishing = [row.radius_mm for row in self.passes if row.stock_to_leave_mm == 0]
+        if self.to_be_planned:
+            return 0.0
         return 0.0 if self.optics.creases else min(finishing or [row.radius_mm for row in self.passes])
 
     @model_validator(mode="after")
@@ -151,3 +217,10 @@ class JobSpec(Section):
     def plain(self) -> dict[str, Any]:
         """The spec as JSON-able data, without the keys that are not set."""
         return self.model_dump(mode="json", exclude_none=True)
+
+
+USUAL_ROWS = (
+    PassRow(name="rough", radius_mm=6.0, pitch_mm=2.0, stock_to_leave_mm=0.2),
+    PassRow(name="finish", radius_mm=6.0, pitch_mm=0.07),
+)
+"""What passes that are still to be planned mostly come to: for sizes and shares of time until then."""

@@ -17,6 +17,7 @@ from service.passes import preset_rows, with_feeds, without_derived
 from service.spec import PRESETS, JobSpec
 from service.spec_errors import as_spec_error, known_keys, unknown_key
 
+RECOMMENDED_MARGIN_MM = 14.0  # a ring at Z0 beside the 12 mm that a 6 mm ball clears
 _MAX_SPEC_BYTES = 1_000_000
 _INDEX = re.compile(r"\d{1,4}")
 
@@ -56,6 +57,8 @@ def spec_data(
         _override(data, text)
     _require_preset(data.get("preset", "paper"))
     data.setdefault("passes", preset_rows(data.get("preset", "paper")))
+    if data.get("preset") == "recommended":
+        _leave_room(data)
     for text in overrides:
         if text not in chosen:
             _override(data, text)
@@ -148,12 +151,16 @@ def parse_override(text: str) -> tuple[list[str], Any]:
 
 
 def _require_preset(preset: object) -> None:
-    if preset == "recommended":
-        allowed = ", ".join(f"'{name}'" for name in PRESETS)
-        raise SpecError([("preset", f"'recommended' is not available yet; allowed: {allowed}")])
     if preset not in PRESETS:
         allowed = ", ".join(f"'{name}'" for name in PRESETS)
         raise SpecError([("preset", f"'{preset}' is not allowed; allowed: {allowed}")])
+
+
+def _leave_room(data: dict[str, Any]) -> None:
+    """A margin that leaves large balls the choice, where the person has not said how wide it is."""
+    stock = data.get("stock", {})
+    if isinstance(stock, Mapping):
+        data["stock"] = {"margin_mm": RECOMMENDED_MARGIN_MM, **stock}
 
 
 def _merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,6 +15,7 @@ _LEAST_GAUSSIAN = 0.5  # of the aperture's longer side: in the corners of a squa
 _PAPER = "optics.method = 'paper'"
 
 Shift = Annotated[float, Field(ge=-20_000, le=20_000)]
+Blur = Annotated[float, Field(ge=0, le=100)]
 Screen = Annotated[float, Field(gt=0, le=20_000)]
 
 
@@ -25,6 +26,8 @@ class OpticsSpec(Section):
     min_radius_mm : valleys tighter than this ball are filled; 0: none are; left out: the ball of the finish pass
     branch        : "inverted": rays cross before the screen, so that black parts become ridges; "auto" chooses
     creases       : leave valleys as sharp as the picture wants them, on a finer grid
+    foreseen_blur_mm : what the tool's marks will blur the picture by, standard deviations in X and Y on the screen: the
+                    lens is made sharper by as much; [0, 0]: it is made for a perfect surface
     outline       : "rectangle", "ellipse", or corners [x_mm, y_mm] as seen from above on the mill
     """
 
@@ -46,6 +49,7 @@ class OpticsSpec(Section):
     viewed_from: Literal["lens", "behind"] = "lens"
     corrections: Annotated[int, Field(ge=0, le=3)] = 2
     polish: bool = False
+    foreseen_blur_mm: Annotated[list[Blur], Field(min_length=2, max_length=2)] = [0.0, 0.0]  # noqa: RUF012
     light: LightSpec = LightSpec()
 
     @property

@@ -16,8 +16,11 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
         yield from _light_lines(optics)
     for row in report.get("passes", []):
         deepest = row["bounds"]["z"][0]
+        parts = row.get("parts") or [row]
+        names = row["file"] if len(parts) == 1 else f"{row['file']} to {parts[-1]['file']}"
         yield (
-            f"{row['file']}: {row['lines']} lines, {row['path_length_mm'] / 1000:.1f} m, {duration(row['time_s'])}, "
+            f"{names}: {sum(part['lines'] for part in parts)} lines, "
+            f"{row['path_length_mm'] / 1000:.1f} m, {duration(row['time_s'])}, "
             f"{row['entries']} entr{'y' if row['entries'] == 1 else 'ies'}, deepest Z {deepest:.3f} mm, checked"
         )
     if len(report.get("passes", [])) > 1:

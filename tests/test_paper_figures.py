@@ -48,12 +48,13 @@ def test_the_page_in_docs_has_its_pictures():
 
 @pytest.mark.thorough
 def test_make_paper_at_a_small_size(tmp_path):
-    main(["--pixels", "32", "--steps-pixels", "32", "--remeshed-pixels", "48", "--output", str(tmp_path)])
+    small = {"--pixels": "32", "--steps-pixels": "32", "--remeshed-pixels": "48", "--milled-mm": "8"}
+    main([*(word for pair in small.items() for word in pair), "--output", str(tmp_path)])
     page = tmp_path / "paper.md"
     for picture in pictures_of(page):
         assert np.ptp(np.asarray(Image.open(picture).convert("L"))) > 200  # drawn, not blank
     text = page.read_text(encoding="utf-8")
     assert len(pictures_of(page)) == len(FIGURES)
     assert not re.search(r"\b(nan|inf)\b", text)
-    for number in (4, 5, 6, 7, 8, 9, 12):
+    for number in (4, 5, 6, 7, 8, 9, 12, 13, 14):
         assert re.search(rf"^\| {number} \| .+ \| .+ \|$", text, flags=re.MULTILINE), f"no line on figure {number}"

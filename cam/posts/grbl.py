@@ -1,6 +1,9 @@
-"""GRBL 1.1: no `%`, no tool change, no tool compensation; lines below 80 characters that end in a line feed."""
+"""GRBL 1.1, grblHAL and FluidNC: no `%`, no tool change, no tool compensation; lines below 80 characters that end in a
+line feed. What a tool-length probe has set (G43.1) is left as it is: Z0 was set with it."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 from cam.posts.post import Post
 
@@ -10,3 +13,5 @@ GRBL = Post(
     start=("G21G90G94G17G54", "G0Z{safe_z}", "M3S{rpm}", "G4P{dwell_s}"),
     end=("G0Z{safe_z}", "M5", "M2"),
 )
+GRBLHAL = replace(GRBL, name="grblhal")
+FLUIDNC = replace(GRBL, name="fluidnc")

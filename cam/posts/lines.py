@@ -12,8 +12,8 @@ UNKNOWN = np.iinfo(np.int64).min
 
 
 @njit(cache=True, nogil=True)
-def _write_number(value, decimals, keep_point, out, at):  # type: ignore[no-untyped-def]
-    """value / 10^decimals without trailing zeros into out[at:]; returns the place after it."""
+def write_number(value, decimals, least_decimals, out, at):  # type: ignore[no-untyped-def]
+    """value / 10^decimals, zeros behind the least decimals left out, into out[at:]; returns the place after it."""
     if value < 0:
         out[at] = 45  # -
         at += 1
@@ -29,21 +29,24 @@ def _write_number(value, decimals, keep_point, out, at):  # type: ignore[no-unty
         out[at] = 48 + whole // tens % 10
         at += 1
         tens //= 10
-    if part == 0 and not keep_point:
+    if part == 0 and least_decimals == 0:
         return at
     out[at] = 46  # .
     at += 1
-    while part > 0:
+    while part > 0 or least_decimals > 0:
         scale //= 10
         out[at] = 48 + part // scale
         at += 1
         part %= scale
+        least_decimals -= 1
     return at
 
 
 @njit(cache=True, nogil=True)
-def write_lines(points, state, decimals, letters, gap, line_end, opening, closing, keep_point, out):  # type: ignore[no-untyped-def]
-    """Points (n, 3) as blocks into out; state (3,) int64 is the last position written, updated.
+def write_lines(  # type: ignore[no-untyped-def]
+    points, state, decimals, letters, gap, line_end, opening, closing, least_decimals, number_every, out
+):
+    """Points (n, 3) as blocks into out; state (4,) int64: the last position and the lines written, updated.
 
     Axis words only where they changed, no block where none did; `opening` and `closing` (a motion word, a feed word)
     go on the first block alone. Returns bytes and lines written.
@@ -53,7 +56,14 @@ def write_lines(points, state, decimals, letters, gap, line_end, opening, closin
     first = True
     for k in range(points.shape[0]):
         begin = at
+        if number_every > 0 and (state[3] + lines + 1) % number_every == 0:
+            out[at] = 78  # N
+            at = write_number(state[3] + lines + 1, 0, 0, out, at + 1)
         if first:
+            if at > begin and opening.size:
+                for c in gap:
+                    out[at] = c
+                    at += 1
             for c in opening:
                 out[at] = c
                 at += 1
@@ -69,7 +79,7 @@ def write_lines(points, state, decimals, letters, gap, line_end, opening, closin
                         out[at] = c
                         at += 1
                 out[at] = letters[a]
-                at = _write_number(value, decimals[a], keep_point, out, at + 1)
+                at = write_number(value, decimals[a], least_decimals, out, at + 1)
                 state[a] = value
                 moved = True
         if not moved:
@@ -88,4 +98,5 @@ def write_lines(points, state, decimals, letters, gap, line_end, opening, closin
             out[at] = c
             at += 1
         lines += 1
+    state[3] += lines
     return at, lines

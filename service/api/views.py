@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.api.times import iso_or_none, iso_time
-from service.job_files import is_program
+from service.job_files import is_program, run_order
 from service.jobs.priorities import priority_word
 from service.jobs.records import Artifact, Job, Progress, StageRun
 from service.jobs.states import JobState
@@ -82,9 +82,9 @@ def artifact_view(file: Artifact) -> Json:
 
 
 def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
-    """The programs by number of their pass."""
-    found = {int(file.name.split("-")[1]): file for file in files if is_program(file.name)}
-    return dict(sorted(found.items()))
+    """The programs by number, from 1 in the order in which they are run: that of their pass, unless one is split."""
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
+    return dict(enumerate(found, 1))
 
 
 def media_type(name: str) -> str:

@@ -33,7 +33,9 @@ def register(app: typer.Typer) -> None:
 def submit(
     picture: Annotated[Path, typer.Argument(metavar="PICTURE", help="The picture, as for `make`.")],
     spec: Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")] = None,
-    preset: Annotated[str | None, typer.Option("--preset", metavar="NAME", help="Passes: paper or draft.")] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="Passes: paper, draft or recommended.")
+    ] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. optics.width_mm=40. Repeatable."),

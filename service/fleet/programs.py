@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from service.job_files import is_program
+from service.job_files import is_program, run_order
 from service.jobs.records import Artifact, Job
 
 Json = dict[str, Any]
@@ -14,9 +14,14 @@ Json = dict[str, Any]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Program:
-    """One pass: number from 1, file name, hash, size."""
+    """One program of a job, or one part of a pass: number from 1 in the order of running, file name, hash, size.
+
+    pass_number : of the pass, from 1; part: of it, from 1
+    """
 
     number: int
+    pass_number: int
+    part: int
     name: str
     sha256: str
     bytes: int
@@ -27,16 +32,26 @@ class Program:
 
 def programs_of(files: Sequence[Artifact]) -> list[Program]:
     """The programs among a job's files, in the order in which they are run."""
-    found = [
-        Program(number=int(file.name.split("-")[1]), name=file.name, sha256=file.sha256, bytes=file.bytes)
-        for file in files
-        if is_program(file.name)
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
+    passes = [run_order(file.name)[0] for file in found]
+    return [
+        Program(
+            number=number,
+            pass_number=passes[number - 1],
+            part=number - passes.index(passes[number - 1]),
+            name=file.name,
+            sha256=file.sha256,
+            bytes=file.bytes,
+        )
+        for number, file in enumerate(found, 1)
     ]
-    return sorted(found, key=lambda program: program.number)
 
 
-def set_up(job: Job, number: int) -> Json:
-    """Tool, block, zero and what changes since the pass before, from the job's own spec and report."""
+def set_up(job: Job, number: int, part: int = 1) -> Json:
+    """Tool, block, zero and what changes since the program before, from the job's own spec and report.
+
+    number : of the pass, from 1; part: of it, from 1
+    """
     row, before = _pass(job, number), _pass(job, number - 1)
     tool = {"shape": "ball end mill", "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
     optics, stock = _table(job.spec, "optics"), _table(job.spec, "stock")
@@ -51,7 +66,15 @@ def set_up(job: Job, number: int) -> Json:
     zero = (
         f"X0 Y0: lower left corner of the lens, {margin_mm:g} mm in from the block's left and front edges; Z0: its top"
     )
-    return {"tool": tool, "stock": block, "zero": zero, "change": _change(row, before) if number > 1 else None}
+    change = _same_pass(row) if part > 1 else _change(row, before) if number > 1 else None
+    return {"tool": tool, "stock": block, "zero": zero, "change": change}
+
+
+def _same_pass(row: Mapping[str, Any]) -> Json:
+    """Between two parts of one pass nothing may change: a mark would show where one goes on from the other."""
+    radius = row.get("radius_mm")
+    words = f"the same tool as before, R {_mm(radius)}, and all zeros as they are: the pass goes on where it ended"
+    return {"from_radius_mm": radius, "to_radius_mm": radius, "words": words}
 
 
 def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:

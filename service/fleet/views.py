@@ -60,7 +60,7 @@ def run_json(seen: Seen, around: Surroundings) -> Json:
     return live_json(seen) | {
         "job": run.job_id,
         "program": {"number": run.number, "name": run.program, "sha256": run.sha256},
-        "setup": set_up(around.job, run.number) if around.job is not None else None,
+        "setup": _set_up(around, run),
         "required_checks": required_checks(run, around),
         "left_out": [one.as_dict() for one in around.left_out(run.number)],
         "next": None if following is None else following.as_dict(),
@@ -68,6 +68,15 @@ def run_json(seen: Seen, around: Surroundings) -> Json:
         "created_at": moment(run.created_at),
         "links": _links(run),
     }
+
+
+def _set_up(around: Surroundings, run: RunRow) -> Json | None:
+    if around.job is None:
+        return None
+    for one in around.programs:
+        if one.number == run.number:
+            return set_up(around.job, one.pass_number, one.part)
+    return set_up(around.job, run.number)
 
 
 def _links(run: RunRow) -> Json:

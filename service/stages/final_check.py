@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from cam.gcode import read_program
+from cam.gcode import LANGUAGES, read_parts
 from cam.passes import PassSpec, Stock
 from machines.errors import ProgramRefusedError
 from machines.gcode.limits import MillLimits, limits_of
+from service.contour_sample import ContourSample
 from service.errors import FailedError
-from service.job_files import TOOLPATH, read_chunks
+from service.job_files import TOOLPATH, files_of_pass, read_chunks
 from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.path_sample import PathSample
 from service.preflight_worker import examine
@@ -22,11 +23,11 @@ def final_check(shop: Workshop) -> None:
     rows = shop.so_far["passes"]
     limits = limits_of(machine_of(shop.spec))
     with shop.watch.stage("pre-flight") as reached:
-        for number, row in enumerate(rows):
-            path = shop.folder / row["file"]
-            for warning in _warnings(path, row["sha256"], limits, _part(reached, number, len(rows))):
-                shop.note("passes", f"{path.name}: {warning}")
-    _draw(shop, [shop.folder / row["file"] for row in rows])
+        files = [file for row in rows for file in files_of_pass(row)]
+        for number, (name, sha256) in enumerate(files):
+            for warning in _warnings(shop.folder / name, sha256, limits, _part(reached, number, len(files))):
+                shop.note("passes", f"{name}: {warning}")
+    _draw(shop, [[shop.folder / name for name, _ in files_of_pass(row)] for row in rows])
 
 
 def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:
@@ -39,15 +40,15 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
     return found.warnings
 
 
-def _draw(shop: Workshop, programs: list[Path]) -> None:
+def _draw(shop: Workshop, programs: list[list[Path]]) -> None:
     """toolpath.png, drawn from the text of the programs."""
     from service import figures_paths  # what it stands on is slow to import
 
     stock = cam_stock_of(shop.spec)
     with shop.watch.stage("toolpath picture") as reached:
         samples = []
-        for number, (path, spec) in enumerate(zip(programs, cam_passes_of(shop.spec), strict=True), 1):
-            samples.append(_sample(path, number, spec, stock))
+        for number, (paths, spec) in enumerate(zip(programs, cam_passes_of(shop.spec), strict=True), 1):
+            samples.append(_sample(paths, number, spec, stock, machine_of(shop.spec).dialect))
             reached(number / (len(programs) + 1))
         picture = figures_paths.toolpath_png(
             samples, width_mm=stock.width_mm, height_mm=stock.height_mm, margin_mm=stock.margin_mm
@@ -55,15 +56,18 @@ def _draw(shop: Workshop, programs: list[Path]) -> None:
         shop.save(TOOLPATH, picture)
 
 
-def _sample(path: Path, number: int, spec: PassSpec, stock: Stock) -> PathSample:
-    sample = PathSample(
+def _sample(paths: list[Path], number: int, spec: PassSpec, stock: Stock, dialect: str) -> PathSample:
+    of_strategy = ContourSample if spec.strategy == "contour" else PathSample
+    sample = of_strategy(
         label=f"pass {number} {spec.name}",
         pitch_mm=spec.pitch_mm,
         radius_mm=spec.radius_mm,
         width_mm=stock.width_mm,
         height_mm=stock.height_mm,
+        along=spec.direction,
+        everywhere=spec.where == "everywhere",
     )
-    for batch in read_program(read_chunks(path)):
+    for batch in read_parts(map(read_chunks, paths), LANGUAGES[dialect]):
         sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
     return sample
 

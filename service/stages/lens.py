@@ -12,6 +12,7 @@ from typing import Any
 
 from optics.black import dark_leak_estimate
 from optics.design import LensDesign, design_lens
+from optics.foreseen import sharpened
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.settings import LensSettings
@@ -64,7 +65,7 @@ def transport_map(shop: Workshop) -> None:
     target = shop.receive(TARGET, arrays.load_target)
     with shop.watch.stage("lens") as reached:
         settings = lens_settings(shop.spec, branch=branch_of(shop.spec, target))
-        design = design_lens(target, settings, on_progress=_way(shop.spec, reached))
+        design = design_lens(aim_of(shop.spec, target), settings, on_progress=_way(shop.spec, reached))
         way = {"screen_mm": design.transport_map.screen_mm, "lens_mm": design.transport_map.lens_mm}
         shop.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
         shop.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
@@ -74,6 +75,13 @@ def transport_map(shop: Workshop) -> None:
 
         picture = figures_lens.flow_png(design.flow.snapshots, viewed_from=shop.spec.optics.viewed_from)
         shop.save("flow.png", picture)
+
+
+def aim_of(spec: JobSpec, target: Array) -> Array:
+    """The target, sharper by the blur that milling will add."""
+    (width_mm, height_mm), (ny, nx) = spec.optics.screen_size_mm, target.shape
+    blur_x_mm, blur_y_mm = spec.optics.foreseen_blur_mm
+    return sharpened(target, (blur_y_mm * ny / height_mm, blur_x_mm * nx / width_mm))
 
 
 def heightfield(shop: Workshop) -> None:

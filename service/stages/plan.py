@@ -22,9 +22,10 @@ from importlib.metadata import version
 from typing import Any
 
 from service.passes import machine_of
-from service.spec import JobSpec, PassRow
+from service.spec import USUAL_ROWS, JobSpec, PassRow
 from service.stages.order import FileRef
 from service.stages.sources import state_of_sources
+from service.tools import load_tools
 
 _BLOCK = ("optics.width_mm", "optics.height_mm", "stock.thickness_mm", "stock.margin_mm")
 _BENCH = (
@@ -38,7 +39,12 @@ _KINEMATICS = tuple(
         "planner_blocks", "lines_per_s", "safe_z_mm",
     )
 )  # fmt: skip
+_PROGRAMS = ("machine.step_mm", "machine.whole_steps", "machine.most_program_mb", "machine.most_program_hours")
+MILLED_S_PER_M = 0.025
 POLISH_S = 20.0  # of 512 x 512 pixels
+REST_SHARE = 0.1  # of the lens, at a guess, that a rest pass goes over
+PLAN_S = 12.0
+AS_MILLED_S_PER_M = 0.06
 _LIBRARIES = (
     "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "jinja2",
 )  # fmt: skip
@@ -86,6 +92,13 @@ _BEFORE = (
         parts=(("target", 1.0),),
     ),
     Stage(
+        name="passes",
+        function="service.stages.planning:choose_passes",
+        reads=(".target.npz",),
+        spec=("optics", "stock", "plan", "machine", "tools"),
+        parts=(("plan", 1.0),),
+    ),
+    Stage(
         name="map",
         function=f"{_LENS}:transport_map",
         reads=(".target.npz",),
@@ -111,7 +124,7 @@ _PASS = Stage(
     name="pass-*",
     function="service.stages.programs:one_pass",
     reads=("heightfield.npz",),
-    spec=(*_BLOCK, *_KINEMATICS),
+    spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
 )
 _AFTER = (
@@ -122,15 +135,36 @@ _AFTER = (
         spec=("passes", "machine", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
+    Stage(
+        name="as-milled",
+        function="service.stages.as_milled:as_milled",
+        reads=("heightfield.npz", "map.npz", "pass-*"),
+        spec=(
+            *_BENCH,
+            "optics.viewed_from",
+            "machine.dialect",
+            "machine.step_mm",
+            "machine.z_noise_mm",
+            *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
+        ),
+        parts=(("as milled: surface", 0.15), ("as milled: light", 0.7), ("as milled: causes", 0.15)),
+    ),
     Stage(name="report", function="service.stages.sheet:sheet", spec=("",), sheet=True),
 )
 _ROWS = {stage.name: stage for stage in (*_BEFORE, *_AFTER)}
 
 
 def plan(spec: JobSpec) -> tuple[str, ...]:
-    """Names of the stages of a job, in order."""
-    passes = (f"pass-{number}" for number in range(1, len(spec.passes) + 1))
-    return (*(stage.name for stage in _BEFORE), *passes, *(stage.name for stage in _AFTER))
+    """Names of the stages of a job, in order. Where the passes are still to be planned it is those of usual ones, and
+    known for good after the stage `passes`: see `with_plan`.
+    """
+    passes = (f"pass-{number}" for number in range(1, len(_rows(spec)) + 1))
+    before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
+    return (*before, *passes, *(stage.name for stage in _AFTER))
+
+
+def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
+    return spec.passes or USUAL_ROWS
 
 
 def stage_of(name: str) -> Stage:
@@ -145,7 +179,8 @@ def _pass(number: int) -> Stage:
     """A pass cuts what the pass before has left. The first one also says whether all balls fit the lens."""
     own = (*_PASS.spec, f"passes.{number - 1}")
     if number == 1:
-        fit = ("passes.*.radius_mm", "passes.*.stock_to_leave_mm", "optics.min_radius_mm")
+        cutters = ("radius_mm", "stock_to_leave_mm", "step_down_mm", "flute_length_mm", "shank_radius_mm")
+        fit = (*(f"passes.*.{key}" for key in cutters), "optics.min_radius_mm")
         return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit))
     reads = (*_PASS.reads, f".stock-{number - 1}.npz")
     return replace(_PASS, name=f"pass-{number}", number=number, spec=own, reads=reads)
@@ -170,19 +205,23 @@ def shares(spec: JobSpec) -> dict[str, float]:
     seconds = {
         "image": 0.1 + 0.1 * pixels,
         "irradiance": 0.1,
+        "passes": PLAN_S if spec.preset == "recommended" else 0.0,
         "map": 0.1 + method_s * pixels,
         "heightfield": 0.7 + 0.8 * pixels,
         "caustic": 1.0 + 4.0 * beams * pixels,
         "check": 0.7,
+        "as-milled": 1.0,
         "report": 0.1,
     }
-    for number, row in enumerate(spec.passes, 1):
-        path_m = _path_m(spec, row)
+    for number, row in enumerate(_rows(spec), 1):
+        path_m = _path_m(spec, row) * (REST_SHARE if row.where == "rest" else 1.0)
         finishes = row.stock_to_leave_mm == 0
         layers_s = 5.0 if number == 1 else 1.5  # the first one takes off most
         seconds[f"pass-{number}"] = layers_s + (0.035 if finishes else 0.01) * path_m
         seconds["check"] += 0.008 * path_m if finishes else 0.0
-    whole = sum(seconds.values())
+        seconds["as-milled"] += MILLED_S_PER_M * beams * path_m if finishes else 0.0
+        seconds["as-milled"] += AS_MILLED_S_PER_M * path_m if finishes else 0.0
+    whole = sum(seconds[name] for name in plan(spec))
     return {name: seconds[name] / whole for name in plan(spec)}
 
 
@@ -215,17 +254,22 @@ def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, 
 def facts_of(spec: JobSpec) -> dict[str, Any]:
     """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the block's
     thickness where light slants through it or a branch is chosen for it; the mill's figures, for a profile's file may
-    change under its name; and of each pass whether it is the last one, whose stock nobody asks for.
+    change under its name; and of each pass whether it is the last one, whose stock nobody asks for, and whether a rest
+    pass comes after it, which takes what it cannot reach.
     """
     facts = spec.model_dump(mode="json")
     facts["screen_mm"] = list(spec.optics.screen_size_mm)
-    facts["optics"]["min_radius_mm"] = spec.lens_radius_mm
+    if not spec.to_be_planned:
+        facts["optics"]["min_radius_mm"] = spec.lens_radius_mm
     facts["light_path_mm"] = spec.stock.thickness_mm if spec.optics.light_crosses_block else None
     facts["block_for_branch_mm"] = spec.stock.thickness_mm if spec.optics.branch == "auto" else None
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(machine_of(spec))
+    facts["tools"] = [asdict(tool) for tool in load_tools()] if spec.to_be_planned else None
     for row in facts["passes"]:
         row["last"] = row is facts["passes"][-1]
+    for number, row in enumerate(facts["passes"], 1):
+        row["rest_follows"] = any(later["where"] == "rest" for later in facts["passes"][number:])
     return facts
 
 

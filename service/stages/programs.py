@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, replace
+from itertools import count
 from pathlib import Path
 
 from cam.check import PassCheck, check_program
 from cam.duration import Kinematics
-from cam.gcode import ProgramError
+from cam.gcode import LANGUAGES, ProgramError
+from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
-from cam.posts.grbl import GRBL
-from cam.posts.post import Post
-from cam.program import generate_program
+from cam.posts.dialects import POSTS
+from cam.posts.digits import Digits
+from cam.program import generate_parts
 from cam.stock_grid import StockGrid
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
-from service.errors import FailedError, SpecError
-from service.fitting import require_travel, unfit_ball
+from service.errors import FailedError
+from service.fitting import require_flutes, require_travel, unfit_ball
 from service.job_files import HEIGHTFIELD, WrittenProgram, program_name, read_chunks, write_program
 from service.lens_facts import measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of
@@ -24,24 +28,8 @@ from service.spec import JobSpec
 from service.stages import arrays
 from service.stages.workshop import Workshop
 
-_POSTS: dict[str, Post] = {"grbl": GRBL, "grblhal": GRBL, "fluidnc": GRBL}
+_COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
 _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
-
-
-def require_post(spec: JobSpec) -> None:
-    """Before any work: can programs be written in the language of the job's machine?"""
-    machine = machine_of(spec)
-    if machine.dialect not in _POSTS:
-        allowed = ", ".join(f"'{name}'" for name in _POSTS)
-        raise SpecError(
-            [
-                (
-                    "machine.profile",
-                    f"'{machine.name}' speaks {machine.dialect}, and no programs can be written in that yet; "
-                    f"allowed: a machine of dialect {allowed} (see `causticmill machines`)",
-                )
-            ]
-        )
 
 
 def one_pass(shop: Workshop) -> None:
@@ -52,21 +40,21 @@ def one_pass(shop: Workshop) -> None:
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
     spec, stock = cam_passes_of(shop.spec)[shop.number - 1], cam_stock_of(shop.spec)
     if shop.number == 1:
-        require_post(shop.spec)
         require_millable(shop, heightfield)
         stock_top = first_stock(stock)
     else:
         stock_top = shop.receive(stock_name(shop.number - 1), arrays.load_stock)
     written = _write(shop, spec, heightfield, stock_top)
-    verdict = _check(shop, written.file, spec, heightfield, stock_top)
-    for sentence in verdict.notes if spec.finishes else ():
-        shop.note("passes", f"{written.file}: {sentence}")
+    verdict = _check(shop, [part.file for part in written], spec, heightfield, stock_top)
+    rest_follows = any(later.where == "rest" for later in shop.spec.passes[shop.number :])
+    notes = () if rest_follows else verdict.notes  # what is left here is taken there
+    for sentence in (*notes, *_of_coarse_steps(shop.spec, spec), *_of_parts(written)) if spec.finishes else ():
+        shop.note("passes", f"{written[0].file}: {sentence}")
     row = {
-        "file": written.file,
-        "sha256": written.sha256,
+        "file": written[0].file,
         **verdict.as_report(),
-        "lines": written.lines,
-        "bytes": written.bytes,
+        **asdict(written[0]),
+        **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
         "settings": shop.spec.passes[shop.number - 1].model_dump(),
     }
     shop.report["passes"] = [row]
@@ -84,6 +72,7 @@ def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
     passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
     with shop.watch.stage("fit"):
         require_travel(heightfield, stock, passes, machine_of(shop.spec))
+        require_flutes(heightfield, passes)
         unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.lens_radius_mm)
         if unfit:
             shop.note("passes", unfit)
@@ -99,7 +88,7 @@ def first_stock(stock: Stock) -> StockGrid:
 
 
 def simulate(
-    path: Path,
+    paths: Sequence[Path],
     spec: PassSpec,
     heightfield: Heightfield,
     stock: Stock,
@@ -107,9 +96,10 @@ def simulate(
     machine: MachineProfile,
     on_progress: Callable[[float], None] | None = None,
 ) -> PassCheck:
-    """Read a written program back and simulate what it removes from stock_top."""
+    """Read a pass's programs back, one after the other, and simulate what they remove from stock_top."""
     return check_program(
-        read_chunks(path),
+        read_chunks(paths[0]),
+        further=map(read_chunks, paths[1:]),
         heightfield=heightfield,
         spec=spec,
         stock=stock,
@@ -117,7 +107,9 @@ def simulate(
         kinematics=kinematics_of(machine),
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
-        total_bytes=path.stat().st_size,
+        language=LANGUAGES[machine.dialect],
+        digit_mm=_digits(machine).z_mm,
+        total_bytes=sum(path.stat().st_size for path in paths),
         on_progress=on_progress,
     )
 
@@ -132,29 +124,86 @@ def kinematics_of(machine: MachineProfile) -> Kinematics:
     )
 
 
-def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> WrittenProgram:
+def _digits(machine: MachineProfile) -> Digits:
+    """The raster on which programs for this mill state positions."""
+    return POSTS[machine.dialect].digits.coarsened(_step_mm(machine))
+
+
+def _step_mm(machine: MachineProfile) -> float:
+    return machine.step_mm if machine.whole_steps else 0.0
+
+
+def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[str]:
+    if len(written) > 1:
+        yield (
+            f"the pass is split into {len(written)} programs up to {written[-1].file}; each goes on in the track of "
+            f"the one before, {len(written) - 1} entries more at the most: do not change tool or zero between them"
+        )
+
+
+def _of_coarse_steps(job: JobSpec, spec: PassSpec) -> Iterator[str]:
+    """What the raster of heights does to the light, where it can be seen.
+
+    Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
+    the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
+    """
+    digits = _digits(machine_of(job))
+    if digits.z_mm < _COARSE_STEP_MM:
+        return
+    slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
+    yield (
+        f"heights in whole steps of {digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} mrad from row to "
+        f"row: a blur of about {49 * slope:.2g} mm on a screen 100 mm away (n = 1.49); finer positions or a larger "
+        "ball show more"
+    )
+
+
+def part_limits_of(machine: MachineProfile) -> PartLimits:
+    megabytes, hours = machine.most_program_mb, machine.most_program_hours
+    return PartLimits(
+        most_bytes=math.inf if megabytes is None else 1e6 * megabytes,
+        most_s=math.inf if hours is None else 3600 * hours,
+        rapid_mm_per_min=min(machine.max_rate_mm_per_min),
+    )
+
+
+def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> list[WrittenProgram]:
+    """The programs of the pass: one, or its parts."""
     machine = machine_of(shop.spec)
-    post = _POSTS[machine.dialect]
+    post = POSTS[machine.dialect]
+    whole = shop.folder / program_name(shop.number, spec.name, post.suffix)
     with shop.watch.stage(f"write pass {shop.number} {spec.name}") as reached:
-        chunks = generate_program(
+        parts = generate_parts(
             heightfield,
             spec,
             cam_stock_of(shop.spec),
             stock_top=stock_top,
             post=post,
             safe_z_mm=machine.safe_z_mm,
+            limits=part_limits_of(machine),
+            step_mm=_step_mm(machine),
+            number=shop.number,
             on_progress=reached,
         )
-        return write_program(shop.folder / program_name(shop.number, spec.name, post.suffix), chunks)
+        names = (program_name(shop.number, spec.name, post.suffix, part) for part in count(1))
+        written = [write_program(shop.folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
+        if len(written) == 1:
+            (shop.folder / written[0].file).rename(whole)
+            return [replace(written[0], file=whole.name)]
+        return written
 
 
-def _check(shop: Workshop, file: str, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> PassCheck:
+def _check(
+    shop: Workshop, files: list[str], spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
+) -> PassCheck:
     stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    called = files[0] if len(files) == 1 else f"{files[0]} to {files[-1]}, lines counted through"
     with shop.watch.stage(f"check pass {shop.number} {spec.name}") as reached:
         try:
-            verdict = simulate(shop.folder / file, spec, heightfield, stock, stock_top, machine, reached)
+            paths = [shop.folder / file for file in files]
+            verdict = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
         except ProgramError as error:
-            raise FailedError(f"{file}: {error}") from error
+            raise FailedError(f"{called}: {error}") from error
     if not verdict.ok:
-        raise FailedError(*(f"{file}: {fault}" for fault in verdict.faults))
+        raise FailedError(*(f"{called}: {fault}" for fault in verdict.faults))
     return verdict

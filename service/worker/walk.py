@@ -11,6 +11,7 @@ import structlog
 from service.errors import FailedError, printable
 from service.jobs.states import JobState, StageState
 from service.jobs.work_book import STOPPED, Claim, StageClose, StageTry
+from service.passes import with_plan
 from service.spec_files import validated
 from service.stages.order import FileRef, PictureLimits, StageOrder, StageResult, merge_notes, merge_reports
 from service.stages.plan import plan, shares, stage_key
@@ -38,14 +39,22 @@ class Walk:
 
     def to_the_end(self) -> None:
         """Every stage, then the job's end; or its end on the way."""
-        for stage in plan(self._spec):
+        while (stage := self._next()) is not None:
             with structlog.contextvars.bound_contextvars(stage=stage):
                 result = self._result_of(stage)
             if result is None:
                 return
             self._done_share = self._whole(stage, 1.0)
             self._results.append(result)
+            if self._spec.to_be_planned:
+                self._spec = with_plan(self._spec, merge_reports(result.report for result in self._results))
+                self._shares = shares(self._spec)
         self._finish(JobState.SUCCEEDED, report=merge_reports(result.report for result in self._results))
+
+    def _next(self) -> str | None:
+        """The stage after those that are done; planning passes changes those to come only."""
+        stages = plan(self._spec)
+        return stages[len(self._results)] if len(self._results) < len(stages) else None
 
     def _result_of(self, stage: str) -> StageResult | None:
         """Equal work done before, or its own; None where the job has ended here."""
@@ -99,7 +108,7 @@ class Walk:
             job_id=job.id,
             attempt=job.attempt,
             stage=begun.stage,
-            spec=job.spec,
+            spec=self._spec.model_dump(mode="json"),
             image_sha256=job.image_sha256,
             image_name=job.name,
             scratch=str(self._scratch(begun, "d")),

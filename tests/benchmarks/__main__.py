@@ -1,7 +1,8 @@
 """`make bench`: figures with machine and date beside them, in out/bench.md and out/bench.json.
 
 Figures are ratios within this run or best-of-several times on this machine; none of them is asserted.
-Name sections to run only those: python -m tests.benchmarks transport contact programs make server
+Name sections to run only those:
+python -m tests.benchmarks transport contact accuracy programs contour milled make server
 """
 
 from __future__ import annotations
@@ -13,11 +14,15 @@ from service.kernel_cache import use_current_kernels
 use_current_kernels()  # before numba
 
 from tests.benchmarks import (  # noqa: E402
+    accuracy,
     black,
     contact,
+    contour,
     frames,
     lights,
+    milled,
     photographs,
+    plans,
     programs,
     quality,
     server,
@@ -36,7 +41,11 @@ SECTIONS = {
     "lights": lights.figures,
     "frames": frames.figures,
     "contact": contact.figures,
+    "accuracy": accuracy.figures,
     "programs": programs.figures,
+    "contour": contour.figures,
+    "plans": plans.figures,
+    "milled": milled.figures,
     "make": whole.figures,
     "server": server.figures,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,10 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, ramp
-from cam.layers import Field, chained, plan_layers, spans
+from cam.gcode import read_program
+from cam.layers import SLOT_FEED, Field, chained, plan_layers, spans
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
+from cam.posts.grbl import GRBL
+from cam.program import generate_program, pass_paths
 from cam.raster import Rows
+from cam.removal import RemovalGrid
 from cam.stock_grid import StockGrid
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
@@ -153,3 +158,58 @@ def test_a_ramp_cuts_its_whole_stretch():
     assert len(points) <= 10  # a straight leg is one move
     legs = np.flatnonzero(np.diff(np.sign(np.diff(points[:, 0]))))
     assert points[legs[-1] + 1 :, 2].min() == pytest.approx(-1.5)
+
+
+def rest_of(spec, radius_mm: float, make_bumps):
+    """What a rough pass with one ball leaves of a small lens, and where a second rough pass cuts it."""
+    lens, top = make_bumps(3, relief_mm=1.6, spread_mm=0.7), StockGrid.block(STOCK, 0.1)
+    first = replace(spec, radius_mm=radius_mm)
+    grid = RemovalGrid(top, radius_mm=radius_mm)
+    text = generate_program(lens, first, STOCK, stock_top=top, post=GRBL)
+    for batch in read_program(text):
+        grid.cut(batch)
+    grid.rest()
+    return lens, grid.stock()
+
+
+@pytest.mark.parametrize("radius_mm", [0.8, 2.0])
+def test_a_second_rough_pass_goes_where_the_first_one_really_left_stock(make_bumps, radius_mm):
+    """Its layers and their depth come from the simulated stock: every cut of it takes off something, none too much."""
+    lens, left = rest_of(ROUGH, radius_mm, make_bumps)
+    second = replace(ROUGH, radius_mm=0.5, pitch_mm=0.2, stock_to_leave_mm=0.05, step_down_mm=0.1)
+    spread, met = field(lens, second, left)
+    plan = plan_layers(spread, met, second)
+    deepest = float((spread.stock_mm - spread.target_mm).max()) + met.slack_mm
+    assert len(plan.layers) == int(np.ceil(deepest / second.step_down_mm)) - 1
+    grid = RemovalGrid(left, radius_mm=second.radius_mm)
+    drops = [
+        grid.cut(batch).depth_mm
+        for batch in read_program(generate_program(lens, second, STOCK, stock_top=left, post=GRBL))
+    ]
+    assert max(d.max() for d in drops) <= 1.06 * second.step_down_mm + 0.05
+    in_layers = [layer.offset_mm for layer in plan.layers]
+    assert in_layers == sorted(in_layers, reverse=True)
+
+
+def test_a_bigger_first_ball_leaves_the_second_one_more_to_do(make_bumps):
+    second = replace(ROUGH, radius_mm=0.5, pitch_mm=0.2, stock_to_leave_mm=0.05, step_down_mm=0.04)
+    lengths = []
+    for radius_mm in (0.8, 2.0):
+        lens, left = rest_of(ROUGH, radius_mm, make_bumps)
+        points = np.concatenate([path.points_mm for path in pass_paths(lens, second, STOCK, stock_top=left)])
+        lengths.append(float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()))
+    assert 1.05 * lengths[0] < lengths[1]
+
+
+def test_slots_are_cut_slowly_and_only_first_rows(make_bumps):
+    """On a flat block: stock on both sides of a row happens once per stretch, on the way in."""
+    lens, top = make_bumps(1, relief_mm=0.4), StockGrid.block(STOCK, 0.1)
+    spec = replace(ROUGH, step_down_mm=0.9)
+    paths = list(pass_paths(lens, spec, STOCK, stock_top=top))
+    length = {
+        feed: sum(float(np.hypot(*np.diff(p.points_mm[:, :2], axis=0).T).sum()) for p in paths
+                  if p.feed_mm_per_min == feed)
+        for feed in (spec.feed_mm_per_min, SLOT_FEED * spec.feed_mm_per_min)
+    }  # fmt: skip
+    slots, rows = length[SLOT_FEED * spec.feed_mm_per_min], length[spec.feed_mm_per_min]
+    assert 0 < slots < 4 * (STOCK.width_mm + 2 * spec.radius_mm) < rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,7 +90,7 @@ def test_a_move_to_where_the_tool_stands_makes_no_block():
 
 
 def test_another_dialect_is_data():
-    """Spaces, points on whole numbers, CR LF, two-digit motion words."""
+    """Spaces, decimals on whole numbers, whole feeds, CR LF, two-digit motion words."""
     other = Post(
         name="o",
         suffix=".nc",
@@ -98,11 +99,19 @@ def test_another_dialect_is_data():
         rapid="G00",
         cut="G01",
         between_words=" ",
-        keep_point=True,
+        least_decimals=1,
+        feed_decimals=0,
         line_end="\r\n",
         z_decimals=3,
     )
-    assert text([rapid((0, 1.5, 5)), cut([(0, 1.5, -0.0004)], 300)], other) == "G00 X0. Y1.5 Z5.\r\nG01 Z0. F300\r\n"
+    paths = [rapid((0, 1.5, 5)), cut([(0, 1.5, -0.0004)], 300.7)]
+    assert text(paths, other) == "G00 X0.0 Y1.5 Z5.0\r\nG01 Z0.0 F300\r\n"
+
+
+def test_every_so_many_lines_carry_their_number():
+    numbered = replace(GRBL, number_every=2, between_words=" ")
+    paths = [rapid((0, 0, 5)), cut([(0, 0, 1), (1, 0, 1), (1, 0, 1), (2, 0, 1)], 60)]
+    assert text(paths, numbered).splitlines() == ["G0 X0 Y0 Z5", "N2 G1 Z1 F60", "X1", "N4 X2"]
 
 
 def test_first_and_last_blocks():

@@ -69,12 +69,13 @@ def test_the_path_does_not_depend_on_how_the_work_is_split(make_bumps, monkeypat
     np.testing.assert_array_equal(np.concatenate(list(continuous_rows(surface, rows, rule))), whole)
 
 
-def test_separate_rows_all_run_the_same_way(make_bumps):
+@pytest.mark.parametrize("rightward", [True, False])
+def test_separate_rows_all_run_the_same_way(make_bumps, rightward):
     surface = ToolSurface.over(make_bumps(2, relief_mm=1.0), radius_mm=0.5)
     rows = Rows.over(STOCK, spec(pitch_mm=0.25))
-    pieces = list(separate_rows(surface, rows, finish_rule(1e-3, 0.1)))
+    pieces = list(separate_rows(surface, rows, finish_rule(1e-3, 0.1), rightward=rightward))
     assert [p[0, 1] for p in pieces] == rows.y_mm.tolist()
-    assert all((np.diff(p[:, 0]) > 0).all() for p in pieces)
+    assert all(((np.diff(p[:, 0]) > 0) == rightward).all() for p in pieces)
 
 
 def test_leaving_off_early_ends_the_workers(make_bumps):

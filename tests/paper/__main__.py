@@ -11,11 +11,13 @@ import os
 import platform
 from pathlib import Path
 
+from tests.paper.machining import figure_13, figure_14
+from tests.paper.milled import figure_15
 from tests.paper.others import figure_9, figure_12
 from tests.paper.portrait import figure_4, figure_5, figure_6, figure_7, figure_8
 from tests.paper.section import Sizes
 
-FIGURES = (figure_4, figure_5, figure_6, figure_7, figure_8, figure_9, figure_12)
+FIGURES = (figure_4, figure_5, figure_6, figure_7, figure_8, figure_9, figure_12, figure_13, figure_14, figure_15)
 
 HEAD = """# The paper's figures, made again
 
@@ -33,8 +35,7 @@ method" is `method = "transport"`, the default of causticmill, with two correcti
 
 MISSING = """## Not here
 
-Figures 1, 10 and 11 are photographs of milled blocks; 2 and 3 are drawings. Figures 13 to 15 (milling path, scallops,
-their light) come with the machining part of this project.
+Figures 1, 10 and 11 are photographs of milled blocks; 2 and 3 are drawings.
 """
 
 
@@ -43,11 +44,18 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--pixels", type=int, default=256)
     parser.add_argument("--steps-pixels", type=int, default=512, help="for Figs 4 to 8, which the paper shows at 512")
     parser.add_argument("--remeshed-pixels", type=int, default=128, help="for Fig. 12, where darts are slow")
+    parser.add_argument("--milled-mm", type=float, default=100.0, help="side of the lens that Figs 13 and 14 mill")
     parser.add_argument("--output", type=Path, default=Path(__file__).parents[2] / "docs")
     chosen = parser.parse_args(arguments)
     pictures = chosen.output / "paper"
     pictures.mkdir(parents=True, exist_ok=True)
-    sizes, sections = Sizes(main=chosen.steps_pixels, others=chosen.pixels, remeshed=chosen.remeshed_pixels), []
+    sizes = Sizes(
+        main=chosen.steps_pixels,
+        others=chosen.pixels,
+        remeshed=chosen.remeshed_pixels,
+        milled_mm=chosen.milled_mm,
+    )
+    sections = []
     for figure in FIGURES:
         sections.append(figure(sizes, pictures))
         print(f"| {sections[-1].verdict} |", flush=True)

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from tests.paper.cases import Result
+from tests.paper.cases import SIDE_MM, Result
 
 CLAIMED_STEPS = (1, 3, 5, 7, 25)
 
 
 class Sizes(NamedTuple):
-    """Pixels a side: of the main picture (Figs 4 to 8), of the others (Fig. 9), of those remeshed (Fig. 12)."""
+    """Pixels a side: of the main picture (Figs 4 to 8), of the others (Fig. 9), of those remeshed (Fig. 12).
+
+    milled_mm : side of the piece of the lens that Figs 13 and 14 mill
+    """
 
     main: int
     others: int
     remeshed: int
+    milled_mm: float = SIDE_MM
 
 
 class Section(NamedTuple):

@@ -10,6 +10,7 @@ from PIL import Image
 
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.paper.flow import FlowSnapshot
+from service.contour_sample import ContourSample
 from service.figures import comparison_png, picture_png, rounded_up, srgb_levels, through_focus_png
 from service.figures_lens import flow_png, heightfield_png, raking_light
 from service.figures_paths import PathSample, toolpath_png
@@ -202,3 +203,47 @@ def test_a_toolpath_picture_shows_rapids_and_only_rapids_in_red():
     hops = np.concatenate([points, [[0, 20, 9], [20, 0, 9]]])
     without = red(sampled(points, rapid, batch=99, pitch_mm=0.5, limit=10**5))
     assert red(sampled(hops, np.append(rapid, [True, True]), batch=99, pitch_mm=0.5, limit=10**5)) > without + 50
+
+
+def spiral(pitch_mm: float, side_mm: float = 20.0, step_mm: float = 0.2) -> np.ndarray:
+    turns = np.arange(0, side_mm / 2 / pitch_mm, step_mm / 40)
+    angle = 2 * np.pi * turns
+    radius = pitch_mm * turns
+    middle = np.array([side_mm / 2, side_mm / 2, 0])
+    return middle + np.column_stack([radius * np.cos(angle), radius * np.sin(angle), -radius / 9])
+
+
+@pytest.mark.parametrize("batch", [10**6, 999])
+def test_of_a_contour_path_evenly_strewn_pieces_are_drawn(batch):
+    """Drawn pieces lie on the path, keep half their distance, leave no large hole, and their number is bounded."""
+    path, layer = spiral(0.1), np.column_stack([np.linspace(0, 20, 300), np.full(300, 7.0), np.full(300, -0.5)])
+    up = np.array([0, 0, 9])
+    points = np.concatenate([layer, layer[-1:] + up, path[:1] + up, path, path[-1:] + up])
+    rapid = np.zeros(len(points) - 1, dtype=bool)
+    rapid[[299, 300, len(points) - 2]] = True
+    sample = ContourSample(label="p", pitch_mm=0.1, radius_mm=0.5, width_mm=20, height_mm=20)
+    for k in range(0, len(rapid), batch):
+        last = min(k + batch, len(rapid))
+        sample.add(points[k:last], points[k + 1 : last + 1], rapid[k:last])
+    drawn, apart = sample.tracks_mm()[:, 1, :2], sample.row_distance_mm
+    radius = np.hypot(*(drawn - 10).T)
+    assert len(drawn) < 20_000
+    assert np.diff(np.unique(np.round(radius / 0.1))).max() * 0.1 < 2 * apart
+    near = np.hypot(*(drawn[:, None, :] - drawn[None, ::7, :]).transpose(2, 0, 1))
+    other = (abs(radius[:, None] - radius[None, ::7]) > 0.2 * apart) & (radius > 1)[:, None]  # long turns
+    assert near[other].min() > 0.25 * apart  # cells are a quarter of the distance
+    assert sample.ends_mm()[1] == pytest.approx(path[-1]) and sample.ends_mm()[0][:2] == pytest.approx(path[0, :2])
+    assert sample.length_mm == pytest.approx(np.hypot(*np.diff(path[:, :2], axis=0).T).sum(), rel=1e-6)
+    moves, along = sample.window_tracks()
+    inside = sample.window.meets(path[:-1], path[1:])
+    assert (
+        len(moves) == inside.sum() == len(along) and (np.diff(along) >= 0).all() and 0 <= along.min() < along.max() <= 1
+    )
+
+
+def test_a_contour_pass_is_drawn_beside_the_others():
+    points = np.concatenate([[[10, 10, 5]], spiral(0.5)])
+    sample = ContourSample(label="p", pitch_mm=0.5, radius_mm=0.5, width_mm=20, height_mm=20)
+    sample.add(points[:-1], points[1:], np.zeros(len(points) - 1, dtype=bool))
+    rows = sampled(*serpentine(40, 30, pitch_mm=0.5), batch=99, pitch_mm=0.5, limit=10**5)
+    assert pixels(toolpath_png([rows, sample], width_mm=20, height_mm=20, margin_mm=2)).std() > 10

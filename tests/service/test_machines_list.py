@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from machines.profiles import profile_names
+from cam.gcode import LANGUAGES
+from cam.posts.dialects import POSTS
+from machines.profiles import DIALECTS, profile_names
 from service.errors import InputError, SpecError
 from service.machines_list import list_machines, run_machines
 from service.passes import machine_of
 from service.spec_files import resolve_spec
-from service.stages.programs import require_post
 
 
 @pytest.fixture
@@ -65,24 +66,19 @@ def test_a_job_finds_a_profile_of_ones_own_and_says_what_is_wrong_with_it(own: P
         resolve_spec(base={"machine": {"profile": "bench"}})
 
 
-def test_a_dialect_no_program_can_be_written_in_is_one_line(own: Path) -> None:
-    (own / "osp.toml").write_text('extends = "grbl"\ndialect = "okuma"\n')
-    (own / "hal.toml").write_text('extends = "grbl"\ndialect = "grblhal"\n')
-    require_post(resolve_spec(base={"machine": {"profile": "hal"}}))
-    with pytest.raises(SpecError) as caught:
-        require_post(resolve_spec(base={"machine": {"profile": "osp"}}))
-    assert "\n" not in str(caught.value)
-    assert str(caught.value).startswith(
-        "machine.profile: 'osp' speaks okuma, and no programs can be written in that yet"
-    )
+def test_programs_can_be_written_and_read_for_every_dialect_a_profile_may_have() -> None:
+    assert set(POSTS) == set(LANGUAGES) == set(DIALECTS)
+    assert {dialect: post.suffix for dialect, post in POSTS.items() if post.suffix != ".nc"} == {
+        "linuxcnc": ".ngc",
+        "okuma": ".min",
+        "rml-1": ".rml",
+    }
 
 
-def test_a_job_takes_a_machine_of_ones_own_and_refuses_one_it_has_no_programs_for(own: Path) -> None:
+def test_a_job_takes_a_machine_of_ones_own_and_says_what_is_wrong_with_it(own: Path) -> None:
     (own / "bench.toml").write_text('extends = "grbl-3018"\ntravel_mm = [280, 175, 40]\n')
     machine = machine_of(resolve_spec(overrides=["machine.profile=bench", "machine.safe_z_mm=4"]))
     assert (machine.name, machine.travel_mm, machine.safe_z_mm) == ("bench", (280, 175, 40), 4)
-    with pytest.raises(SpecError, match="'okuma-osp' speaks okuma, and no programs can be written in that yet"):
-        require_post(resolve_spec(overrides=["machine.profile=okuma-osp"]))
     (own / "bench.toml").write_text("travel_mm = [-1, 2, 3]\n")
     with pytest.raises(SpecError, match=r"machine\.profile: 'bench' cannot be used: .*bench\.toml: travel_mm"):
         resolve_spec(overrides=["machine.profile=bench"])

@@ -1,7 +1,7 @@
 """`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1.
 
-    python -m tests.trials [clean faults echo kills agent wire big latency estimate renderer storm-sqlite
-                           storm-postgres]
+    python -m tests.trials [clean faults echo kills agent wire big latency estimate renderer interpreter
+                           storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
 """
@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable
 
 from tests.benchmarks.reporting import run_sections
 from tests.benchmarks.timing import Figure
-from tests.trials import renderer, sections
+from tests.trials import interpreter, renderer, sections
 from tests.trials.server import sections as server
 
 SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
@@ -27,6 +27,7 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "latency": sections.latency,
     "estimate": sections.estimate,
     "renderer": renderer.figures,
+    "interpreter": interpreter.figures,
     "storm-sqlite": server.sqlite_storm,
     "storm-postgres": server.postgres_storm,
 }

@@ -62,25 +62,26 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
 @pytest.mark.parametrize(
     ("key", "stages"),
     [
-        ("passes.1.pitch_mm", {"pass-2", "check"}),
+        ("passes.1.pitch_mm", {"pass-2", "check", "as-milled"}),
         ("passes.1.feed_mm_per_min", {"pass-2", "check"}),
-        ("passes.0.pitch_mm", {"pass-1", "check"}),
-        ("passes.1.radius_mm", {"pass-1", "pass-2", "check"}),  # the first pass says whether all balls fit
-        ("optics.throw_mm", {"map", "caustic"}),
+        ("passes.0.pitch_mm", {"pass-1", "check", "as-milled"}),
+        ("passes.1.radius_mm", {"pass-1", "pass-2", "check", "as-milled"}),  # the first pass says whether all balls fit
+        ("optics.throw_mm", {"map", "caustic", "as-milled"}),
         ("optics.corrections", {"map"}),
         ("optics.polish", {"map"}),
         ("optics.branch", {"map"}),
         ("optics.vertices_per_pixel", {"map"}),
-        ("optics.surface", {"map", "caustic"}),
-        ("optics.screen_shift_x_mm", {"map", "caustic"}),
-        ("optics.outline", {"map", "heightfield", "caustic"}),
-        ("optics.light.profile", {"map", "caustic"}),
-        ("optics.viewed_from", {"irradiance", "map", "caustic"}),
+        ("optics.surface", {"map", "caustic", "as-milled"}),
+        ("optics.screen_shift_x_mm", {"map", "caustic", "as-milled"}),
+        ("optics.outline", {"map", "heightfield", "caustic", "as-milled"}),
+        ("optics.light.profile", {"map", "caustic", "as-milled"}),
+        ("optics.viewed_from", {"irradiance", "map", "caustic", "as-milled"}),
         ("image.tone", {"image"}),
         ("image.pixels", {"image"}),
         ("stock.thickness_mm", {"heightfield", "pass-1", "pass-2", "check"}),
         ("stock.skim_mm", {"map"}),
         ("machine.safe_z_mm", {"pass-1", "pass-2", "check"}),
+        ("machine.most_program_mb", {"pass-1", "pass-2", "check"}),
         ("machine.spindle_rpm", {"check"}),
         ("machine.profile", {"check"}),  # all its figures are given otherwise
         ("preset", set()),
@@ -96,7 +97,7 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
     [
         ("optics.method", {"map"}),
         ("optics.creases", {"map"}),
-        *((key, {"map", "caustic"}) for key in ALONE if key.startswith("optics.light")),
+        *((key, {"map", "caustic", "as-milled"}) for key in ALONE if key.startswith("optics.light")),
     ],
 )
 def test_what_a_change_reaches_where_values_go_together(key: str, stages: set[str]) -> None:
@@ -108,8 +109,8 @@ def test_what_a_change_reaches_where_values_go_together(key: str, stages: set[st
     ("light", "stages"),
     [
         ({"kind": "collimated"}, {"heightfield", "pass-1", "pass-2", "check"}),
-        ({"kind": "sun"}, {"map", "caustic", "heightfield", "pass-1", "pass-2", "check"}),
-        (POINT["optics.light"], {"map", "caustic", "heightfield", "pass-1", "pass-2", "check"}),
+        ({"kind": "sun"}, {"map", "caustic", "as-milled", "heightfield", "pass-1", "pass-2", "check"}),
+        (POINT["optics.light"], {"map", "caustic", "as-milled", "heightfield", "pass-1", "pass-2", "check"}),
     ],
 )
 def test_the_block_s_thickness_is_the_lens_s_business_where_light_slants(
@@ -134,7 +135,7 @@ def test_the_ball_of_the_finish_pass_shapes_the_lens_unless_the_person_said_anot
         keys_of(spec_of({"optics.min_radius_mm": None, "passes.1.radius_mm": radius})) for radius in (3.0, 2.5)
     )
     assert {stage for stage in STAGES if before[stage] != after[stage]} == {
-        "map", "pass-1", "pass-2", "check", "report",
+        "map", "pass-1", "pass-2", "check", "as-milled", "report",
     }  # fmt: skip
 
 

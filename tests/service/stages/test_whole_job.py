@@ -33,7 +33,8 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_the_stages_are_those_of_the_contract(job: StagedJob) -> None:
     assert plan(job.spec) == (
-        "image", "irradiance", "map", "heightfield", "caustic", "pass-1", "pass-2", "pass-3", "check", "report",
+        "image", "irradiance", "map", "heightfield", "caustic", "pass-1", "pass-2", "pass-3", "check",
+        "as-milled", "report",
     )  # fmt: skip
 
 

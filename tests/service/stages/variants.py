@@ -11,6 +11,7 @@ _ROW = {
     "strategy": "raster",
     "direction": "x",
     "link": "u-turn",
+    "where": "everywhere",
     "plunge_mm_per_min": 300.0,
     "spindle_rpm": 9000.0,
     "flute_length_mm": 15.0,
@@ -39,6 +40,7 @@ BASE: dict[str, Any] = {
         "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
         "junction_deviation_mm": 0.01,
         "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
+        "whole_steps": False, "most_program_mb": 100.0, "most_program_hours": 100.0,
     },
 }  # fmt: skip
 OTHER: dict[str, Any] = {
@@ -53,7 +55,8 @@ OTHER: dict[str, Any] = {
     "stock.thickness_mm": 25.0, "stock.margin_mm": 9.0, "stock.skim_mm": 0.15,
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
-    "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001,
+    "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001, "machine.whole_steps": True,
+    "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05,
     "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
     "machine.lines_per_s": 200.0, "machine.safe_z_mm": 6.0, "machine.spindle_rpm": [2000.0, 19000.0],
     **{
@@ -68,11 +71,12 @@ OTHER: dict[str, Any] = {
         }.items()
     },
 }  # fmt: skip
-ONLY_ONE_VALUE = {"stock.material"}
+ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     "optics.method": ({}, {"optics.method": "paper"}),
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
+    "passes.1.where": ({}, {"passes.1.where": "rest"}),
     "optics.light.kind": ({}, {"optics.light": {"kind": "sun"}}),
     "optics.light.size_deg": ({"optics.light": {"kind": "sun"}}, {"optics.light": {"kind": "sun", "size_deg": 1.0}}),
     "optics.light.distance_mm": (POINT, {"optics.light": {**POINT["optics.light"], "distance_mm": 400.0}}),

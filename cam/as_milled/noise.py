@@ -1,0 +1,69 @@
+"""Height errors of a machine: one for each row, or wandering along an unbroken path (paper, Fig. 15c)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cam.moves import Array
+from cam.passes import PassSpec
+
+WANDER_MM = 10.0
+"""Along a path without entries the error keeps for about this way: that of a heavy axis, not that of chatter."""
+
+SEED = 20140511
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Noise:
+    """Gaussian errors of the tip's height, the same for the same seed.
+
+    sigma_mm  : standard deviation
+    rows_run  : "x" or "y": each row of that direction has an error of its own (a collision at its beginning that is
+                carried along, as in the paper); None: an error that is new at every entry and wanders along the path
+    wander_mm : way after which a wandering error has forgotten 63 % of itself
+    """
+
+    sigma_mm: float
+    rows_run: str | None = "x"
+    wander_mm: float = WANDER_MM
+    seed: int = SEED
+
+    @classmethod
+    def of_pass(cls, spec: PassSpec, sigma_mm: float, *, seed: int = SEED) -> Noise:
+        return cls(sigma_mm=sigma_mm, rows_run=spec.direction if spec.strategy == "raster" else None, seed=seed)
+
+    def errors_mm(self, tips_mm: Array, joined: NDArray[np.bool_]) -> Array:
+        """(n,) height errors of tips (n, 3) as programmed."""
+        rng = np.random.default_rng(self.seed)
+        if self.rows_run is None:
+            out: Array = rng.standard_normal(joined.size)
+            _wander(tips_mm, joined, self.wander_mm, out)
+            return self.sigma_mm * out
+        number = _row_numbers(tips_mm[:, 1 if self.rows_run == "x" else 0], joined)
+        return np.asarray(self.sigma_mm * rng.standard_normal(int(number[-1]) + 1 if number.size else 0)[number])
+
+
+def _row_numbers(across_mm: Array, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """(n,) of tips: each stretch of equal `across_mm` is a row; what lies between two rows goes with the one before."""
+    along = np.zeros(across_mm.size, dtype=np.bool_)
+    along[1:] = joined[1:] & (np.diff(across_mm) == 0.0)
+    begins = along.copy()
+    begins[1:] &= ~along[:-1]
+    number = np.cumsum(begins)
+    number[:-1] += begins[1:]  # the first tip of a row comes before its first chord
+    return np.maximum(number, 0)
+
+
+@njit(cache=True, nogil=True)
+def _wander(tips: Array, joined: NDArray[np.bool_], wander: float, out: Array) -> None:
+    """Independent unit normals in, an Ornstein-Uhlenbeck walk of unit variance along each chain out."""
+    for k in range(joined.size):
+        if joined[k]:
+            way = math.hypot(tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1])
+            kept = math.exp(-way / wander)
+            out[k] = kept * out[k - 1] + math.sqrt(1.0 - kept * kept) * out[k]

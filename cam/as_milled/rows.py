@@ -1,0 +1,123 @@
+"""Tracks of a finishing pass that nobody has written yet: the same rows as its program would have, in memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from cam.as_milled.noise import Noise
+from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Tracks
+from cam.moves import Array
+from cam.passes import Direction, Stock, ball_pass
+from cam.raster import Rows, continuous_rows
+from cam.tool_surface import ToolSurface
+from cam.vertices import VertexRule, finish_rule
+from optics.heightfield import Heightfield
+
+SLOPE_ERROR_RAD = 0.5e-3
+DECIMALS = 5  # of z in most dialects
+_PLACES = (0.3, 0.7)  # of either side: the middles of samples
+_SAMPLE_MM = 10.0  # side of a sample, or a quarter of the lens
+
+
+def row_tracks(
+    heightfield: Heightfield,
+    *,
+    radius_mm: float,
+    pitch_mm: float,
+    direction: Direction = "x",
+    decimals: int = DECIMALS,
+    slope_error_rad: float = SLOPE_ERROR_RAD,
+) -> Tracks:
+    """Rows of one ball all over the lens, joined by turns on the surface, z rounded as a program rounds it."""
+    lens = heightfield if direction == "x" else _turned(heightfield)
+    stock = Stock(width_mm=lens.width_mm, height_mm=lens.height_mm, thickness_mm=1.0, margin_mm=0.0)
+    spec = ball_pass("rows", radius_mm=radius_mm, pitch_mm=pitch_mm, stock_to_leave_mm=0.0, step_down_mm=radius_mm)
+    surface, rule = ToolSurface.over(lens, radius_mm=radius_mm), _rule(lens, radius_mm, slope_error_rad)
+    return _tracks(surface, Rows.over(stock, spec), rule, direction, decimals)
+
+
+def _rule(lens: Heightfield, radius_mm: float, slope_error_rad: float) -> VertexRule:
+    return finish_rule(slope_error_rad, min(lens.dx_mm, radius_mm / 2), aperture_x_mm=(0.0, lens.width_mm))
+
+
+def _tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: Direction, decimals: int) -> Tracks:
+    tips = np.concatenate(list(continuous_rows(surface, rows, rule)))
+    tips[:, 2] = np.round(tips[:, 2], decimals)
+    if direction == "y":
+        tips = np.ascontiguousarray(tips[:, [1, 0, 2]])
+    joined = np.ones(len(tips), dtype=np.bool_)
+    joined[0] = False
+    return Tracks(radius_mm=surface.radius_mm, tips_mm=tips, joined=joined)
+
+
+def _turned(heightfield: Heightfield) -> Heightfield:
+    """The lens with x and y exchanged."""
+    return Heightfield(x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
+
+
+def sample_facets(
+    heightfield: Heightfield,
+    *,
+    radius_mm: float,
+    pitch_mm: float,
+    direction: Direction = "x",
+    step_mm: float = 0.0,
+    z_noise_mm: float = 0.0,
+    decimals: int = DECIMALS,
+    slope_error_rad: float = SLOPE_ERROR_RAD,
+    surface: ToolSurface | None = None,
+) -> tuple[Array, ...]:
+    """(n, 4, 5) facets of four squares of the lens, a hundredth of it each: what such rows do to its slopes.
+
+    surface : of this ball over this lens (x and y exchanged for rows along y), if the caller has it already
+    """
+    lens = heightfield if direction == "x" else _turned(heightfield)
+    touched = ToolSurface.over(lens, radius_mm=radius_mm) if surface is None else surface
+    rule = _rule(lens, radius_mm, slope_error_rad)
+    error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)
+    roughness_mm = tip_error_mm(step_mm=step_mm, decimals=decimals)
+    found = []
+    for number, rows in enumerate(_small_fields(lens, radius_mm, pitch_mm)):
+        noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
+        tracks = _tracks(touched, rows, rule, direction, decimals).made_by(step_mm=step_mm, noise=noise)
+        milled = MilledSurface.of_tracks(
+            [tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, roughness_mm=roughness_mm
+        )
+        facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
+        found.append(_inner(facets, 3 * milled.reach_mm + pitch_mm))
+    return tuple(found)
+
+
+def tip_error_mm(*, step_mm: float, z_noise_mm: float = 0.0, decimals: int = DECIMALS) -> float:
+    """Standard deviation of the tips' heights: steps and decimals are even within +-1/2."""
+    return math.hypot(z_noise_mm, step_mm / math.sqrt(12), 10.0**-decimals / math.sqrt(12))
+
+
+def _small_fields(lens: Heightfield, radius_mm: float, pitch_mm: float) -> Iterator[Rows]:
+    """Rows of a pass where they make one of the samples."""
+    spline = lens.spline()
+    half = min(_SAMPLE_MM, lens.width_mm / 4, lens.height_mm / 4) / 2
+    for v in _PLACES:
+        for u in _PLACES:
+            x, y = lens.x_mm[0] + u * lens.width_mm, lens.y_mm[0] + v * lens.height_mm
+            _, zx, zy, *_ = spline.jets(x, y)
+            shift = radius_mm / math.sqrt(1 + zx**2 + zy**2)
+            tip_x, tip_y = float(x - shift * zx), float(y - shift * zy)
+            numbers = np.arange(math.ceil((tip_y - half) / pitch_mm), math.floor((tip_y + half) / pitch_mm) + 1)
+            yield Rows(
+                y_mm=np.round(numbers * pitch_mm, 4),
+                left_mm=round(tip_x - half, 4),
+                right_mm=round(tip_x + half, 4),
+                turn_mm=math.ceil(pitch_mm / 2 * 1e4) / 1e4,
+            )
+
+
+def _inner(facets: Array, rim_mm: float) -> Array:
+    """Without those near the sample's rim, where neighbours are missing."""
+    middle = facets[:, :, :2].mean(axis=1)
+    low, high = (np.quantile(middle, share, axis=0) for share in (0.002, 0.998))
+    return facets[((middle > low + rim_mm) & (middle < high - rim_mm)).all(axis=1)]

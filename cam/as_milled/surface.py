@@ -1,0 +1,84 @@
+"""The milled surface as a whole: parts that can be made one by one, in any order, by any thread."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam.as_milled.chords import Chords, sorted_chords
+from cam.as_milled.facets import SLICES, facets_of
+from cam.as_milled.tracks import Tracks
+from cam.moves import Array
+from optics.heightfield import Heightfield
+
+CHORDS_PER_PART = 20_000
+_LONGEST_MM = 0.1
+_BOX_MM = 0.03  # smaller ones cost more memory than they save time
+_SIGMAS = 3.0
+_EVEN = 0.4  # of the pitch: roughness that hides less than this only bends the borders between tracks
+_PIECE, _SHORTEST_MM = 0.12, 0.005
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MilledSurface:
+    """What finishing programs leave, as facets: `part(0)` .. `part(parts - 1)`.
+
+    reach_mm : balls farther apart than this do not hide anything of one another
+    piece_mm : a chord is judged by pieces no longer than this; crossed_piece_mm: where other tracks cross it
+    """
+
+    chords: Chords
+    lens: tuple[Array, float, float, float, float]
+    reach_mm: float
+    piece_mm: float
+    crossed_piece_mm: float
+
+    @classmethod
+    def of_tracks(
+        cls,
+        tracks: Sequence[Tracks],
+        heightfield: Heightfield,
+        *,
+        pitch_mm: float,
+        error_mm: float = 0.0,
+        roughness_mm: float = 0.0,
+    ) -> MilledSurface:
+        """Of one program or several: a point belongs to the ball that went deepest there.
+
+        pitch_mm     : the widest distance between neighbouring tracks
+        error_mm     : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around.
+        roughness_mm : what of it changes from tip to tip, as that of steps does: then a track comes and goes
+        """
+        radius = max(one.radius_mm for one in tracks)
+        hidden, patchy = (math.sqrt(2.0 * radius * _SIGMAS * error) for error in (error_mm, roughness_mm))
+        reach = 1.5 * pitch_mm + 1.5 * hidden
+        longest = min(_LONGEST_MM, max(2.0 * reach, 0.5 * _LONGEST_MM))
+        piece = longest if patchy < _EVEN * pitch_mm else min(longest, max(_PIECE * patchy, _SHORTEST_MM))
+        run_out = radius + 1.0
+        return cls(
+            chords=sorted_chords(
+                [one.divided(longest) for one in tracks], longest_mm=longest, side_mm=max(reach, _BOX_MM)
+            ),
+            lens=heightfield.spline_with_run_out(run_out).kernel_arguments,
+            reach_mm=reach,
+            piece_mm=piece,
+            crossed_piece_mm=min(piece, pitch_mm / 3),
+        )
+
+    @property
+    def parts(self) -> int:
+        return math.ceil(self.chords.joined.size / CHORDS_PER_PART)
+
+    def part(self, number: int) -> Array:
+        """(n, 4, 5) facets: corners in order around, each x, y, z [mm] and slopes in x and y."""
+        first = number * CHORDS_PER_PART
+        last = min(first + CHORDS_PER_PART, self.chords.joined.size)
+        room = (last - first) * (math.ceil(self.chords.longest / self.crossed_piece_mm) + 1 + SLICES)
+        out = np.empty((room, 4, 5))
+        count, _ = facets_of(
+            self.chords, first, last, self.lens, self.reach_mm, self.piece_mm, self.crossed_piece_mm, out
+        )
+        return out[:count]

@@ -1,0 +1,84 @@
+"""What stands above the cutting edges: does the shank, or the end of the flutes, meet stock that is left?
+
+The cutter is a ball, flutes as wide as the ball up to flute_length_mm above the tip, and a shank of shank_radius_mm
+above them. At no move may stock within the wider of the two stand higher than the flutes reach: within the ball's
+radius it would be cut by what has no edge, beyond it the shank strikes it. The stock is that of the moment, as the
+simulation has it (cam.sweep); only what is stated of a cutter can be checked.
+"""
+
+from __future__ import annotations
+
+from math import ceil
+
+import numpy as np
+from scipy.ndimage import maximum_filter
+
+from cam.findings import Finding
+from cam.gcode import MoveBatch
+from cam.passes import PassSpec
+from cam.removal import Drops, RemovalGrid
+from cam.sweep import STRIKE, STRIKE_CELL
+from cam.tool_surface import ToolSurface
+from optics.heightfield import Array, Heightfield
+
+RUB_MM = 0.01
+"""A wall that the flutes have cut stands just beside the shank: rubbing this much is no collision."""
+
+_SAMPLES = 400  # of the lens along a side, before any work
+
+
+def shank_of(spec: PassSpec) -> tuple[float, float] | None:
+    """(reach from the axis, height above the tip): no stock may stand higher there; None where nothing is stated."""
+    if spec.flute_length_mm is None:
+        return None
+    return max(spec.radius_mm, spec.shank_radius_mm or 0.0) - RUB_MM, spec.flute_length_mm
+
+
+class Collisions:
+    """Gathers the strikes of one program, batch by batch."""
+
+    def __init__(self, spec: PassSpec) -> None:
+        shank = f"a shank of radius {spec.shank_radius_mm or spec.radius_mm:g} mm"
+        self._strikes = Finding(
+            says=lambda v: (
+                f"brings stock {v:.3f} mm above the end of the flutes against {shank} (allowed: none above "
+                f"flute_length_mm = {spec.flute_length_mm:g})"
+            )
+        )
+
+    def add(self, batch: MoveBatch, drops: Drops, whole: RemovalGrid) -> None:
+        over_mm = drops.tally[1:, STRIKE]
+        guilty = over_mm > RUB_MM
+        if guilty.any():
+            x_mm, y_mm = whole.places_mm(drops.tally[1:, STRIKE_CELL].astype(np.int64))
+            self._strikes.note_moves(guilty, over_mm, batch.line, np.column_stack([x_mm, y_mm]))
+
+    @property
+    def faults(self) -> list[str]:
+        return self._strikes.sentences
+
+
+def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
+    """How far the finished lens itself would stand above the flutes beside the cutter, at worst; known before any work.
+
+    The least that can happen: stock that is still to come off only stands higher. Below 0 it is clear by that much.
+    """
+    shank = shank_of(spec)
+    if shank is None:
+        return -np.inf
+    reach_mm, flutes_mm = shank
+    surface = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    step_mm = max(max(heightfield.width_mm, heightfield.height_mm) / _SAMPLES, reach_mm / 20)
+    x_mm, y_mm = (np.arange(0.0, size + step_mm / 2, step_mm) for size in (heightfield.width_mm, heightfield.height_mm))
+    x_mm, y_mm = np.minimum(x_mm, heightfield.width_mm), np.minimum(y_mm, heightfield.height_mm)
+    tips_mm = surface.tip_rows_mm(x_mm, y_mm)
+    highest_mm = _within(heightfield.spline().heights_mm(x_mm[None, :], y_mm[:, None]), reach_mm / step_mm)
+    return float((highest_mm - tips_mm).max()) - flutes_mm
+
+
+def _within(heights: Array, cells: float) -> Array:
+    """The highest within so many cells of each."""
+    n = ceil(cells)
+    across = np.arange(-n, n + 1)
+    disc = np.hypot(across[None, :], across[:, None]) <= cells
+    return np.asarray(maximum_filter(heights, footprint=disc, mode="nearest"))

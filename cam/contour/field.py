@@ -1,0 +1,192 @@
+"""The field whose level sets are the tracks: they run along the contours of the surface, nearly evenly spaced.
+
+Theory. Contours of the heights themselves lie close on slopes and far apart on flats. The field f keeps their direction
+and evens out their spacing: grad f is as near as it can be to n, the unit gradient of the heights, or to n stretched by
+up to STRETCH where that turns it less (a Poisson problem with weights, solved again with the same factors). Weights die
+where the surface is flat, so f carries the direction of the surroundings across plateaus; an even surface gives rows.
+
+|grad f| is not even: level sets one step apart are 1 / |grad f| steps apart. How many more are needed is the density
+class c, rising by 1 for every factor RATIO. It is raised over short dips, so that tracks do not end and begin again,
+and has steps with ramps between them, on which the tracks of one class glide to their places in the next (levels.py).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, log
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import splu
+
+from cam.moves import Array
+from cam.tool_surface import ToolSurface
+from optics.heightfield import BicubicSpline, Heightfield
+
+RATIO = 1.07
+"""From class to class: how many times more tracks."""
+
+REACH_PITCHES = 0.485
+"""No place may be farther from every track: half a pitch, less what is seen to a pixel in cover.py."""
+
+LEAST_GRADIENT = 0.2
+"""Of the greatest: flatter spots of f, around summits and saddles, are left to the strokes of holes.py."""
+
+FLAT_SLOPE = 0.02
+FAINT = 1e-3
+"""Weight of a surface without slope, and of the pull along y."""
+
+STRETCH = 1.5
+STRETCHINGS = 12
+SMOOTH_MM = 0.6
+NODES = 400
+"""Of the longer side, for the solve."""
+
+DIP_MM = 3.0
+DIP_BELOW = 0.8
+"""Dips are filled up to the class that this share of the lens does with: not to that of a summit nearby."""
+
+RAMP = 0.3
+"""Share of a class step that is a ramp."""
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContourField:
+    """Nodes [j, i] at (x0_mm + i step_mm, y0_mm + j step_mm).
+
+    f (ny, nx)        : its level sets are tracks [mm]
+    density (ny, nx)  : class, 0 at the greatest gradient
+    level_mm          : between the levels of class 0, two reaches where the gradient is greatest
+    wanted (ny, nx)   : places of the tip that must lie near a track: the aperture, and where the ball touches it
+    """
+
+    x0_mm: float
+    y0_mm: float
+    step_mm: float
+    f: Array
+    density: Array
+    level_mm: float
+    wanted: Mask
+
+    @classmethod
+    def over(cls, heightfield: Heightfield, surface: ToolSurface, *, pitch_mm: float) -> ContourField:
+        width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
+        step = min(2.5 * pitch_mm, 0.2, surface.radius_mm / 8)
+        pad = ceil(surface.radius_mm / step)
+        x, y = (np.arange(-pad, ceil(side / step) + pad + 1.0) * step for side in (width_mm, height_mm))
+        spline = _solved(heightfield, surface)
+        jets = _jets(spline, x, y)
+        wanted = _wanted(surface, x, y, width_mm, height_mm, pitch_mm)
+        gradient = np.hypot(jets[1], jets[2])
+        near = ndimage.minimum_filter(gradient, 3)
+        greatest = float(np.quantile(gradient[wanted], 0.999))
+        needed = np.log(greatest / np.clip(near, LEAST_GRADIENT * greatest, greatest)) / log(RATIO)
+        return cls(
+            x0_mm=float(x[0]),
+            y0_mm=float(y[0]),
+            step_mm=step,
+            f=jets[0],
+            density=_density(needed, float(np.quantile(needed[wanted], DIP_BELOW)), step),
+            level_mm=greatest * 2 * REACH_PITCHES * pitch_mm,
+            wanted=wanted,
+        )
+
+
+def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
+    """(3, ny, nx) value and gradient."""
+    out = np.empty((3, y.size, x.size))
+    for j in range(y.size):
+        out[:, j] = spline.jets(x, y[j])[:3]
+    return out
+
+
+def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, pitch_mm: float) -> Mask:
+    """The aperture and, around it, the places from which the ball touches it."""
+    slack = 1e-6
+    inside = ((y >= -slack) & (y <= height_mm + slack))[:, None] & ((x >= -slack) & (x <= width_mm + slack))
+    wanted = inside.copy()
+    ring = ~inside
+    j, i = np.nonzero(ring)
+    contacts = surface.contacts_mm(x[i], y[j])
+    beyond = pitch_mm / 2
+    wanted[j, i] = (
+        (contacts[:, 0] > -beyond)
+        & (contacts[:, 0] < width_mm + beyond)
+        & (contacts[:, 1] > -beyond)
+        & (contacts[:, 1] < height_mm + beyond)
+    )
+    return wanted
+
+
+def _density(needed: Array, usual: float, step_mm: float) -> Array:
+    """(ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps."""
+    size = max(3, 2 * round(DIP_MM / 2 / step_mm) + 1)
+    raised = np.maximum(needed, ndimage.grey_closing(np.minimum(needed, usual), size))
+    blur = max(1, round(DIP_MM / 10 / step_mm))
+    raised = ndimage.gaussian_filter(ndimage.maximum_filter(raised, 2 * blur + 1), blur / 2, truncate=2.0)
+    whole = np.ceil(raised)
+    return np.asarray(whole + np.clip(1 + (raised - whole) / RAMP, 0.0, 1.0))
+
+
+def _solved(heightfield: Heightfield, surface: ToolSurface) -> BicubicSpline:
+    """f over the aperture; around it, as far as the ball runs out, f goes on with its slope."""
+    width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
+    spacing = max(max(width_mm, height_mm) / NODES, 0.05)
+    nx, ny = (max(8, round(side / spacing)) + 1 for side in (width_mm, height_mm))
+    x, y = np.linspace(0, width_mm, nx), np.linspace(0, height_mm, ny)
+    dx, dy = x[1], y[1]
+    contacts = surface.contacts_mm(*np.meshgrid(x, y))  # the tip's surface has the slope of the lens at the contact
+    touched = np.clip(contacts[:, 0], 0, width_mm), np.clip(contacts[:, 1], 0, height_mm)
+    slopes = heightfield.spline().jets(*touched)[1:3].reshape(2, ny, nx)
+    zx, zy = (ndimage.gaussian_filter(slope, (SMOOTH_MM / dy, SMOOTH_MM / dx), mode="nearest") for slope in slopes)
+    f = _along(zx, zy, dx, dy)
+    by_x, by_y = ceil(surface.radius_mm / dx) + 3, ceil(surface.radius_mm / dy) + 3
+    f = _beyond(_beyond(f, by_y, 0), by_x, 1)
+    return BicubicSpline.through(f, x0_mm=-by_x * dx, y0_mm=-by_y * dy, dx_mm=dx, dy_mm=dy)
+
+
+def _beyond(f: Array, rows: int, axis: int) -> Array:
+    """f with rows more at both ends of an axis, as a continuation of the slope there."""
+    f = np.moveaxis(f, axis, 0)
+    far = np.arange(1, rows + 1)[:, None]
+    before = f[0] + far[::-1] * (f[0] - f[1])
+    after = f[-1] + far * (f[-1] - f[-2])
+    return np.moveaxis(np.concatenate([before, f, after]), 0, axis)
+
+
+def _along(zx: Array, zy: Array, dx: float, dy: float) -> Array:
+    """f (ny, nx) with grad f along (zx, zy): least squares over the edges of the grid, each weighted.
+
+    A faint pull along y is all that an even surface feels; inside, where it meets others, it has no effect.
+    """
+    ny, nx = zx.shape
+    slope2 = zx**2 + zy**2
+    weight = slope2 / (slope2 + FLAT_SLOPE**2)
+    length = np.sqrt(slope2) + 1e-9
+    along_x, along_y = _differences(nx, dx), _differences(ny, dy)
+    slopes = sparse.vstack([sparse.kron(sparse.eye(ny), along_x), sparse.kron(along_y, sparse.eye(nx))]).tocsr()
+    strength = _on_edges(weight, weight)
+    matrix = (slopes.T @ sparse.diags(strength + FAINT) @ slopes).tocsc()
+    matrix[0, 0] *= 2  # f is free up to a constant
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", options={"SymmetricMode": True}, diag_pivot_thresh=0.0)
+    pull = _on_edges(np.zeros_like(zx), np.full_like(zy, FAINT))
+    stretch = np.ones_like(zx)
+    for _ in range(STRETCHINGS):
+        toward = _on_edges(stretch * zx / length, stretch * zy / length)
+        f = factors.solve(slopes.T @ (strength * toward + pull)).reshape(ny, nx)
+        fy, fx = np.gradient(f, dy, dx)
+        stretch = np.clip((fx * zx + fy * zy) / length, 1.0, STRETCH)
+    return np.asarray(f)
+
+
+def _differences(n: int, spacing: float) -> sparse.dia_matrix:
+    """(n - 1, n) slopes between neighbours."""
+    return sparse.diags([-1 / spacing, 1 / spacing], [0, 1], shape=(n - 1, n))
+
+
+def _on_edges(x: Array, y: Array) -> Array:
+    """Means over the edges along x, of x (ny, nx), then over those along y, of y (ny, nx)."""
+    return np.concatenate([((x[:, :-1] + x[:, 1:]) / 2).ravel(), ((y[:-1] + y[1:]) / 2).ravel()])

@@ -1,0 +1,220 @@
+"""All tracks on one path: from the end of each to the cheapest way into another, on the surface, tracks crossed or not.
+
+Everything lies on the surface, so joints may cross tracks. A joint is the shortest curve of bounded curvature between
+two headings; its length is the cost by which the next track is chosen. The neighbour at one pitch is dear that way, the
+one ten pitches off is a half circle: rows come out interleaved, as a racetrack, without being told so. An open track is
+entered at either end; a closed one at any of its places, in both senses, and left where it was entered.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from cam.contour.dubins import draw, shortest
+from cam.contour.tracer import Tracks
+from cam.moves import Array
+
+TURN_PITCHES = 5.5
+PLACES_PITCHES = 25.0
+"""Between the places at which a closed track may be entered."""
+
+CELL_PITCHES = 16.0
+MOST_JOINT_POINTS = 100
+
+
+class Entries(NamedTuple):
+    """Ways into tracks, in buckets of a grid: x, y, heading, the track, the vertex, and the sense (1 or -1).
+
+    bucket_of (ny nx + 1,) : where the entries of a cell begin; `alive` of them are not used up
+    """
+
+    pose: Any
+    track: Any
+    vertex: Any
+    sense: Any
+    first: Any
+    alive: Any
+    x0: float
+    y0: float
+    cell: float
+    nx: int
+    ny: int
+
+
+class Room(NamedTuple):
+    """Where joints may go: the aperture and a ring around it; and how tight they may turn."""
+
+    x_from: float
+    x_to: float
+    y_from: float
+    y_to: float
+    radius: float
+
+
+def toured(tracks: Tracks, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:
+    """(n, 2) one polyline from a pose (x, y, heading) along all tracks and out to the ring."""
+    entries = _entries(tracks, room, pitch_mm)
+    points = np.empty((len(tracks.xy_mm) + (MOST_JOINT_POINTS + 1) * (tracks.count + 2), 2))
+    count = _tour(tracks.xy_mm, tracks.start, entries, room, *begin, points)
+    return points[:count].copy()
+
+
+def _entries(tracks: Tracks, room: Room, pitch_mm: float) -> Entries:
+    pose, track, vertex, sense = _ways_in(tracks.xy_mm, tracks.start, PLACES_PITCHES * pitch_mm)
+    cell = CELL_PITCHES * pitch_mm
+    nx, ny = (math.ceil(side / cell) + 1 for side in (room.x_to - room.x_from, room.y_to - room.y_from))
+    i = np.clip(((pose[:, 0] - room.x_from) / cell).astype(np.int64), 0, nx - 1)
+    j = np.clip(((pose[:, 1] - room.y_from) / cell).astype(np.int64), 0, ny - 1)
+    order = np.argsort(j * nx + i, kind="stable")
+    alive = np.bincount(j * nx + i, minlength=nx * ny)
+    return Entries(
+        pose=pose[order],
+        track=track[order],
+        vertex=vertex[order],
+        sense=sense[order],
+        first=np.concatenate([[0], np.cumsum(alive)]),
+        alive=alive,
+        x0=room.x_from,
+        y0=room.y_from,
+        cell=cell,
+        nx=nx,
+        ny=ny,
+    )
+
+
+@njit(cache=True, nogil=True)
+def _ways_in(xy, start, apart):  # type: ignore[no-untyped-def]
+    """Poses (n, 3), tracks, vertices and senses of all entries."""
+    room = 0
+    for k in range(start.size - 1):
+        room += 2 * (start[k + 1] - start[k])
+    pose = np.empty((room, 3))
+    track, vertex, sense = np.empty(room, np.int64), np.empty(room, np.int64), np.empty(room, np.int64)
+    count = 0
+    for k in range(start.size - 1):
+        first, last = start[k], start[k + 1] - 1
+        closed = first + 2 < last and xy[first, 0] == xy[last, 0] and xy[first, 1] == xy[last, 1]
+        if not closed:
+            for v, way in ((first, 1), (last, -1)):
+                h = math.atan2(xy[v + way, 1] - xy[v, 1], xy[v + way, 0] - xy[v, 0])
+                pose[count, 0], pose[count, 1], pose[count, 2] = xy[v, 0], xy[v, 1], h
+                track[count], vertex[count], sense[count] = k, v, way
+                count += 1
+            continue
+        gone = apart
+        for v in range(first, last):
+            before = v - 1 if v > first else last - 1
+            if gone >= apart:
+                gone = 0.0
+                h = math.atan2(xy[v + 1, 1] - xy[before, 1], xy[v + 1, 0] - xy[before, 0])
+                for way in (1, -1):
+                    pose[count, 0], pose[count, 1] = xy[v, 0], xy[v, 1]
+                    pose[count, 2] = h if way == 1 else h + math.pi
+                    track[count], vertex[count], sense[count] = k, v, way
+                    count += 1
+            gone += math.hypot(xy[v + 1, 0] - xy[v, 0], xy[v + 1, 1] - xy[v, 1])
+    return pose[:count].copy(), track[:count].copy(), vertex[:count].copy(), sense[:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def _nearest(e, used, x, y, h, radius):  # type: ignore[no-untyped-def]
+    """The entry with the shortest joint from a pose; -1 if none is left. Used entries met on the way are dropped."""
+    ci = min(max(int((x - e.x0) / e.cell), 0), e.nx - 1)
+    cj = min(max(int((y - e.y0) / e.cell), 0), e.ny - 1)
+    best, choice = np.inf, -1
+    for ring in range(max(e.nx, e.ny)):
+        if (ring - 1) * e.cell > best:
+            break
+        for j in range(max(0, cj - ring), min(e.ny - 1, cj + ring) + 1):
+            edge = j == cj - ring or j == cj + ring
+            for i in range(ci - ring, ci + ring + 1, 1 if edge else max(1, 2 * ring)):
+                if not 0 <= i < e.nx:
+                    continue
+                b = j * e.nx + i
+                k = e.first[b]
+                while k < e.first[b] + e.alive[b]:
+                    if used[e.track[k]]:
+                        _swap(e, k, e.first[b] + e.alive[b] - 1)
+                        e.alive[b] -= 1
+                        continue
+                    px, py, ph = e.pose[k, 0], e.pose[k, 1], e.pose[k, 2]
+                    if math.hypot(px - x, py - y) < best:
+                        length = shortest(x, y, h, px, py, ph, radius)[0]
+                        if length < best:
+                            best, choice = length, k
+                    k += 1
+    return choice
+
+
+@njit(cache=True, nogil=True)
+def _swap(e, a, b):  # type: ignore[no-untyped-def]
+    for k in range(3):
+        e.pose[a, k], e.pose[b, k] = e.pose[b, k], e.pose[a, k]
+    e.track[a], e.track[b] = e.track[b], e.track[a]
+    e.vertex[a], e.vertex[b] = e.vertex[b], e.vertex[a]
+    e.sense[a], e.sense[b] = e.sense[b], e.sense[a]
+
+
+@njit(cache=True, nogil=True)
+def _join(x, y, h, px, py, ph, room, out, count):  # type: ignore[no-untyped-def]
+    """The joint's points into out[count:], its last one left out; turns tighter where the ring is too narrow for it."""
+    radius = room.radius
+    for _ in range(12):
+        _, word, a, b, c = shortest(x, y, h, px, py, ph, radius)
+        end = draw(x, y, h, radius, word, a, b, c, out, count) - 1
+        inside = True
+        for k in range(count, end):
+            inside &= room.x_from <= out[k, 0] <= room.x_to and room.y_from <= out[k, 1] <= room.y_to
+        if inside:
+            return max(end, count)
+        radius *= 0.75
+    for k in range(count, end):
+        out[k, 0] = min(max(out[k, 0], room.x_from), room.x_to)
+        out[k, 1] = min(max(out[k, 1], room.y_from), room.y_to)
+    return max(end, count)
+
+
+@njit(cache=True, nogil=True)
+def _tour(xy, start, e, room, x, y, h, out):  # type: ignore[no-untyped-def]
+    """The whole path into out (n, 2); returns its number of points."""
+    used = np.zeros(start.size - 1, np.bool_)
+    out[0, 0], out[0, 1] = x, y
+    count = 1
+    for _ in range(start.size - 1):
+        k = _nearest(e, used, x, y, h, room.radius)
+        count = _join(x, y, h, e.pose[k, 0], e.pose[k, 1], e.pose[k, 2], room, out, count)
+        track, v, way = e.track[k], e.vertex[k], e.sense[k]
+        used[track] = True
+        first, last = start[track], start[track + 1] - 1
+        closed = first + 2 < last and xy[first, 0] == xy[last, 0] and xy[first, 1] == xy[last, 1]
+        for _ in range(last - first + 1):
+            out[count, 0], out[count, 1] = xy[v, 0], xy[v, 1]
+            count += 1
+            v += way
+            if closed and v == last and way == 1:
+                v = first
+            elif closed and v == first - 1:
+                v = last - 1
+        x, y = out[count - 1, 0], out[count - 1, 1]
+        h = e.pose[k, 2] if closed else math.atan2(y - out[count - 2, 1], x - out[count - 2, 0])
+    return _out_to_ring(x, y, h, room, out, count)
+
+
+@njit(cache=True, nogil=True)
+def _out_to_ring(x, y, h, room, out, count):  # type: ignore[no-untyped-def]
+    """From the last track to the nearest border of the room."""
+    best, px, py, ph = np.inf, x, y, h
+    for side in range(4):
+        ah = side * math.pi / 2
+        ax = room.x_to if side == 0 else room.x_from if side == 2 else x
+        ay = room.y_to if side == 1 else room.y_from if side == 3 else y
+        away = math.hypot(ax - x, ay - y)
+        if away < best:
+            best, px, py, ph = away, ax, ay, ah
+    count = _join(x, y, h, px, py, ph, room, out, count)
+    out[count, 0], out[count, 1] = px, py
+    return count + 1

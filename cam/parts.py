@@ -1,0 +1,204 @@
+"""One pass as several programs: each is whole in itself, and goes on exactly where the one before has ended.
+
+Theory of operation: paths are written in slices; where a program has grown to its limit it ends, first choice at a lift
+that is there anyway, second choice outside the aperture, where no light goes, else where it stands. The tool lifts
+straight up from the last point. The next program comes down onto the path a few millimetres before that point, where
+the ball has its own slot to come down in, sinks along the path without touching anything, and cuts the last millimetre
+once more before it goes on: no mark, no gap. Memory does not grow with the pass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
+from cam.moves import Array, Motion, Path, cut, rapid
+from cam.posts.writer import Dialect
+
+OVERLAP_MM = 1.0
+"""Of the path, cut once more after an entry in its midst."""
+
+AT_LIFT, OUTSIDE = 0.85, 0.93
+"""Share of its limit from which a program may end at a lift, and outside the aperture."""
+
+_SPARE_BYTES = 400  # the lift and the end
+_SPARE_SHARE = 0.03  # and the slice that is being written
+_MOST_POINTS = 100  # written before the limits are looked at again
+_UNLIMITED_POINTS = 1 << 20
+_BYTES_PER_POINT = 48
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PartLimits:
+    """The most that one program may hold. rapid_mm_per_min: to reckon the time of rapids; cuts run at their feed."""
+
+    most_bytes: float = math.inf
+    most_s: float = math.inf
+    rapid_mm_per_min: float = 3000.0
+
+    def points_at_once(self) -> int:
+        """So few that a program cannot outgrow its limit between two looks at it."""
+        if math.isinf(self.most_bytes) and math.isinf(self.most_s):
+            return _UNLIMITED_POINTS
+        room = 0.01 * self.most_bytes / _BYTES_PER_POINT
+        return int(min(max(room, 10), _MOST_POINTS))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PassFrame:
+    """What all programs of a pass begin and end with. aperture_mm: width and height of the lens."""
+
+    remarks: tuple[str, ...]
+    rpm: float
+    plunge_mm_per_min: float
+    safe_z_mm: float
+    aperture_mm: tuple[float, float]
+    number: int = 1
+
+
+def programs(
+    paths: Iterable[Path], post: Dialect, frame: PassFrame, limits: PartLimits | None = None
+) -> Iterator[Iterator[bytes]]:
+    """The text of each program, in pieces; one is to be read to its end before the next is asked for."""
+    limits = limits or PartLimits()
+    source = _Slices(paths, limits.points_at_once())
+    part = 0
+    while part == 0 or source.has_more:
+        part += 1
+        yield _program(source, post, frame, limits, part)
+
+
+def _program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
+    writer, meter = post.writer(), _Meter(limits)
+    remarks = frame.remarks if part == 1 else (*frame.remarks, f"part {part}: goes on where part {part - 1} has ended")
+    first = writer.start(remarks, rpm=frame.rpm, safe_z_mm=frame.safe_z_mm, program=100 * frame.number + part)
+    meter.wrote(first)
+    yield first
+    for path in _way_back(source, frame):
+        for text in writer.write(path):
+            meter.wrote(text)
+            yield text
+    for path in source:
+        for text in writer.write(path):
+            meter.wrote(text)
+            yield text
+        meter.moved(path, source.length_mm)
+        place = source.place
+        aloft = path.motion is Motion.RAPID and place[2] >= frame.safe_z_mm - 1e-9
+        if source.has_more and meter.share >= (AT_LIFT if aloft else OUTSIDE if _outside(place, frame) else 1.0):
+            if not aloft:
+                yield from writer.write(leave(place[0], place[1], safe_z_mm=frame.safe_z_mm))
+            break
+    yield writer.end(safe_z_mm=frame.safe_z_mm)
+
+
+def _outside(place: Array, frame: PassFrame) -> bool:
+    width_mm, height_mm = frame.aperture_mm
+    return not (0.0 <= place[0] <= width_mm and 0.0 <= place[1] <= height_mm)
+
+
+def _way_back(source: _Slices, frame: PassFrame) -> Iterator[Path]:
+    """To where the tool stood: aloft, or down onto the path that was cut last and along it to its end."""
+    recent = source.recent()
+    if recent is None:
+        if not source.begins_aloft:
+            yield rapid(source.place)
+        return
+    points, feed_mm_per_min = recent
+    run = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    meets = float(run[max(0, int(np.searchsorted(run, run[-1] - OVERLAP_MM, side="right")) - 1)])  # at a vertex
+    begin = max(0.0, meets - CLEARANCE_MM / RAMP_SLOPE)
+    places = np.union1d(run[run >= begin], [begin])
+    way = np.column_stack([np.interp(places, run, points[:, axis]) for axis in range(3)])
+    way[-1] = points[-1]
+    exact = places >= meets
+    sinking = way[~exact] if begin < meets else way[:1].copy()
+    sinking[:, 2] += CLEARANCE_MM - RAMP_SLOPE * (places[: len(sinking)] - begin)
+    x, y, z = sinking[0]
+    over_mm = min(max(z, 0.0) + RAPID_CLEARANCE_MM, frame.safe_z_mm)
+    yield rapid((x, y, frame.safe_z_mm), (x, y, over_mm))
+    yield cut(sinking, min(frame.plunge_mm_per_min, feed_mm_per_min))
+    yield cut(way[exact], feed_mm_per_min)
+
+
+class _Meter:
+    """How much of its limits a program has used."""
+
+    def __init__(self, limits: PartLimits) -> None:
+        self._limits = limits
+        self._most_bytes = limits.most_bytes * (1 - _SPARE_SHARE) - _SPARE_BYTES
+        self._bytes, self._seconds = 0, 0.0
+
+    def wrote(self, text: bytes) -> None:
+        self._bytes += len(text)
+
+    def moved(self, path: Path, length_mm: float) -> None:
+        self._seconds += 60 * length_mm / (path.feed_mm_per_min or self._limits.rapid_mm_per_min)
+
+    @property
+    def share(self) -> float:
+        return max(self._bytes / self._most_bytes, self._seconds / self._limits.most_s)
+
+
+class _Slices:
+    """Paths in slices of a few points, and what was cut last of them."""
+
+    def __init__(self, paths: Iterable[Path], points_at_once: int) -> None:
+        self._at_once = points_at_once
+        self._slices = self._cut_up(paths)
+        self._next = next(self._slices, None)
+        self._recent: list[Path] = []
+        self.place = np.full(3, np.nan)
+        self.length_mm = 0.0
+
+    @property
+    def has_more(self) -> bool:
+        return self._next is not None
+
+    @property
+    def begins_aloft(self) -> bool:
+        """What comes next brings the tool to its place by itself: the very first path, or a rapid."""
+        return bool(np.isnan(self.place[2])) or self._next is None or self._next.motion is Motion.RAPID
+
+    def __iter__(self) -> Iterator[Path]:
+        while (path := self._next) is not None:
+            self._next = next(self._slices, None)
+            self._passed(path)
+            yield path
+
+    def recent(self) -> tuple[Array, float] | None:
+        """The last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in one."""
+        feed = self._recent[-1].feed_mm_per_min if self._recent else None
+        if feed is None:
+            return None
+        return np.concatenate([path.points_mm for path in self._recent]), feed
+
+    def _cut_up(self, paths: Iterable[Path]) -> Iterator[Path]:
+        for path in paths:
+            for first in range(0, len(path.points_mm), self._at_once):
+                yield Path(
+                    motion=path.motion,
+                    points_mm=path.points_mm[first : first + self._at_once],
+                    feed_mm_per_min=path.feed_mm_per_min,
+                )
+
+    def _passed(self, path: Path) -> None:
+        way = path.points_mm if np.isnan(self.place[2]) else np.vstack([self.place, path.points_mm])
+        self.length_mm = _length_mm(way)
+        self.place = path.points_mm[-1]
+        if path.motion is Motion.RAPID:
+            self._recent = []
+            return
+        same_feed = [kept for kept in self._recent if kept.feed_mm_per_min == path.feed_mm_per_min]
+        self._recent = [*same_feed, path] if len(same_feed) == len(self._recent) else [path]
+        needed = OVERLAP_MM + CLEARANCE_MM / RAMP_SLOPE
+        while len(self._recent) > 1 and sum(_length_mm(kept.points_mm) for kept in self._recent[1:]) > needed:
+            self._recent.pop(0)
+
+
+def _length_mm(points: Array) -> float:
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())

@@ -1,0 +1,154 @@
+"""How long a pass will take, before it is written: rows at the speed that feed, lines and look-ahead allow.
+
+`cam.duration` gives the time of a written program; this is within some percent of it, from the lens's form alone. The
+speed of a chord is the least of: the feed; its length times the lines a second; what the look-ahead window, chords of
+that length, can still brake from. Chords are as long as `cam.vertices` allows on the path of the tip, which is the
+lens's curvature offset by the ball.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, sqrt
+
+import numpy as np
+from scipy.ndimage import binary_closing
+
+from cam.cutter import concave_curvature
+from cam.duration import Kinematics
+from cam.entries import RAMP_SLOPE
+from cam.passes import Direction, PassSpec
+from cam.program import SLOPE_ERROR_RAD
+from cam.tool_surface import ToolSurface
+from cam.vertices import finish_rule, rough_rule
+from optics.heightfield import Array, Heightfield
+
+_SAMPLES = 160  # along a side of the lens
+_USED = 0.85  # of the length that the rule allows a chord
+CONTOUR_STRETCH = 1.25  # of one connected path over the area by pitch
+_BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
+_ENTRIES = 4.0  # of a layer
+LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensForm:
+    """What a plan needs to know of a lens, (n,) over evenly spread places.
+
+    heights_mm       : sorted
+    slopes           : of the surface, sorted
+    bends_x, bends_y : curvature along X and along Y, positive in a hollow [1/mm]
+    turns_rad        : direction of the gradient
+    hollows_per_mm   : greatest principal curvature, sorted, positive in a hollow
+    """
+
+    width_mm: float
+    height_mm: float
+    heights_mm: Array
+    slopes: Array
+    bends_x: Array
+    bends_y: Array
+    turns_rad: Array
+    hollows_per_mm: Array
+    lens: Heightfield
+
+    @classmethod
+    def of(cls, lens: Heightfield) -> LensForm:
+        spline = lens.spline()
+        along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        x, y = np.meshgrid(lens.x_mm[0] + along * lens.width_mm, lens.y_mm[0] + along * lens.height_mm)
+        z, p, q, r, _, t = (np.ravel(part) for part in spline.jets(x, y))
+        square = 1.0 + p * p + q * q
+        return cls(
+            width_mm=lens.width_mm,
+            height_mm=lens.height_mm,
+            heights_mm=np.sort(z),
+            slopes=np.sort(np.hypot(p, q)),
+            bends_x=r / (1.0 + p * p) / np.sqrt(square),
+            bends_y=t / (1.0 + q * q) / np.sqrt(square),
+            turns_rad=np.arctan2(q, p),
+            hollows_per_mm=np.sort(concave_curvature(lens), axis=None),
+            lens=lens,
+        )
+
+    def tips_mm(self, radius_mm: float) -> Array:
+        """Heights of a ball's tip (n, n) over the lens and one radius around it."""
+        surface = ToolSurface.over(self.lens, radius_mm=radius_mm)
+        x, y = (np.linspace(-radius_mm, side_mm + radius_mm, _SAMPLES) for side_mm in (self.width_mm, self.height_mm))
+        return surface.tip_rows_mm(x, y)
+
+    @property
+    def deepest_mm(self) -> float:
+        return -float(self.heights_mm[0])
+
+    def reached_share(self, radius_mm: float) -> float:
+        """Share of the area whose curvature a ball of this radius fits."""
+        return float(np.searchsorted(self.hollows_per_mm, 1.001 / radius_mm, side="right")) / self.hollows_per_mm.size
+
+    def bends(self, direction: Direction) -> Array:
+        return self.bends_x if direction == "x" else self.bends_y
+
+    def chords_mm(self, spec: PassSpec) -> Array:
+        """(n,) usual distance of the vertices of a pass along its rows."""
+        if spec.finishes:
+            rule = finish_rule(SLOPE_ERROR_RAD, spec.radius_mm / 2)
+        else:
+            rule = rough_rule(spec.stock_to_leave_mm, spec.radius_mm / 2)
+        bend = self.bends(spec.direction)
+        k = np.abs(bend / np.maximum(1.0 - bend * spec.radius_mm, 0.05)) + 1e-9
+        allowed = np.minimum(2.0 * rule.slope_rad / k, np.sqrt(8.0 * rule.sag_mm / k))
+        return np.clip(_USED * allowed, rule.min_mm, rule.max_mm)
+
+    def usual_chord_mm(self, spec: PassSpec) -> float:
+        """Path by number of vertices, to the micrometre."""
+        return round(1 / float((1 / self.chords_mm(spec)).mean()), 3)
+
+
+def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """The exact rows of a pass, or its one connected path."""
+    around_mm = 2 * spec.radius_mm
+    sides = (form.width_mm + around_mm, form.height_mm + around_mm)
+    length_mm, across_mm = sides if spec.direction == "x" else sides[::-1]
+    inside = (form.width_mm if spec.direction == "x" else form.height_mm) / length_mm
+    rows = ceil(across_mm / spec.pitch_mm) + 1
+    feed = spec.feed_mm_per_min / 60
+    acceleration = min(mill.acceleration_mm_per_s2[:2])
+    chords = form.chords_mm(spec)
+    speeds = np.minimum(feed, chords * mill.lines_per_s)
+    speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
+    stretch = float(np.sqrt(1.0 + form.slopes**2 / 2).mean())
+    slowness = stretch * (inside * float((1 / speeds).mean()) + (1 - inside) / feed)
+    if spec.strategy == "contour":
+        return CONTOUR_STRETCH * form.width_mm * form.height_mm / spec.pitch_mm * slowness
+    turning = min(feed, sqrt(acceleration * spec.pitch_mm / 2))
+    return rows * (length_mm * slowness + (feed - turning) ** 2 / feed / acceleration)
+
+
+def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """The first pass, that cuts planes one step-down apart out of the whole block, down to the lens.
+
+    Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
+    """
+    tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
+    sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
+    feed, plunge = spec.feed_mm_per_min / 60, spec.plunge_mm_per_min / 60
+    gap = np.ones((1, ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))))
+    whole = 0.0
+    for number in range(ceil(-float(tips.min()) / spec.step_down_mm)):
+        active = binary_closing(np.pad(tips < -number * spec.step_down_mm, ((0, 0), (gap.size, gap.size))), gap)
+        rows_mm = float(active.sum()) / tips.size * sides[0] * sides[1] / spec.pitch_mm
+        turns_s = rows_mm / min(sides) * feed / min(mill.acceleration_mm_per_s2[:2])
+        enter_s = 2.0 + spec.step_down_mm / RAMP_SLOPE / plunge
+        whole += (rows_mm + _BORDER * min(sides)) / feed + turns_s + _ENTRIES * enter_s
+    return whole
+
+
+def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:
+    """Layers parallel to the lens, where more stock stands above it than one move of the pass may take."""
+    layers = ceil(depth_mm / spec.step_down_mm - 1e-9) - 1
+    if layers <= 0:
+        return 0.0
+    feed = spec.feed_mm_per_min / 60
+    length_mm, across_mm = form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm
+    rows = across_mm / max(spec.pitch_mm, LAYER_STRIDE * spec.radius_mm)
+    return layers * rows * (length_mm / feed + feed / min(mill.acceleration_mm_per_s2[:2]))

@@ -1,0 +1,151 @@
+"""How good a path is as a path, whatever strategy made it: measured on the moves of a written program, all of them.
+
+Only moves on the surface count: both ends within a few micrometres of where the ball touches. What is not measured
+here is what the stock says (engagement, climbing, gouges: `cam.check`).
+
+Length is the tip's, in space. Along the contour: within 15 degrees of it as seen from above, at the contact of the
+ball, where that lies in the aperture on a slope above 1 %. A turn over 60 degrees: between the chords before
+and after a vertex, each at least a tenth of a pitch of path. The radius of a turn: half the path of two such chords of
+at least half a pitch, over the angle between them; neither the spacing of vertices nor the raster they are rounded to
+changes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam.clearance import Overlaps, SurfaceWitness
+from cam.gcode import MoveBatch
+from cam.passes import PassSpec
+from cam.path_shape import lengths_along, turns
+from cam.track_gaps import Gap, Progress, TipRegion, TrackGaps
+from optics.heightfield import Array, Heightfield
+
+ON_SURFACE_MM = 0.01
+"""What stands higher above the surface than this, and than 1.5 times the stock to leave, does not make it."""
+
+_CONTEXT = 64
+"""Moves on either side that a vertex is judged with, at most."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PathMeasures:
+    """A path on the surface of a lens.
+
+    entries        : times it comes onto the surface after a rapid; lifts: how often it came back
+    rapids_inside  : rapids that go across or down below the top of the block
+    length_ratio   : length x pitch / area of the aperture
+    aligned_share  : of the length on slopes above 1 %, what runs within 15 degrees of the contour line
+    tight_turn_share : of the length, what turns with a radius below five pitches
+    """
+
+    entries: int
+    lifts: int
+    rapids_inside: int
+    length_mm: float
+    length_ratio: float
+    aligned_share: float
+    turns_over_60_per_m: float
+    tight_turn_share: float
+    gap: Gap
+
+    def as_report(self) -> dict[str, float]:
+        """What report.json says of a contour pass beside `max_gap_mm`."""
+        names = ("aligned_share", "length_ratio", "turns_over_60_per_m", "tight_turn_share")
+        return {name: float(getattr(self, name)) for name in names}
+
+
+class PathQuality:
+    """Takes the batches of a program in order; `measures` ends it."""
+
+    def __init__(self, heightfield: Heightfield, spec: PassSpec) -> None:
+        ball_mm = spec.radius_mm + spec.stock_to_leave_mm
+        self._spline = heightfield.spline_with_run_out(2 * ball_mm)
+        self._size_mm = heightfield.width_mm, heightfield.height_mm
+        self._ball_mm, self._pitch_mm = ball_mm, spec.pitch_mm
+        self._gaps = TrackGaps(TipRegion.over(heightfield, ball_mm=ball_mm), pitch_mm=spec.pitch_mm)
+        self.near_mm = ON_SURFACE_MM + 1.5 * spec.stock_to_leave_mm
+        self._sums = np.zeros(5)
+        self._offset = np.zeros(2)
+        self._in_air = True  # since the last rapid no move was on the surface
+        self._ends_on = False  # the last motion ended on the surface
+        self._tail_points, self._tail_on = np.zeros((0, 2)), np.zeros(0, dtype=np.bool_)
+        self._judged = 1  # first vertex of the tail that is still to be judged
+        self.entries = self.rapids_inside = 0
+
+    def add(self, batch: MoveBatch, overlaps: Overlaps) -> np.ndarray:
+        """Returns which moves of the batch lie on the surface, (n,) bool."""
+        if not len(batch):
+            return np.zeros(0, dtype=np.bool_)
+        on = self._on_surface(batch, overlaps)
+        self._count_entries(batch.is_rapid, on)
+        self._count_rapids(batch)
+        self._gaps.add(batch.points_mm, on)
+        lengths_along(
+            *(*self._spline.kernel_arguments, *self._size_mm, batch.points_mm, on, self._ball_mm),
+            *(self._offset, self._sums),
+        )
+        self._judge_turns(batch.points_mm, on)
+        return on
+
+    def measures(self, on_progress: Progress | None = None) -> PathMeasures:
+        """Judges what is left and scans the aperture."""
+        turns(self._tail_points, self._tail_on, self._judged, self._tail_on.size, self._pitch_mm, self._sums)
+        self._judged = self._tail_on.size
+        length, sloped, aligned, sharp, tight = (float(value) for value in self._sums)
+        return PathMeasures(
+            entries=self.entries,
+            lifts=max(0, self.entries - 1),
+            rapids_inside=self.rapids_inside,
+            length_mm=length,
+            length_ratio=length * self._pitch_mm / (self._size_mm[0] * self._size_mm[1]),
+            aligned_share=aligned / sloped if sloped else 1.0,
+            turns_over_60_per_m=1000 * sharp / length if length else 0.0,
+            tight_turn_share=tight / length if length else 0.0,
+            gap=self._gaps.widest(on_progress),
+        )
+
+    def _on_surface(self, batch: MoveBatch, overlaps: Overlaps) -> np.ndarray:
+        motion = ~batch.is_rapid & (batch.pause_s < 0)
+        ends = overlaps.end_touch_mm > -self.near_mm
+        for k in np.flatnonzero(batch.pause_s >= 0):  # it stays where it is
+            ends[k] = ends[k - 1] if k else self._ends_on
+        begins = np.concatenate([[self._ends_on], ends[:-1]])
+        self._ends_on = bool(ends[-1])
+        return np.asarray(motion & begins & ends)
+
+    def _count_entries(self, is_rapid: np.ndarray, on: np.ndarray) -> None:
+        events = np.flatnonzero(is_rapid | on)
+        if not events.size:
+            return
+        in_air = np.concatenate([[self._in_air], is_rapid[events[:-1]]])
+        self.entries += int((on[events] & in_air).sum())
+        self._in_air = bool(is_rapid[events[-1]])
+
+    def _count_rapids(self, batch: MoveBatch) -> None:
+        start, end = batch.start_mm[batch.is_rapid], batch.end_mm[batch.is_rapid]
+        across = (start[:, :2] != end[:, :2]).any(axis=1)
+        low = np.minimum(start[:, 2], end[:, 2]) < 0
+        self.rapids_inside += int((low & (across | (end[:, 2] < start[:, 2]))).sum())
+
+    def _judge_turns(self, points_mm: Array, on: np.ndarray) -> None:
+        moved = (points_mm[1:, :2] != points_mm[:-1, :2]).any(axis=1)
+        fresh = points_mm[1:, :2][moved]
+        first = self._tail_points if len(self._tail_points) else points_mm[:1, :2]
+        points, on = np.concatenate([first, fresh]), np.concatenate([self._tail_on, on[moved]])
+        last = max(self._judged, on.size - _CONTEXT)
+        turns(points, on, self._judged, last, self._pitch_mm, self._sums)
+        keep = max(0, last - _CONTEXT)
+        self._tail_points, self._tail_on, self._judged = points[keep:].copy(), on[keep:].copy(), last - keep
+
+
+def measure_program(batches: Iterable[MoveBatch], heightfield: Heightfield, spec: PassSpec) -> PathMeasures:
+    """The measures of a whole program, from `cam.gcode.read_program`."""
+    quality = PathQuality(heightfield, spec)
+    witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=quality.near_mm)
+    for batch in batches:
+        quality.add(batch, witness.overlaps(batch))
+    return quality.measures()

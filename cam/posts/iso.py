@@ -1,0 +1,60 @@
+"""Controls that read ISO code from a tape: LinuxCNC, Fanuc-like, Okuma OSP, Roland NC.
+
+None is told a tool's length: Z0 is set with the very tool, and what is active then stays. G40 and G80 end what an
+earlier program may have left on. Where the least input is 0.001 mm, positions have three decimals and always a point:
+without one, 5 means 0.005 mm.
+"""
+
+from __future__ import annotations
+
+from cam.posts.post import Post
+
+# G64 P: corners rounded by 1 µm at most; Q0: no vertex left out because it lies near a straight line.
+LINUXCNC = Post(
+    name="linuxcnc",
+    suffix=".ngc",
+    start=("G21G90G94G17G40G80G54", "G64P0.001Q0", "G0Z{safe_z}", "M3S{rpm}", "G4P{dwell_s}"),
+    end=("G0Z{safe_z}", "M5", "M2"),
+)
+# The dwell by X, in seconds: P is milliseconds on most of these and seconds on some.
+FANUC = Post(
+    name="fanuc",
+    suffix=".nc",
+    tape=("%", "O{number:04d}"),
+    start=("G21G90G94G17G40G80G54", "G0Z{safe_z}", "S{rpm}M3", "G4X{dwell_s}"),
+    end=("G0Z{safe_z}", "M5", "M30", "%"),
+    xy_decimals=3,
+    z_decimals=3,
+    least_decimals=1,
+    feed_decimals=0,
+    number_every=100,
+)
+# G15 H1 is what G54 is elsewhere; the dwell is by F.
+OKUMA = Post(
+    name="okuma",
+    suffix=".min",
+    tape=("%", "O{number:04d}"),
+    start=("G21G90G94G17G40G80", "G15H1", "G0Z{safe_z}", "S{rpm}M3", "G4F{dwell_s}"),
+    end=("G0Z{safe_z}", "M5", "M2", "%"),
+    xy_decimals=3,
+    z_decimals=3,
+    least_decimals=1,
+    feed_decimals=1,
+    number_every=100,
+    line_end="\r\n",
+)
+# It faults on a cut before S and M03. P of G04 without a point: were it milliseconds, the dwell would only be short.
+ROLAND_NC = Post(
+    name="roland-nc",
+    suffix=".nc",
+    tape=("%", "O{number:08d}"),
+    start=("G21G90G17G40G80G54", "S{rpm}M03", "G00Z{safe_z}", "G04P4"),
+    end=("G00Z{safe_z}", "M05", "M02", "%"),
+    rapid="G00",
+    cut="G01",
+    xy_decimals=3,
+    z_decimals=3,
+    least_decimals=1,
+    feed_decimals=1,
+    line_end="\r\n",
+)

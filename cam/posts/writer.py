@@ -1,0 +1,43 @@
+"""What turns the paths of one program into its text."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from typing import Protocol
+
+from cam.moves import Path
+from cam.posts.digits import Digits
+
+
+class Writer(ABC):
+    """The modal state of one program while it is written: start, then paths, then end."""
+
+    @abstractmethod
+    def start(self, remarks: tuple[str, ...], *, rpm: float, safe_z_mm: float, program: int = 1) -> bytes:
+        """Everything before the first move: modes, safe height, spindle up to speed. program: number, from 1."""
+
+    @abstractmethod
+    def write(self, path: Path) -> Iterator[bytes]:
+        """Blocks of one path, in pieces."""
+
+    @abstractmethod
+    def end(self, *, safe_z_mm: float) -> bytes:
+        """Everything after the last move: up, spindle off, end."""
+
+
+class Dialect(Protocol):
+    """A language that programs can be written in."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def suffix(self) -> str:
+        """Of the file's name, with its dot."""
+
+    @property
+    def digits(self) -> Digits:
+        """The raster on which it can write a position."""
+
+    def writer(self) -> Writer: ...

@@ -1,0 +1,102 @@
+"""Ball end mills of a shop, as data: what each is, how fast it runs on a mill, and where it may go."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+from cam.materials import Material
+from cam.passes import Direction, PassSpec, Strategy
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tool:
+    """A ball end mill.
+
+    flute_length_mm : how high it cuts, from its tip
+    shank_radius_mm : of what is above the flutes
+    stick_out_mm    : from its tip to the chuck
+    max_rpm         : fastest speed its maker allows
+    cost_class      : 1 cheap, 2 usual, 3 dear; of two that do as well the cheaper is taken
+    """
+
+    name: str
+    radius_mm: float
+    flutes: int
+    flute_length_mm: float
+    shank_radius_mm: float
+    stick_out_mm: float
+    max_rpm: float
+    cost_class: int
+
+    def reaches(self, depth_mm: float) -> bool:
+        """Whether it cuts that deep beside a wall: a shank thicker than the ball must stay above the block."""
+        free_mm = self.stick_out_mm if self.shank_radius_mm <= self.radius_mm else self.flute_length_mm
+        return depth_mm <= free_mm
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Speeds:
+    """Spindle and feeds of one tool in one material on one mill."""
+
+    spindle_rpm: float
+    feed_mm_per_min: float
+    plunge_mm_per_min: float
+    step_down_mm: float
+
+    @classmethod
+    def of(
+        cls,
+        tool: Tool,
+        material: Material,
+        *,
+        spindle_rpm: tuple[float, float],
+        max_rate_mm_per_min: tuple[float, float, float],
+    ) -> Speeds:
+        """The material's start values within reach of tool and mill; feeds go with speed and number of flutes.
+
+        spindle_rpm         : slowest and fastest of the mill
+        max_rate_mm_per_min : of its axes X, Y, Z
+        """
+        start = material.start_values(tool.radius_mm)
+        rpm = max(min(float(start.spindle_rpm), tool.max_rpm, spindle_rpm[1]), spindle_rpm[0])
+        part = min(1.0, rpm / start.spindle_rpm) * tool.flutes / start.flutes
+        return cls(
+            spindle_rpm=rpm,
+            feed_mm_per_min=float(round(min(part * start.feed_mm_per_min, *max_rate_mm_per_min[:2]))),
+            plunge_mm_per_min=float(round(min(part * start.plunge_mm_per_min, max_rate_mm_per_min[2]))),
+            step_down_mm=start.step_down_mm,
+        )
+
+
+def contact_speed_m_per_min(radius_mm: float, spindle_rpm: float, slope: float) -> float:
+    """Of the cutting edge where a ball touches a surface of that slope; none at its tip."""
+    return 2 * pi * spindle_rpm * radius_mm * slope / sqrt(1 + slope * slope) / 1000
+
+
+def tool_pass(
+    name: str,
+    tool: Tool,
+    speeds: Speeds,
+    *,
+    pitch_mm: float,
+    leaves_mm: float,
+    step_down_mm: float,
+    direction: Direction = "x",
+    strategy: Strategy = "raster",
+) -> PassSpec:
+    """A pass with this tool at these speeds."""
+    return PassSpec(
+        name=name,
+        strategy=strategy,
+        direction=direction,
+        radius_mm=tool.radius_mm,
+        pitch_mm=pitch_mm,
+        stock_to_leave_mm=leaves_mm,
+        step_down_mm=step_down_mm,
+        feed_mm_per_min=speeds.feed_mm_per_min,
+        plunge_mm_per_min=speeds.plunge_mm_per_min,
+        spindle_rpm=speeds.spindle_rpm,
+        flute_length_mm=tool.flute_length_mm,
+        shank_radius_mm=tool.shank_radius_mm,
+    )

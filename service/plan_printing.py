@@ -1,0 +1,151 @@
+"""What the command `plan` does: a plan for a picture or a folder, as a table, as JSON, as a picture and as a spec."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from service import job_files
+from service.errors import InputError, SpecError
+from service.planning import Planned, plan_for_lens, plan_for_picture
+from service.spec import JobSpec
+from service.spec_files import read_spec_file, resolve_spec, stored_spec
+from service.stages import arrays
+from service.stages.words import in_the_services_words
+from service.summary import duration
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanRequest:
+    """goal: hours, blur_mm, psnr_db, of which one may be given."""
+
+    source: Path
+    machine: str | None
+    goal: dict[str, float | None]
+    tools: Path | None
+    output: Path | None
+    spec: Path | None
+    overrides: tuple[str, ...]
+
+
+def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
+    """Plan, write picture and spec where asked for, and say what was found."""
+    if request.output is not None and request.output.suffix.lower() != ".png":
+        raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
+    with in_the_services_words():
+        planned, spec = _planned(request)
+    fragment = spec_fragment(planned, spec)
+    written = []
+    if request.output is not None:
+        from service.figures_plan import plan_png
+
+        pictured = plan_png(planned, viewed_from=spec.optics.viewed_from)
+        beside = request.output.with_suffix(".toml")
+        job_files.write_bytes(request.output, pictured)
+        job_files.write_bytes(beside, fragment.encode())
+        written = [f"picture: {request.output}", f"spec: {beside} (causticmill make --spec {beside})"]
+    if as_json:
+        report = {**planned.figures(), "passes": planned.rows(), "why": planned.why(), "warnings": planned.warnings()}
+        yield json.dumps(report, indent=2)
+        return
+    yield from table(planned)
+    yield ""
+    yield from planned.why()
+    yield from (f"warning: {sentence}" for sentence in planned.warnings())
+    yield from (written or ["", *fragment.splitlines()])
+
+
+def _planned(request: PlanRequest) -> tuple[Planned, JobSpec]:
+    if request.source.is_dir():
+        base: dict[str, Any] = {**stored_spec(request.source).plain(), "preset": "recommended"}
+        base.pop("passes", None)
+        spec = _spec(request, base)
+        lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)
+        target = arrays.load_target(request.source / job_files.MAP)
+        return plan_for_lens(spec, lens, target, tools=request.tools), spec
+    from optics.irradiance import target_irradiance
+    from service.picture import read_picture
+
+    spec = _spec(request, {})
+    width_mm, height_mm = spec.optics.screen_size_mm
+    picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)
+    target = target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from)
+    return plan_for_picture(spec, target, tools=request.tools), spec
+
+
+def _spec(request: PlanRequest, base: dict[str, Any]) -> JobSpec:
+    """The job that is planned: what was given, its passes left open."""
+    given = read_spec_file(request.spec) if request.spec is not None else {}
+    given.pop("passes", None)
+    goal = {key: value for key, value in request.goal.items() if value is not None}
+    if len(goal) > 1:
+        raise SpecError([("plan", f"{' and '.join(goal)} cannot all be aimed at; allowed: one of them")])
+    overrides = [*request.overrides, *(f"plan.{key}={value!r}" for key, value in goal.items())]
+    if request.machine is not None:
+        overrides.append(f"machine.profile={json.dumps(request.machine)}")
+    merged = {**base, **given, "preset": "recommended"}
+    return resolve_spec(base=merged, overrides=overrides)
+
+
+def table(planned: Planned) -> Iterator[str]:
+    """The best plans by time; the chosen one is marked."""
+    head = ("", "TIME", "PSNR dB", "SSIM", "BLUR mm", "px", "FINISH", "BEFORE")
+    rows = [head, *(_row(planned, one) for one in planned.plan.front)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+    for name, why in planned.plan.left_out:
+        yield f"without {name}: {why}"
+
+
+def _row(planned: Planned, one: Any) -> tuple[str, ...]:
+    finish = one.finish
+    rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
+    before = ", ".join(f"R{spec.radius_mm:g} / {spec.pitch_mm:g}" for spec in one.passes[:-1])
+    return (
+        "->" if one is planned.chosen else "",
+        duration(3600 * one.hours),
+        f"{one.psnr_db:.1f}",
+        f"{planned.score(one).ssim:.3f}",
+        f"{one.blur_mm:.2f}",
+        f"{planned.blur_px(one):.1f}",
+        f"R{finish.radius_mm:g} / {finish.pitch_mm:g}, {rows}",
+        before,
+    )
+
+
+def spec_fragment(planned: Planned, spec: JobSpec) -> str:
+    """TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
+    usual = JobSpec(passes=(), preset="recommended").model_dump(mode="json", exclude_none=True)
+    data = spec.plain()
+    lines = [
+        "# Made by `causticmill plan`.",
+        *(f"# {sentence}" for sentence in planned.why()),
+        'preset = "recommended"',
+    ]
+    tables: dict[str, dict[str, Any]] = {name: {} for name in ("image", "optics", "stock", "machine")}
+    for name, found in tables.items():
+        found.update({key: value for key, value in data.get(name, {}).items() if usual[name].get(key) != value})
+    if planned.shapes_lens:
+        tables["optics"]["min_radius_mm"] = planned.chosen.finish.radius_mm
+    if any(planned.foreseen_blur_mm()):
+        tables["optics"]["foreseen_blur_mm"] = planned.foreseen_blur_mm()
+    for name, values in tables.items():
+        lines += _toml_table(name, values)
+    for row in planned.rows():
+        lines += ["", "[[passes]]", *(f"{key} = {json.dumps(value)}" for key, value in row.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml_table(name: str, values: dict[str, Any]) -> Sequence[str]:
+    if not values:
+        return []
+    plain = {key: value for key, value in values.items() if not isinstance(value, dict)}
+    below = {key: value for key, value in values.items() if isinstance(value, dict)}
+    lines = ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in plain.items())]
+    for key, value in below.items():
+        lines += _toml_table(f"{name}.{key}", value)
+    return lines

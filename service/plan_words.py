@@ -1,0 +1,151 @@
+"""A plan in sentences: why these passes, what they cannot show, and what would help."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from cam.planner import TOLERATED_DB, Candidate
+from cam.tools import contact_speed_m_per_min
+
+if TYPE_CHECKING:
+    from service.planning import Planned
+
+RUBBING_M_PER_MIN = 10.0
+
+
+def reasons(planned: Planned) -> list[str]:
+    """Why these passes, most important first."""
+    return [sentence for sentence in (_aim(planned), *_ball(planned), *_rows(planned), *_rough(planned)) if sentence]
+
+
+def blur_warnings(planned: Planned) -> list[str]:
+    """What the picture loses, and whether the ball rubs."""
+    found = []
+    chosen, pixels = planned.chosen, planned.blur_px(planned.chosen)
+    if not planned.plan.met:
+        found.append(_not_met(planned))
+    if pixels > 1.0:
+        found.append(
+            f"the tool's marks will blur the picture by {chosen.blur_mm:.2g} mm, {pixels:.1f} pixels: finer detail "
+            f"will not be seen; {_remedy(planned)}"
+        )
+    if (speed := _cutting_speed(planned)) < RUBBING_M_PER_MIN:
+        found.append(
+            f"on half of the lens the ball of {chosen.finish.radius_mm:g} mm cuts at less than {speed:.0f} m/min and "
+            f"rubs more than it cuts; a larger ball or a faster spindle leaves a clearer surface"
+        )
+    return found
+
+
+def best_possible(planned: Planned) -> str:
+    """What no plan on this mill can surpass."""
+    best = planned.plan.best
+    perfect = max(planned.light.perfect_db(radius) for radius in planned.light.lenses)
+    return (
+        f"No plan does better than {best.psnr_db:.1f} dB on this mill ({best.hours:.1f} h): its steps of "
+        f"{1000 * planned.machine.step_mm:g} µm and its noise of {1000 * planned.machine.z_noise_mm:g} µm decide; "
+        f"the lens itself could show {perfect:.1f} dB."
+    )
+
+
+def _aim(planned: Planned) -> str:
+    chosen, goal = planned.chosen, planned.goal
+    shown = f"{chosen.psnr_db:.1f} dB in {chosen.hours:.1f} h"
+    if not planned.plan.met:
+        return f"{shown}, the nearest to what was asked for. {best_possible(planned)}"
+    if goal.hours is not None:
+        return f"{shown}: the best picture within {goal.hours:g} h. {best_possible(planned)}"
+    if goal.blur_mm is not None:
+        return f"{shown}: the quickest plan that blurs by no more than {goal.blur_mm:g} mm. {best_possible(planned)}"
+    if goal.psnr_db is not None:
+        return f"{shown}: the quickest plan that reaches {goal.psnr_db:g} dB. {best_possible(planned)}"
+    return f"{shown}: the quickest plan within {TOLERATED_DB:g} dB of the best. {best_possible(planned)}"
+
+
+def _ball(planned: Planned) -> Iterator[str]:
+    """What the ball is chosen for, and which others were not."""
+    radius = planned.chosen.finish.radius_mm
+    across = 1000 * planned.chosen.slopes.across.rms
+    words = f"A ball of {radius:g} mm finishes: its rows leave slopes of {across:.1f} mrad, a smaller ball steeper ones"
+    if planned.shapes_lens:
+        perfect, least = planned.light.perfect_db(radius), planned.light.perfect_db(min(planned.light.lenses))
+        lost = max(0.0, least - perfect)
+        words += f"; the lens is shaped for it, which takes {lost:.1f} dB of the {least:.1f} dB of one without marks"
+    yield words + "."
+    if any(planned.foreseen_blur_mm()):
+        plain = planned.light.psnr_db(radius, planned.chosen.slopes, planned.chosen.finish)
+        gain = planned.chosen.psnr_db - plain
+        yield f"The lens is made sharper by what milling will blur, which gains {gain:.1f} dB on the wall."
+    larger = [(name, why) for name, why in planned.plan.left_out if _radius(planned, name) > radius]
+    for name, why in larger:
+        yield f"Left out, though larger: {name}: {why}."
+
+
+def _rows(planned: Planned) -> Iterator[str]:
+    chosen = planned.chosen
+    finish = chosen.finish
+    finer = [one for one in planned.plan.front if one.finish.pitch_mm < finish.pitch_mm]
+    words = f"Rows {finish.pitch_mm:g} mm apart"
+    if finer:
+        gain, more = finer[0].psnr_db - chosen.psnr_db, finer[0].hours - chosen.hours
+        yield f"{words}: {finer[0].finish.pitch_mm:g} mm would gain {gain:.1f} dB for {more:.1f} h more."
+    else:
+        grain = 100 * planned.light.grain(finish.radius_mm, chosen.slopes, finish)
+        yield (
+            f"{words}: closer ones would not help, as the rows that lie deepest by the mill's noise hide the others "
+            + (f"and make stripes, here of {grain:.0f} % of the light.")
+        )
+    if finish.strategy == "raster":
+        gain = chosen.psnr_db - _turned(planned, chosen)
+        if gain >= 0.05:
+            way, other = finish.direction.upper(), "Y" if finish.direction == "x" else "X"
+            yield f"They run along {way}: along {other} their blur would cost this picture {gain:.1f} dB more."
+
+
+def _rough(planned: Planned) -> Iterator[str]:
+    before = planned.chosen.passes[:-1]
+    first = before[0]
+    words = f"A ball of {first.radius_mm:g} mm roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
+    if len(before) > 1:
+        words += f"; a second rough of {before[1].radius_mm:g} mm is quicker than layers of the finish"
+    else:
+        words += "; a second rough would not pay"
+    yield words + "."
+
+
+def _not_met(planned: Planned) -> str:
+    goal = planned.goal
+    if goal.blur_mm is not None:
+        return f"plan.blur_mm = {goal.blur_mm:g} cannot be reached: {planned.chosen.blur_mm:.2g} mm is the least"
+    return f"plan.psnr_db = {goal.psnr_db or 0:g} cannot be reached: {planned.chosen.psnr_db:.1f} dB is the most"
+
+
+def _remedy(planned: Planned) -> str:
+    """What would help most: a larger ball, or a mill that is off by less."""
+    largest = max(planned.light.lenses)
+    if planned.plan.left_out and any(_radius(planned, name) > largest for name, _ in planned.plan.left_out):
+        return "a wider margin of the block leaves room for a larger ball"
+    steps, noise = planned.machine.step_mm / 12**0.5, planned.machine.z_noise_mm
+    cause = "finer steps of the mill" if steps > noise else "a steadier mill"
+    return f"{cause}, a larger ball, or a coarser picture on a larger screen helps"
+
+
+def _turned(planned: Planned, chosen: Candidate) -> float:
+    """PSNR with the same rows along the other axis."""
+    other = replace(chosen.finish, direction="y" if chosen.finish.direction == "x" else "x")
+    return planned.light.aimed_db(other.radius_mm, chosen.slopes, other)
+
+
+def _cutting_speed(planned: Planned) -> float:
+    """At the contact on the median slope [m/min]."""
+    finish = planned.chosen.finish
+    slope = float(np.median(planned.light.forms[finish.radius_mm].slopes))
+    return contact_speed_m_per_min(finish.radius_mm, finish.spindle_rpm, slope)
+
+
+def _radius(planned: Planned, name: str) -> float:
+    return planned.radius_of.get(name, 0.0)

@@ -1,0 +1,184 @@
+"""A job's passes from its picture, its lens, the shop's tools and its mill: what `cam.planner` needs, and what it means
+in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from cam.materials import PMMA
+from cam.planner import Candidate, Goal, NoPlanError, Plan, Shop, make_plan
+from cam.tools import Tool
+from machines.profiles import MachineProfile
+from optics.heightfield import Array, Heightfield
+from optics.metrics import CausticScore
+from service.errors import InputError
+from service.passes import machine_of
+from service.plan_light import PictureLight, lit_designs, lit_lens
+from service.plan_words import blur_warnings, reasons
+from service.spec import JobSpec, PassRow
+from service.stages.optical_task import bench_of, branch_of, lens_settings
+from service.stages.plain import plain
+from service.stages.programs import kinematics_of
+from service.tools import load_tools
+
+Progress = Callable[[float], None]
+_CLEAR_MM = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """A plan with the eyes it was made with."""
+
+    plan: Plan
+    light: PictureLight
+    machine: MachineProfile
+    goal: Goal
+    shapes_lens: bool  # the lens is shaped for the ball that is chosen
+    tools: tuple[Tool, ...]
+
+    @cached_property
+    def radius_of(self) -> dict[str, float]:
+        return {tool.name: tool.radius_mm for tool in self.tools}
+
+    @property
+    def chosen(self) -> Candidate:
+        return self.plan.chosen
+
+    def picture(self, candidate: Candidate) -> Array:
+        """Predicted light (ny, nx) on the screen, work frame."""
+        return self.light.picture(candidate.finish.radius_mm, candidate.slopes, candidate.finish)
+
+    @cached_property
+    def _scores(self) -> dict[int, CausticScore]:
+        return {}
+
+    def score(self, candidate: Candidate) -> CausticScore:
+        """PSNR, SSIM and the rest of the predicted light."""
+        if id(candidate) not in self._scores:
+            self._scores[id(candidate)] = self.light.score(self.picture(candidate))
+        return self._scores[id(candidate)]
+
+    def foreseen_blur_mm(self) -> list[float]:
+        """What the lens is to be made sharper for, to the micrometre."""
+        chosen = self.chosen
+        found = self.light.foreseen_blur_mm(chosen.finish.radius_mm, chosen.slopes, chosen.finish)
+        return [round(value, 3) for value in found]
+
+    def blur_px(self, candidate: Candidate) -> float:
+        return candidate.blur_mm / min(self.light.pixel_mm)
+
+    def rows(self, candidate: Candidate | None = None) -> list[dict[str, Any]]:
+        """The passes as the job spec takes them."""
+        passes = (candidate or self.chosen).passes
+        rows = [{key: value for key, value in asdict(spec).items() if key in PassRow.model_fields} for spec in passes]
+        return [{key: value for key, value in row.items() if value is not None} for row in rows]
+
+    def figures(self) -> dict[str, Any]:
+        """For report.json: what was chosen and what else there was."""
+        chosen, score = self.chosen, self.score(self.chosen)
+        return plain(
+            {
+                "min_radius_mm": chosen.finish.radius_mm,
+                "foreseen_blur_mm": self.foreseen_blur_mm(),
+                "goal": {key: value for key, value in asdict(self.goal).items() if value is not None},
+                "goal_met": self.plan.met,
+                "hours": chosen.hours,
+                "hours_by_pass": [seconds / 3600 for seconds in chosen.seconds],
+                "psnr_db": score.psnr_db,
+                "ssim": score.ssim,
+                "blur_mm": chosen.blur_mm,
+                "blur_px": self.blur_px(chosen),
+                "perfect_psnr_db": self.light.perfect_db(chosen.finish.radius_mm),
+                "best_psnr_db": self.plan.best.psnr_db,
+                "candidates": [self._line(one) for one in self.plan.front],
+                "left_out": [{"tool": name, "why": why} for name, why in self.plan.left_out],
+            }
+        )
+
+    def _line(self, one: Candidate) -> dict[str, Any]:
+        finish = one.finish
+        return {
+            "tool": one.tool.name,
+            "radius_mm": finish.radius_mm,
+            "pitch_mm": finish.pitch_mm,
+            "direction": finish.direction,
+            "strategy": finish.strategy,
+            "passes": len(one.passes),
+            "hours": one.hours,
+            "psnr_db": one.psnr_db,
+            "blur_mm": one.blur_mm,
+        }
+
+    def why(self) -> list[str]:
+        """Why these passes, in sentences."""
+        return reasons(self)
+
+    def warnings(self) -> list[str]:
+        """What the chosen passes cannot do, and what would help."""
+        return blur_warnings(self)
+
+
+def plan_for_picture(
+    spec: JobSpec, target: Array, *, tools: Path | None = None, on_progress: Progress | None = None
+) -> Planned:
+    """Passes for a lens that is still to be designed, for the ball that finishes it.
+
+    target : (ny, nx) work frame, mean 1
+    """
+    shop = shop_of(spec, load_tools(tools))
+    settings = lens_settings(spec, branch=branch_of(spec, target))
+    aims = not any(spec.optics.foreseen_blur_mm)
+    shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
+    light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
+    return _planned(spec, shop, light, shapes_lens=shapes)
+
+
+def plan_for_lens(
+    spec: JobSpec, lens: Heightfield, target: Array, *, tools: Path | None = None, on_progress: Progress | None = None
+) -> Planned:
+    """Passes for a lens that exists."""
+    shop = shop_of(spec, load_tools(tools))
+    bench = replace(bench_of(spec), branch=branch_of(spec, target))
+    light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
+    return _planned(spec, shop, light, shapes_lens=False)
+
+
+def shop_of(spec: JobSpec, tools: tuple[Tool, ...]) -> Shop:
+    """Tools, material and mill of a job."""
+    machine = machine_of(spec)
+    return Shop(
+        tools=tools,
+        material=PMMA,
+        mill=kinematics_of(machine),
+        spindle_rpm=machine.spindle_rpm,
+        step_mm=machine.step_mm,
+        noise_mm=machine.z_noise_mm,
+        margin_mm=spec.stock.margin_mm,
+    )
+
+
+def _radii(shop: Shop) -> list[float]:
+    """Of the balls that the block has room for; of all, where it has room for none, so that each is refused by name."""
+    radii = {tool.radius_mm for tool in shop.tools}
+    return sorted({r for r in radii if 2 * r + _CLEAR_MM <= shop.margin_mm} or radii)
+
+
+def _planned(spec: JobSpec, shop: Shop, light: PictureLight, *, shapes_lens: bool) -> Planned:
+    goal = Goal(**spec.plan.model_dump())
+    try:
+        plan = make_plan(shop, light.forms, light, goal)
+    except NoPlanError as error:
+        raise InputError(
+            "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
+        ) from None
+    if goal.hours is not None and not plan.met:
+        raise InputError(
+            f"plan.hours: {goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
+        )
+    return Planned(
+        plan=plan, light=light, machine=machine_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
+    )

@@ -1,0 +1,152 @@
+"""The stage that shines light through the surface that the programs really leave: the picture a person will get."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from cam.as_milled.noise import Noise
+from cam.as_milled.rows import sample_facets, tip_error_mm
+from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Tracks
+from cam.gcode import LANGUAGES, read_parts
+from cam.passes import PassSpec
+from cam.posts.dialects import POSTS
+from machines.profiles import MachineProfile
+from optics.caustic import Caustic, simulate_caustic
+from optics.heightfield import Array, Heightfield
+from optics.irradiance import picture_from_irradiance
+from optics.metrics import psnr_db, score_caustic
+from optics.milled import simulate_milled
+from optics.milled_blur import Deviations, deviations, predicted_light
+from service.job_files import HEIGHTFIELD, MAP, files_of_pass, read_chunks
+from service.passes import cam_passes_of, machine_of
+from service.report_milled import CAUSES
+from service.stages import arrays
+from service.stages.optical_task import bench_of
+from service.stages.plain import plain
+from service.stages.workshop import Workshop
+
+_SAMPLES = 24  # parts of the surface whose slopes are measured
+_FINER = 4.0  # a quarter of the pitch: as good as no grooves
+
+
+def as_milled(shop: Workshop) -> None:
+    """Light through the surface that the finishing programs leave: report `as_milled`, caustic-as-milled.png, and
+    as-milled.png, which shows it beside target and design. Nothing where no pass finishes.
+    """
+    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
+    target = shop.receive(MAP, arrays.load_target)
+    passes = [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
+    if not passes:
+        return
+    bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
+    with shop.watch.stage("as milled: surface") as reached:
+        surface = _surface(shop, passes, heightfield, reached)
+    with shop.watch.stage("as milled: light") as reached:
+        seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
+        found = deviations(list(_sampled(surface)), heightfield, bench, shape)
+    del surface
+    with shop.watch.stage("as milled: causes") as reached:
+        designed = simulate_caustic(heightfield, bench, pixels=shape)
+        gains = _gains(shop, passes[0][1], heightfield, target, designed, reached)
+    _tell(shop, target, seen, designed, found, gains)
+    _draw(shop, target, designed.irradiance, seen.irradiance)
+
+
+def _surface(
+    shop: Workshop, passes: list[tuple[int, PassSpec]], heightfield: Heightfield, reached: Callable[[float], None]
+) -> MilledSurface:
+    machine, rows = machine_of(shop.spec), shop.so_far["passes"]
+    tracks = []
+    for done, (number, spec) in enumerate(passes, 1):
+        paths = [shop.folder / name for name, _ in files_of_pass(rows[number])]
+        batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
+        noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
+        tracks.append(Tracks.of_program(batches, radius_mm=spec.radius_mm, step_mm=machine.step_mm, noise=noise))
+        reached(0.8 * done / len(passes))
+    roughness_mm = tip_error_mm(step_mm=machine.step_mm, decimals=_decimals(machine))
+    return MilledSurface.of_tracks(
+        tracks,
+        heightfield,
+        pitch_mm=max(spec.pitch_mm for _, spec in passes),
+        error_mm=math.hypot(machine.z_noise_mm, roughness_mm),
+        roughness_mm=roughness_mm,
+    )
+
+
+def _decimals(machine: MachineProfile) -> int:
+    return round(-math.log10(POSTS[machine.dialect].digits.z_mm))
+
+
+def _sampled(surface: MilledSurface) -> Iterator[Array]:
+    for number in np.unique(np.linspace(0, surface.parts - 1, _SAMPLES).astype(int)):
+        yield surface.part(int(number))
+
+
+def _gains(
+    shop: Workshop,
+    spec: PassSpec,
+    heightfield: Heightfield,
+    target: Array,
+    designed: Caustic,
+    reached: Callable[[float], None],
+) -> dict[str, float]:
+    """dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
+    machine, bench = machine_of(shop.spec), bench_of(shop.spec)
+    now: dict[str, Any] = {
+        "pitch_mm": spec.pitch_mm,
+        "step_mm": machine.step_mm,
+        "z_noise_mm": machine.z_noise_mm,
+        "decimals": _decimals(machine),
+    }
+    without: dict[str, dict[str, Any]] = {
+        "scallops": {"pitch_mm": spec.pitch_mm / _FINER},
+        "steps": {"step_mm": 0.0},
+        "noise": {"z_noise_mm": 0.0},
+        "rounding": {"decimals": 9},
+    }
+    scores = []
+    changes: list[dict[str, Any]] = [{}, *(without[cause] for cause in CAUSES)]
+    for number, change in enumerate(changes):
+        facets = sample_facets(heightfield, radius_mm=spec.radius_mm, direction=spec.direction, **{**now, **change})
+        scores.append(psnr_db(predicted_light(designed.irradiance, facets, heightfield, bench), target))
+        reached((number + 1) / (len(without) + 1))
+    return {cause: score - scores[0] for cause, score in zip(CAUSES, scores[1:], strict=True)}
+
+
+def _tell(
+    shop: Workshop, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
+) -> None:
+    machine = machine_of(shop.spec)
+    shop.report["as_milled"] = plain(
+        {
+            **asdict(score_caustic(seen.irradiance, target)),
+            "psnr_db_designed": psnr_db(designed.irradiance, target),
+            "outside_share": seen.outside_share,
+            "reflected_share": seen.reflected_share,
+            "slope_rms_mrad": found.slope_mrad,
+            "slope_x_rms_mrad": found.slope_x_mrad,
+            "slope_y_rms_mrad": found.slope_y_mrad,
+            "blur_px": found.blur_px,
+            "blur_x_px": found.blur_x_px,
+            "blur_y_px": found.blur_y_px,
+            "step_mm": machine.step_mm,
+            "z_noise_mm": machine.z_noise_mm,
+            "gain_db_without": gains,
+        }
+    )
+
+
+def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None:
+    from service import figures, figures_milled  # what they stand on is slow to import
+
+    viewed_from = shop.spec.optics.viewed_from
+    views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
+    white = float(target.max())
+    shop.save("caustic-as-milled.png", figures.picture_png(views[2], white=white))
+    shop.save("as-milled.png", figures_milled.as_milled_png(*views, figures=shop.report["as_milled"]))

@@ -1,0 +1,41 @@
+"""The stage that finds a job's passes where its preset is "recommended": before the lens, which its ball shapes.
+
+The passes go into report `plan`; `service.passes.with_plan` puts them into the spec that all later stages get.
+"""
+
+from __future__ import annotations
+
+from service.job_files import HEIGHTFIELD, MAP, PLAN
+from service.planning import Planned, plan_for_lens, plan_for_picture
+from service.spec import PassRow
+from service.stages import arrays
+from service.stages.lens import TARGET
+from service.stages.workshop import Workshop
+
+
+def choose_passes(shop: Workshop) -> None:
+    """Passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
+    if not shop.spec.to_be_planned:
+        return
+    target = shop.receive(TARGET, arrays.load_target)
+    if shop.desk is not None:
+        shop.desk[TARGET] = target  # the lens is made from it as well
+    with shop.watch.stage("plan") as reached:
+        _tell(shop, plan_for_picture(shop.spec, target, on_progress=reached))
+
+
+def passes_for_lens(shop: Workshop) -> None:
+    """Passes for a lens that exists; report `plan`, plan.png."""
+    lens, target = shop.receive(HEIGHTFIELD, arrays.load_heightfield), shop.receive(MAP, arrays.load_target)
+    with shop.watch.stage("plan") as reached:
+        _tell(shop, plan_for_lens(shop.spec, lens, target, on_progress=reached))
+
+
+def _tell(shop: Workshop, planned: Planned) -> None:
+    from service import figures_plan  # what it stands on is slow to import
+
+    rows = [PassRow.model_validate(row).model_dump(mode="json") for row in planned.rows()]
+    shop.report["plan"] = {**planned.figures(), "passes": rows, "why": planned.why()}
+    for sentence in planned.warnings():
+        shop.note("passes", sentence)
+    shop.save(PLAN, figures_plan.plan_png(planned, viewed_from=shop.spec.optics.viewed_from))

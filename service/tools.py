@@ -1,0 +1,133 @@
+"""The tool library: which ball end mills the shop has.
+
+`tools.toml` beside this module holds the usual ones; a person's own tools.toml in their configuration folder, beside
+the folder of their machines, takes its place.
+"""
+
+from __future__ import annotations
+
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from cam.tools import Tool
+from machines.profile_values import BadValueError, Rule, Rules, number, whole
+from machines.profiles import user_folders
+from service.errors import InputError, sentence_of_os_error
+
+BUILT_IN = Path(__file__).with_name("tools.toml")
+_NAME = "tools.toml"
+_MOST_BYTES = 1_000_000
+
+
+def _word(value: Any) -> str:
+    if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value.strip()) <= 40:
+        raise ValueError
+    return value.strip()
+
+
+_VALUES = Rules(
+    {
+        "name": Rule(_word, "text on one line, 1 to 40 characters"),
+        "radius_mm": number(0.05, 25, "mm"),
+        "flutes": whole(1, 8),
+        "flute_length_mm": number(0.1, 200, "mm"),
+        "shank_radius_mm": number(0.1, 50, "mm"),
+        "stick_out_mm": number(0.5, 300, "mm"),
+        "max_rpm": number(100, 200_000, "rpm"),
+        "cost_class": whole(1, 3),
+    }
+)
+
+
+def own_file(environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Where the person's own library is, or would be."""
+    folders = user_folders(environment)
+    return folders[0].parent / _NAME if folders else None
+
+
+def library_file(given: Path | None = None) -> Path:
+    """The file in use: the one given, else the person's own, else the built-in."""
+    if given is not None:
+        return given
+    own = own_file()
+    return own if own is not None and own.is_file() else BUILT_IN
+
+
+def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
+    """The tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
+    path = library_file(given)
+    data = _read(path)
+    rows = data.pop("tool", [])
+    if data:
+        raise InputError(f"{path}: {next(iter(data))}: there is no such key; allowed: [[tool]] tables alone")
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InputError(f"{path}: tool: must be tables, each under a line [[tool]]")
+    if not rows:
+        raise InputError(f"{path}: it lists no tool; allowed: one [[tool]] table or more")
+    tools = [_tool(path, row, index) for index, row in enumerate(rows, 1)]
+    names = [tool.name for tool in tools]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"{path}: name = {twice!r}: allowed: a name that no other tool has")
+    return tuple(sorted(tools, key=lambda tool: (tool.radius_mm, tool.cost_class, tool.name)))
+
+
+def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
+    place = f"{path}: tool {index}"
+    try:
+        values = {key: _VALUES.checked(key, value, "") for key, value in row.items()}
+    except BadValueError as error:
+        raise InputError(f"{place}: {error}") from None
+    needed = ("name", "radius_mm", "flutes", "flute_length_mm", "max_rpm")
+    if missing := [key for key in needed if key not in values]:
+        raise InputError(f"{place}: {', '.join(missing)}: missing")
+    left_out = {
+        "shank_radius_mm": values["radius_mm"], "stick_out_mm": values["flute_length_mm"], "cost_class": 2,
+    }  # fmt: skip
+    tool = Tool(**{**left_out, **values})
+    if tool.flute_length_mm < tool.radius_mm:
+        raise InputError(
+            f"{place}: flute_length_mm = {tool.flute_length_mm:g}: allowed: at least the ball's radius, "
+            f"{tool.radius_mm:g} mm"
+        )
+    if tool.stick_out_mm < tool.flute_length_mm:
+        raise InputError(
+            f"{place}: stick_out_mm = {tool.stick_out_mm:g}: allowed: at least the flute length, "
+            f"{tool.flute_length_mm:g} mm"
+        )
+    return tool
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_MOST_BYTES + 1)
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing=f"{path}: cannot be read")) from None
+    if len(raw) > _MOST_BYTES:
+        raise InputError(f"{path}: is too large; a tool library has at most {_MOST_BYTES} bytes")
+    try:
+        return tomllib.loads(raw.decode("utf-8-sig"))
+    except UnicodeDecodeError:
+        raise InputError(f"{path}: is not UTF-8 text; save it as UTF-8") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not valid TOML: {' '.join(str(error).split())}") from None
+
+
+def table(tools: tuple[Tool, ...], path: Path) -> list[str]:
+    """Lines that list the library for a person."""
+    head = ("NAME", "RADIUS", "FLUTES", "FLUTE LENGTH", "SHANK RADIUS", "STICK-OUT", "MOST RPM", "COST")
+    rows = [head, *(tuple(_cell(getattr(tool, field.name)) for field in fields(Tool)) for tool in tools)]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    lines = ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]
+    own = own_file()
+    where = f"your own, in place of these: {own}" if own is not None else "your own: set CAUSTICMILL_CONFIG_DIR"
+    origin = "built in" if path == BUILT_IN else str(path)
+    return [*lines, "", f"all lengths in mm, from: {origin}", *([where] if path == BUILT_IN else [])]
+
+
+def _cell(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,198 @@
+"""Laws of the contour path: one polyline, every place beside a track, along the contours, on the surface."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+
+from cam.contour import field, path, tracer
+from cam.contour.path import contour_path
+from cam.passes import PassSpec
+from cam.tool_surface import ToolSurface
+from cam.vertices import finish_rule, rough_rule
+from optics.heightfield import Heightfield
+
+SIDE, PITCH, RADIUS = 10.0, 0.1, 1.5
+WAYS = {
+    "flat": lambda x, y: 0 * x * y,
+    "ramp": lambda x, y: 0.2 * x + 0.1 * y,
+    "peak": lambda x, y: np.exp(-((x - 4.3) ** 2 + (y - 5.1) ** 2) / 8),
+    "cone": lambda x, y: -0.2 * np.sqrt((x - 5) ** 2 + (y - 5) ** 2 + 0.1),
+    "saddle": lambda x, y: 0.02 * ((x - 5.2) ** 2 - (y - 4.9) ** 2),
+    "stripes": lambda x, y: 0.2 * np.sin(1.5 * x) + 0 * y,
+    "egg box": lambda x, y: 0.2 * np.sin(0.7 * x) * np.sin(0.6 * y),
+    "terrace": lambda x, y: 0.5 * np.tanh(2 * (x - 5)) + 0 * y,
+}
+
+
+def lens(z, *, width_mm: float = SIDE, height_mm: float = SIDE) -> Heightfield:
+    x, y = np.linspace(0, width_mm, 101)[None, :], np.linspace(0, height_mm, 101)[:, None]
+    heights = z(x, y) + np.zeros((101, 101))
+    return Heightfield.on_aperture(heights - heights.max() - 0.1, width_mm=width_mm, height_mm=height_mm)
+
+
+def hills(bumps) -> Heightfield:
+    def z(x, y):
+        return sum(a * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / (2 * s * s)) for cx, cy, a, s in bumps)
+
+    return lens(z)
+
+
+def pass_of(pitch_mm: float = PITCH, radius_mm: float = RADIUS, leave_mm: float = 0.0) -> PassSpec:
+    return PassSpec(
+        name="contour",
+        strategy="contour",
+        radius_mm=radius_mm,
+        pitch_mm=pitch_mm,
+        stock_to_leave_mm=leave_mm,
+        step_down_mm=1.0,
+        feed_mm_per_min=600,
+        plunge_mm_per_min=300,
+        spindle_rpm=24000,
+    )
+
+
+def tips_of(surface_of: Heightfield, spec: PassSpec | None = None) -> np.ndarray:
+    spec = spec or pass_of()
+    surface = surface_with(surface_of, spec)
+    probe = surface_of.dx_mm
+    rule = finish_rule(0.5e-3, probe) if spec.finishes else rough_rule(spec.stock_to_leave_mm, probe)
+    return np.concatenate(list(contour_path(surface_of, surface, spec, rule)))
+
+
+def surface_with(heightfield: Heightfield, spec: PassSpec) -> ToolSurface:
+    return ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+
+
+def widest_gap(tips: np.ndarray, width_mm: float, height_mm: float, step: float) -> float:
+    """Twice the greatest distance from a grid of places to the path, which is cut into crumbs for it."""
+    length = np.hypot(*np.diff(tips[:, :2], axis=0).T)
+    parts = np.maximum(1, np.ceil(length / (step / 4))).astype(int)
+    k = np.repeat(np.arange(length.size), parts)
+    t = (np.arange(k.size) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[k]
+    crumbs = tips[k, :2] + t[:, None] * (tips[k + 1, :2] - tips[k, :2])
+    places = np.stack(np.meshgrid(np.arange(0, width_mm + 1e-9, step), np.arange(0, height_mm + 1e-9, step)), axis=-1)
+    return 2 * float(cKDTree(crumbs).query(places.reshape(-1, 2))[0].max())
+
+
+def turns(tips: np.ndarray) -> np.ndarray:
+    ahead = np.diff(tips[:, :2], axis=0)
+    angle = np.diff(np.arctan2(ahead[:, 1], ahead[:, 0]))
+    return np.abs((angle + np.pi) % (2 * np.pi) - np.pi)
+
+
+def length_mm(tips: np.ndarray) -> float:
+    return float(np.hypot(*np.diff(tips[:, :2], axis=0).T).sum())
+
+
+def judge(tips: np.ndarray, heightfield: Heightfield, spec: PassSpec) -> None:
+    """What holds for every lens and pass."""
+    width, height, reach = heightfield.width_mm, heightfield.height_mm, spec.radius_mm
+    assert np.abs(tips[:, :2] * 1e4 - np.rint(tips[:, :2] * 1e4)).max() < 1e-6, "x and y are on the writing raster"
+    assert np.hypot(*np.diff(tips[:, :2], axis=0).T).min() > 0, "every move goes somewhere"
+    assert tips[:, 0].min() >= -reach
+    assert tips[:, 0].max() <= width + reach
+    assert tips[:, 1].min() >= -reach
+    assert tips[:, 1].max() <= height + reach
+    assert widest_gap(tips, width, height, spec.pitch_mm / 8) <= 1.02 * spec.pitch_mm
+    assert turns(tips).max() < np.radians(60)
+    on_it = surface_with(heightfield, spec).tip_heights_mm(tips[:, 0], tips[:, 1])
+    assert np.abs(tips[:, 2] - on_it).max() < 1e-7
+
+
+@pytest.mark.parametrize("name", WAYS)
+def test_any_shape_is_covered_by_one_path_on_the_surface(name):
+    heightfield = lens(WAYS[name])
+    tips = tips_of(heightfield)
+    judge(tips, heightfield, pass_of())
+
+
+@pytest.mark.parametrize("name", ["flat", "ramp", "peak", "cone"])
+def test_where_contours_are_simple_the_path_is_rows_and_turns(name):
+    """A hundred pitches wide, a lens has a turn of 17 pitches to every other of its rows, and a rim that the ball
+    touches from outside: together less than the rows.
+    """
+    assert SIDE**2 < length_mm(tips_of(lens(WAYS[name]))) * PITCH < 2 * SIDE**2
+
+
+@settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    st.lists(
+        st.tuples(st.floats(0, SIDE), st.floats(0, SIDE), st.floats(-0.4, 0.4), st.floats(1.2, 4.0)),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_random_hills_are_covered_by_one_path_on_the_surface(bumps):
+    heightfield = hills(bumps)
+    judge(tips_of(heightfield), heightfield, pass_of())
+
+
+@pytest.mark.parametrize(
+    ("pitch", "radius", "leave"), [(0.5, 3.0, 0.2), (0.05, 0.5, 0.03), (0.1, 0.5, 0.0), (0.5, 0.5, 0.0)]
+)
+def test_any_pass_even_where_the_ring_is_too_narrow_for_wide_turns(pitch, radius, leave):
+    heightfield = lens(WAYS["peak"], height_mm=8.0)
+    spec = pass_of(pitch, radius, leave)
+    judge(tips_of(heightfield, spec), heightfield, spec)
+
+
+def test_the_path_follows_the_contours():
+    """Turns at the rim are a tenth of the path here, of a 100 mm lens at a pitch of 0.02 mm one per cent."""
+    heightfield, spec = lens(lambda x, y: 0.2 * x + 0.1 * y + 0.1 * np.sin(0.6 * x - 0.3 * y)), pass_of(0.05)
+    tips = tips_of(heightfield, spec)
+    ahead, middle = np.diff(tips[:, :2], axis=0), (tips[1:] + tips[:-1]) / 2
+    contacts = surface_with(heightfield, spec).contacts_mm(middle[:, 0], middle[:, 1])
+    _, zx, zy = heightfield.spline().jets(contacts[:, 0], contacts[:, 1])[:3]
+    long, slope = np.hypot(*ahead.T), np.hypot(zx, zy)
+    counts = (slope > 0.01) & np.all((contacts[:, :2] > 0) & (contacts[:, :2] < SIDE), axis=1)
+    uphill = np.abs(ahead[:, 0] * zx + ahead[:, 1] * zy) / (slope * long)
+    aligned = long[counts & (uphill < np.sin(np.radians(15)))].sum() / long[counts].sum()
+    assert aligned > 0.93
+    assert long.sum() * spec.pitch_mm < 1.5 * SIDE**2
+
+
+def test_the_chords_keep_the_rule_of_slope_and_sag():
+    """Twice as bent as any lens, and nowhere between two vertices is the tip 20 nm off: what a gouge may be."""
+    heightfield, spec = lens(WAYS["egg box"]), pass_of()
+    tips = tips_of(heightfield, spec)
+    surface = surface_with(heightfield, spec)
+    a, b = tips[:-1], tips[1:]
+    for t in (0.25, 0.5, 0.75):
+        between = a + t * (b - a)
+        off = between[:, 2] - surface.tip_heights_mm(between[:, 0], between[:, 1])
+        cuttable = np.hypot(*(b - a)[:, :2].T) > 2 * path.SHORTEST_MM
+        inside = np.all((between[:, :2] > RADIUS) & (between[:, :2] < SIDE - RADIUS), axis=1)
+        assert np.abs(off[cuttable & inside]).max() < 20e-6
+
+
+def test_the_same_lens_gives_the_same_path_on_one_thread_and_on_two(monkeypatch):
+    heightfield = lens(WAYS["egg box"])
+    twice = [tips_of(heightfield)]
+    for module in ("cam.contour.tracer", "cam.contour.cover", "cam.raster"):
+        monkeypatch.setattr(f"{module}.THREADS", 1)
+    twice.append(tips_of(heightfield))
+    np.testing.assert_array_equal(*twice)
+
+
+def test_the_path_begins_with_a_straight_for_the_ramp_outside_the_aperture():
+    tips = tips_of(lens(WAYS["saddle"]))
+    lead_in = tips[: int(np.argmax(tips[:, 1] != tips[0, 1]))]
+    assert np.ptp(lead_in[:, 0]) == pytest.approx(SIDE / 2)
+    assert lead_in[0, 1] < 0
+
+
+def test_no_level_line_is_lost_where_the_gradient_of_the_field_is_even():
+    """On a ramp f is the distance uphill: as many tracks as pitches, all straight and parallel."""
+    heightfield = lens(WAYS["ramp"])
+    surface = surface_with(heightfield, pass_of())
+    f = field.ContourField.over(heightfield, surface, pitch_mm=PITCH)
+    tracks = tracer.trace(f, pitch_mm=PITCH)
+    for k in range(tracks.count):
+        ahead = np.diff(tracks.xy_mm[tracks.start[k] : tracks.start[k + 1]], axis=0)
+        assert np.abs(ahead @ (2, 1)).max() < 0.02 * np.hypot(*ahead.T).max() * np.hypot(2, 1)
+    across = (SIDE * 2 + SIDE) / np.hypot(2, 1)
+    assert tracks.count == pytest.approx(across / (2 * field.REACH_PITCHES * PITCH), rel=0.12)

@@ -1,0 +1,43 @@
+"""What the setup sheet says of the picture as milled, and its silence where nothing is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from service.figures_milled import as_milled_png, busiest_part
+from service.report import render_report
+from service.report_milled import CAUSES, milled_sentences
+
+MILLED = {
+    "psnr_db": 24.4, "psnr_db_designed": 41.0, "ssim": 0.73, "misplaced_light": 0.05, "dark_leak": 0.0,
+    "slope_rms_mrad": 11.9, "blur_px": 2.9, "blur_x_px": 0.1, "blur_y_px": 2.9, "step_mm": 0.002, "z_noise_mm": 0.0005,
+    "gain_db_without": {"scallops": 1.0, "steps": 3.2, "noise": 0.4, "rounding": 0.0},
+}  # fmt: skip
+
+
+def test_the_sheet_says_what_to_expect_and_what_costs_most():
+    told = " ".join(milled_sentences(MILLED))
+    for word in ("24.4 dB", "41.0 dB", "11.9 mrad", "2.9 in Y", "2 µm", "0.5 µm", "3.2 dB", CAUSES["steps"]):
+        assert word in told
+    assert milled_sentences({}) == []
+    quiet = {**MILLED, "gain_db_without": dict.fromkeys(CAUSES, 0.1)}
+    assert len(milled_sentences(quiet)) == 2
+
+
+def test_the_page_shows_the_picture_beside_the_design():
+    page = render_report({"as_milled": MILLED}, files=["caustic.png", "caustic-as-milled.png", "as-milled.png"])
+    assert 'src="caustic-as-milled.png"' in page
+    assert 'src="as-milled.png"' in page
+    assert "What costs most" in page
+
+
+@pytest.mark.parametrize("shape", [(16, 16), (40, 90), (200, 30)])
+def test_the_enlarged_part_lies_in_the_picture_where_it_changes(shape):
+    picture = np.zeros(shape)
+    picture[shape[0] // 2 :: 2, shape[1] // 2 :: 2] = 1.0
+    rows, columns = busiest_part(picture)
+    assert np.abs(np.diff(picture[rows, columns])).sum() > 0
+    assert rows.stop <= shape[0]
+    assert columns.stop <= shape[1]
+    assert as_milled_png(picture + 0.1, picture, picture, figures=MILLED).startswith(b"\x89PNG")
