@@ -28,7 +28,7 @@ _NOTHING = np.empty(0)
 
 
 class Moves(Protocol):
-    """What the model needs of a batch: a cam.gcode.MoveBatch, or anything laid out like it.
+    """What the model needs of a batch: a cam.reading.gcode.MoveBatch, or anything laid out like it.
 
     A batch may also have `sent_bytes` (n,): bytes on the wire from the program's start up to and including the line.
     """

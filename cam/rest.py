@@ -17,13 +17,13 @@ import numpy as np
 import numpy.typing as npt
 from scipy import ndimage
 
+from cam.checking.stock_left import StockLeft
 from cam.entries import enter, leave
 from cam.layers import Run, chained, spans
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.raster import Rows, climbs_rightward, on_ticks
 from cam.stock_grid import StockGrid
-from cam.stock_left import StockLeft
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
 from cam.vertices import VertexRule, march_row, most_vertices

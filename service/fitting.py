@@ -9,7 +9,7 @@ import shutil
 from math import isfinite
 from pathlib import Path
 
-from cam.collision import lens_over_flutes_mm
+from cam.checking.collision import lens_over_flutes_mm
 from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
 from machines.profiles import MachineProfile

@@ -14,8 +14,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from cam.as_milled.noise import Noise
-from cam.gcode import MoveBatch
 from cam.moves import Array
+from cam.reading.gcode import MoveBatch
 
 _STILL_MM = 1e-7  # a move shorter than this in plan is vertical
 
@@ -36,7 +36,7 @@ class Tracks:
     def of_program(
         cls, batches: Iterable[MoveBatch], *, radius_mm: float, step_mm: float = 0.0, noise: Noise | None = None
     ) -> Tracks:
-        """The tracks of a program as `cam.gcode.read_program` gives it.
+        """The tracks of a program as `cam.reading.gcode.read_program` gives it.
 
         step_mm : of every axis, 0 for none
         noise   : height errors of the machine; None for none

@@ -13,9 +13,9 @@ from cam.as_milled.noise import Noise
 from cam.as_milled.rows import sample_facets, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
-from cam.gcode import LANGUAGES, read_parts
 from cam.passes import PassSpec
 from cam.posts.dialects import POSTS
+from cam.reading.gcode import LANGUAGES, read_parts
 from machines.profiles import MachineProfile
 from optics.caustic import Caustic, simulate_caustic
 from optics.heightfield import Array, Heightfield

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from cam.gcode import LANGUAGES, read_parts
 from cam.passes import PassSpec, Stock
+from cam.reading.gcode import LANGUAGES, read_parts
 from machines.errors import ProgramRefusedError
 from machines.gcode.limits import MillLimits, limits_of
 from service.contour_sample import ContourSample

@@ -8,14 +8,14 @@ from dataclasses import asdict, replace
 from itertools import count
 from pathlib import Path
 
-from cam.check import PassCheck, check_program
+from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
-from cam.gcode import LANGUAGES, ProgramError
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.posts.dialects import POSTS
 from cam.posts.digits import Digits
 from cam.program import generate_parts
+from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.stock_grid import StockGrid
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from cam.gcode import MoveBatch, read_program
 from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
+from cam.reading.gcode import MoveBatch, read_program
 from cam.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from tests.benchmarks.timing import Figure

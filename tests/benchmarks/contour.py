@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cam.check import PassCheck, check_program
+from cam.checking.check import PassCheck, check_program
 from cam.passes import PAPER_PASSES, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program

@@ -12,8 +12,8 @@ from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks, sample_facets, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
-from cam.gcode import MoveBatch
-from cam.removal import RemovalGrid
+from cam.checking.removal import RemovalGrid
+from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
 from optics.caustic import simulate_caustic
 from optics.design import design_lens

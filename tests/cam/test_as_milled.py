@@ -13,7 +13,7 @@ from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks, sample_facets, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
-from cam.gcode import read_program
+from cam.reading.gcode import read_program
 from optics.heightfield import Heightfield
 
 SIDE_MM = 2.0

@@ -12,15 +12,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.check import UNCUT_ALLOWED_MM, PassCheck, check_program
-from cam.clearance import SurfaceWitness
+from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
+from cam.checking.clearance import SurfaceWitness
+from cam.checking.stock_left import StockLeft, _deepest_in, find_excess
 from cam.duration import Kinematics
-from cam.gcode import ProgramError, read_program
 from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
+from cam.reading.gcode import ProgramError, read_program
 from cam.stock_grid import StockGrid
-from cam.stock_left import StockLeft, _deepest_in, find_excess
 from optics.heightfield import Heightfield
 
 WIDTH, HEIGHT, RADIUS, PITCH, SAFE = 6.0, 4.0, 0.5, 0.1, 5.0

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.check import PassCheck, check_program
+from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.passes import Stock, ball_pass
 from cam.stock_grid import StockGrid

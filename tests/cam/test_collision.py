@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.collision import RUB_MM, Collisions, lens_over_flutes_mm, shank_of
+from cam.checking.collision import RUB_MM, Collisions, lens_over_flutes_mm, shank_of
+from cam.checking.removal import RemovalGrid
+from cam.checking.sweep import STRIKE
 from cam.passes import ball_pass
-from cam.removal import RemovalGrid
 from cam.stock_grid import StockGrid
-from cam.sweep import STRIKE
 from tests.cam.test_engagement import batch_of
 
 SPEC = replace(

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from cam.moves import Path as ToolPath
 from cam.moves import cut, rapid
 from cam.posts.dialects import POSTS
+from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.gcode.limits import limits_of
 from machines.profiles import load_profile
 from machines.roland.rml import check_rml

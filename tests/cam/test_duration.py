@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.duration import DurationModel, Kinematics
-from cam.gcode import MoveBatch, read_program
+from cam.reading.gcode import MoveBatch, read_program
 
 
 def mill(**changes) -> Kinematics:

@@ -11,10 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.engagement import Engagement, _slot_section
-from cam.gcode import MoveBatch
+from cam.checking.engagement import Engagement, _slot_section
+from cam.checking.removal import RemovalGrid
 from cam.passes import ball_pass
-from cam.removal import RemovalGrid
+from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
 
 CELL = 0.05

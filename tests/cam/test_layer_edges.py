@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cam.check import PassCheck, check_program
+from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
 from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL

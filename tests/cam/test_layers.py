@@ -10,15 +10,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from cam.checking.removal import RemovalGrid
 from cam.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, ramp
-from cam.gcode import read_program
 from cam.layers import SLOT_FEED, Field, chained, plan_layers, spans
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.raster import Rows
-from cam.removal import RemovalGrid
+from cam.reading.gcode import read_program
 from cam.stock_grid import StockGrid
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.check import check_program
+from cam.checking.check import check_program
 from cam.duration import Kinematics
 from cam.entries import CLEARANCE_MM
-from cam.gcode import LANGUAGES, read_program
 from cam.moves import Path, cut, rapid
 from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
 from cam.posts.dialects import POSTS
 from cam.posts.grbl import GRBL
 from cam.program import generate_parts
+from cam.reading.gcode import LANGUAGES, read_program
 from cam.stock_grid import StockGrid
 from machines.gcode.limits import limits_of
 from machines.profiles import load_profile

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from cam.gcode import MoveBatch, read_program
+from cam.checking.path_quality import PathQuality, measure_program
 from cam.passes import ball_pass
-from cam.path_quality import PathQuality, measure_program
+from cam.reading.gcode import MoveBatch, read_program
 from optics.heightfield import Heightfield
 
 SIDE, PITCH, RADIUS = 6.0, 0.1, 0.5

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.gcode import MoveBatch
-from cam.removal import RemovalGrid, deepest
+from cam.checking.removal import RemovalGrid, deepest
+from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
 
 

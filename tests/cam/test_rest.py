@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.check import check_program
+from cam.checking.check import check_program
 from cam.errors import PassValueError
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.track_gaps import PIXELS_PER_PITCH, TipRegion, TrackGaps
-from cam.track_scan import is_inside
+from cam.checking.track_gaps import PIXELS_PER_PITCH, TipRegion, TrackGaps
+from cam.checking.track_scan import is_inside
 
 SIDE, PITCH = 3.0, 0.1
 REGION = TipRegion.plain(SIDE, SIDE)

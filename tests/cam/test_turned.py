@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.check import check_program
+from cam.checking.check import check_program
 from cam.duration import Kinematics
 from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL

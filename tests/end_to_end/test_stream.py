@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cam.gcode import read_program
+from cam.reading.gcode import read_program
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_pty
 

@@ -8,14 +8,14 @@ from functools import cache
 
 import numpy as np
 
-from cam.check import PassCheck, check_program
+from cam.checking.check import PassCheck, check_program
+from cam.checking.path_quality import PathMeasures, measure_program
+from cam.checking.removal import RemovalGrid
 from cam.duration import DurationModel
-from cam.gcode import MoveBatch, read_program
 from cam.passes import PAPER_PASSES, PassSpec, Stock
-from cam.path_quality import PathMeasures, measure_program
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
-from cam.removal import RemovalGrid
+from cam.reading.gcode import MoveBatch, read_program
 from cam.stock_grid import StockGrid
 from machines.profiles import load_profile
 from optics.heightfield import Heightfield

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LightSource
 
-from cam.gcode import MoveBatch
 from cam.passes import PAPER_PASSES, PassSpec
+from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from service.contour_sample import ContourSample

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from cam.gcode import LANGUAGES
 from cam.posts.dialects import POSTS
+from cam.reading.gcode import LANGUAGES
 from machines.profiles import DIALECTS, profile_names
 from service.errors import InputError, SpecError
 from service.machines_list import list_machines, run_machines

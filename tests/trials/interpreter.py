@@ -19,11 +19,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cam.gcode import LANGUAGES, read_parts
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock, paper_passes
 from cam.posts.dialects import POSTS
 from cam.program import generate_parts
+from cam.reading.gcode import LANGUAGES, read_parts
 from cam.stock_grid import StockGrid
 from optics.heightfield import Array
 from tests.benchmarks.pictures import bumps

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cam.errors import CamError
-from cam.gcode import read_program
+from cam.reading.gcode import read_program
 from machines.errors import ProgramRefusedError
 from machines.gcode import scan as scan_module
 from machines.gcode import tally

@@ -181,7 +181,7 @@ def test_feed_override_changes_the_speed_of_what_is_planned():
 
 def test_time_of_a_finishing_path_agrees_with_the_duration_model():
     from cam.duration import DurationModel, Kinematics
-    from cam.gcode import MoveBatch
+    from cam.reading.gcode import MoveBatch
 
     rng = np.random.default_rng(5)
     n = 2500

@@ -1,4 +1,4 @@
-"""The compiled part of `cam.path_quality`: how a path runs along the contour lines, and how sharply it turns."""
+"""The compiled part of `path_quality`: how a path runs along the contour lines, and how sharply it turns."""
 
 from __future__ import annotations
 

@@ -13,11 +13,11 @@ import math
 import numpy as np
 from numba import njit
 
-from cam.findings import Finding
-from cam.gcode import MoveBatch
+from cam.checking.findings import Finding
+from cam.checking.removal import Drops
+from cam.checking.sweep import LEFT, REACH, RIGHT
 from cam.passes import PassSpec
-from cam.removal import Drops
-from cam.sweep import LEFT, REACH, RIGHT
+from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
 
 SLOT_SHARE = 0.6

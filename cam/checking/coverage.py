@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy.ndimage import distance_transform_edt
 
-from cam.gcode import MoveBatch
+from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
 from optics.heightfield import Array
 

@@ -1,11 +1,11 @@
 """The check: a written program is read back and cut in the computer; its verdict decides whether it may be used.
 
-Nothing of the generator is used here: text -> moves (cam.gcode) -> stock left (cam.removal) on the whole part and in
-fine windows, contact with the exact surface move by move (cam.clearance), track spacing (cam.coverage), time
-(cam.duration), the rules for single moves (cam.move_rules), the bite (cam.engagement) and, where flutes and shank are
-stated, what stands beside them (cam.collision).
+Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
+fine windows, contact with the exact surface move by move (`clearance`), track spacing (`coverage`, `path_quality`), time
+(cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
+stated, what stands beside them (`collision`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
-the tracks of a contour pass, 9 bytes a move (cam.path_quality).
+the tracks of a contour pass, 9 bytes a move (cam.checking.path_quality).
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from itertools import chain
 
 import numpy as np
 
-from cam.clearance import Overlaps, SurfaceWitness
-from cam.collision import Collisions, shank_of
-from cam.coverage import Coverage
+from cam.checking.clearance import Overlaps, SurfaceWitness
+from cam.checking.collision import Collisions, shank_of
+from cam.checking.coverage import Coverage
+from cam.checking.engagement import Engagement
+from cam.checking.move_rules import MoveRules
+from cam.checking.path_quality import PathMeasures, PathQuality
+from cam.checking.removal import Drops, RemovalGrid, deepest
+from cam.checking.stock_left import ExcessFound, StockLeft, Unreached, find_excess
+from cam.checking.windows import Window, place_windows
 from cam.duration import DurationModel, Kinematics
-from cam.engagement import Engagement
-from cam.gcode import GRBL, Language, MoveBatch, read_parts
-from cam.move_rules import MoveRules
 from cam.passes import PassSpec, Stock
-from cam.path_quality import PathMeasures, PathQuality
-from cam.removal import Drops, RemovalGrid, deepest
+from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts
 from cam.rest import RestAreas
 from cam.stock_grid import StockGrid
-from cam.stock_left import ExcessFound, StockLeft, Unreached, find_excess
-from cam.windows import Window, place_windows
 from optics.heightfield import Heightfield
 
 GOUGE_ALLOWED_UM = 1.0
@@ -77,7 +77,7 @@ class PassCheck:
                        deep at most; flute_need_mm how high above the tip stock was cut
     below_leave_um   : how far the pass cut into the stock it should leave
     unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
-    contour          : of a contour pass, how it runs (`cam.path_quality`)
+    contour          : of a contour pass, how it runs (`cam.checking.path_quality`)
     rest             : of a rest pass, where it cuts: area_mm2, regions
     stock_top        : what is left, for the next pass
     """

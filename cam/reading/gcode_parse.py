@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cam.gcode_errors import (
+from cam.reading.gcode_errors import (
     AFTER_END,
     ARC,
     BAD_DWELL,
@@ -31,7 +31,7 @@ from cam.gcode_errors import (
     USELESS_WORD,
     WRONG_WORD,
 )
-from cam.gcode_languages import (
+from cam.reading.gcode_languages import (
     BLENDS,
     DECIMALS,
     DWELL,

@@ -1,4 +1,4 @@
-"""The compiled part of `cam.track_gaps`: tiles of pixels painted by tracks, and exact distances where paint is missing.
+"""The compiled part of `track_gaps`: tiles of pixels painted by tracks, and exact distances where paint is missing.
 
 One bit is one pixel; a track paints, row by row, the run of pixels whose centres lie within half a pitch of it. Lengths
 inside a tile are in pixels, its lower left corner is the origin, pixel (i, j) has its centre at (i + 0.5, j + 0.5).

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from cam.gcode_errors import (
+from cam.reading.gcode_errors import (
     AFTER_END,
     BAD_NUMBERS,
     BLIND,
@@ -22,7 +22,7 @@ from cam.gcode_errors import (
     NO_VELOCITY,
     RELATIVE,
 )
-from cam.gcode_parse import ABSOLUTE, DWELT, ENDED, FEED, LINE, MOTION, SPEED, SPINDLE, X, Y, Z, record
+from cam.reading.gcode_parse import ABSOLUTE, DWELT, ENDED, FEED, LINE, MOTION, SPEED, SPINDLE, X, Y, Z, record
 
 UNITS_PER_MM = 100.0
 _FASTEST_MM_PER_S = 50.0

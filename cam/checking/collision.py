@@ -3,7 +3,7 @@
 The cutter is a ball, flutes as wide as the ball up to flute_length_mm above the tip, and a shank of shank_radius_mm
 above them. At no move may stock within the wider of the two stand higher than the flutes reach: within the ball's
 radius it would be cut by what has no edge, beyond it the shank strikes it. The stock is that of the moment, as the
-simulation has it (cam.sweep); only what is stated of a cutter can be checked.
+simulation has it (cam.checking.sweep); only what is stated of a cutter can be checked.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from math import ceil
 import numpy as np
 from scipy.ndimage import maximum_filter
 
-from cam.findings import Finding
-from cam.gcode import MoveBatch
+from cam.checking.findings import Finding
+from cam.checking.removal import Drops, RemovalGrid
+from cam.checking.sweep import STRIKE, STRIKE_CELL
 from cam.passes import PassSpec
-from cam.removal import Drops, RemovalGrid
-from cam.sweep import STRIKE, STRIKE_CELL
+from cam.reading.gcode import MoveBatch
 from cam.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam import gcode_parse as modal
-from cam import rml_parse
-from cam.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
-from cam.gcode_languages import GRBL, LANGUAGES, Language
+from cam.reading import gcode_parse as modal
+from cam.reading import rml_parse
+from cam.reading.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
+from cam.reading.gcode_languages import GRBL, LANGUAGES, Language
 from optics.heightfield import Array
 
 __all__ = [

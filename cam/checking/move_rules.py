@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 from numba import njit
 
-from cam.clearance import Overlaps
-from cam.findings import Finding
-from cam.gcode import MoveBatch
+from cam.checking.clearance import Overlaps
+from cam.checking.findings import Finding
+from cam.checking.removal import Drops, RemovalGrid
 from cam.passes import PassSpec, Stock
-from cam.removal import Drops, RemovalGrid
+from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array, Heightfield
 
 _TOUCH_MM = 1e-6  # a drop smaller than this is no cut (rounding)

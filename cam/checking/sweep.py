@@ -1,4 +1,4 @@
-"""The kernels of `cam.removal`: one ball along one batch of moves, cell by cell. Its theory stands there."""
+"""The kernels of `cam.checking.removal`: one ball along one batch of moves, cell by cell. Its theory stands there."""
 
 from __future__ import annotations
 

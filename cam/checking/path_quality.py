@@ -1,7 +1,7 @@
 """How good a path is as a path, whatever strategy made it: measured on the moves of a written program, all of them.
 
 Only moves on the surface count: both ends within a few micrometres of where the ball touches. What is not measured
-here is what the stock says (engagement, climbing, gouges: `cam.check`).
+here is what the stock says (engagement, climbing, gouges: `cam.checking.check`).
 
 Length is the tip's, in space. Along the contour: within 15 degrees of it as seen from above, at the contact of the
 ball, where that lies in the aperture on a slope above 1 %. A turn over 60 degrees: between the chords before
@@ -17,11 +17,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cam.clearance import Overlaps, SurfaceWitness
-from cam.gcode import MoveBatch
+from cam.checking.clearance import Overlaps, SurfaceWitness
+from cam.checking.path_shape import lengths_along, turns
+from cam.checking.track_gaps import Gap, Progress, TipRegion, TrackGaps
 from cam.passes import PassSpec
-from cam.path_shape import lengths_along, turns
-from cam.track_gaps import Gap, Progress, TipRegion, TrackGaps
+from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array, Heightfield
 
 ON_SURFACE_MM = 0.01
@@ -143,7 +143,7 @@ class PathQuality:
 
 
 def measure_program(batches: Iterable[MoveBatch], heightfield: Heightfield, spec: PassSpec) -> PathMeasures:
-    """The measures of a whole program, from `cam.gcode.read_program`."""
+    """The measures of a whole program, from `cam.reading.gcode.read_program`."""
     quality = PathQuality(heightfield, spec)
     witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=quality.near_mm)
     for batch in batches:

@@ -22,9 +22,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from cam.gcode import MoveBatch
+from cam.checking.sweep import REACH, STRIKE, TALLIES, cap, sweep
+from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
-from cam.sweep import REACH, STRIKE, TALLIES, cap, sweep
 from optics.heightfield import Array
 
 
@@ -33,7 +33,7 @@ class Drops:
     """Per move: greatest drop of the stock at one cell [mm], and that cell (flat index, -1 for none).
 
     Slot k + 1 is move k of the batch; slot 0 belongs to the last move of the batch before.
-    tally (n + 1, 5) : what else each move does, by the columns of `cam.sweep`
+    tally (n + 1, 5) : what else each move does, by the columns of `cam.checking.sweep`
     """
 
     depth_mm: Array

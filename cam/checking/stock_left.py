@@ -18,7 +18,7 @@ _NAMED = 8  # places out of reach that are named
 _TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
 _BESIDE_A_CREASE = 4.0
 """Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
-be a whole pitch away instead of half of one; that a row is missing is for `cam.coverage` to say."""
+be a whole pitch away instead of half of one; that a row is missing is for `cam.checking.coverage` to say."""
 
 
 @njit(cache=True, nogil=True)

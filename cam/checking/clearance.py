@@ -2,7 +2,7 @@
 
 The ball's centre C and the surface point q nearest to it decide: the ball's underside at q is below the surface
 exactly where |C - q| < R. Every point tried is a true witness (stock there is gone after the move), so a search that
-stops early can only find too little, never accuse wrongly; cells (cam.removal) look for the rest without any search.
+stops early can only find too little, never accuse wrongly; cells (`removal`) look for the rest without any search.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from cam.gcode import MoveBatch
+from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array, Heightfield, spline_jet
 
 _SAMPLE_MM = 0.1  # at most this far apart along a move, and always its middle and its end

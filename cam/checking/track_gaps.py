@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from cam.track_scan import MICRO, climb, distance_to, is_inside, occupy, scan_tiles, sort_by_tile
+from cam.checking.track_scan import MICRO, climb, distance_to, is_inside, occupy, scan_tiles, sort_by_tile
 from optics.heightfield import Array, Heightfield
 
 PIXELS_PER_PITCH = 80

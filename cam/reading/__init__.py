@@ -1,0 +1,1 @@
+"""Programs of any control back to moves; shares nothing with `cam.posts`."""
