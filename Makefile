@@ -60,7 +60,7 @@ paper: $(READY)
 	$(BIN)/python -m tests.paper
 
 # Long trials (two hours): the streamer against the simulated mill, the job server under kill -9, simulated light against
-# another renderer: out/soak.json, out/soak.md.
+# another renderer, programs in LinuxCNC's interpreter (apt-get install linuxcnc-uspace): out/soak.json, out/soak.md.
 soak: $(READY)
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-soak.lock
 	$(BIN)/python -m tests.trials

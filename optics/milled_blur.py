@@ -84,11 +84,14 @@ def predicted_light(irradiance: Array, samples: Sequence[Array], heightfield: He
     """
     shape = (irradiance.shape[0], irradiance.shape[1])
     aim, beam, spline = aim_at(bench, shape), bench.beam(), heightfield.spline()
-    thrown = []
+    samples, thrown = [facets for facets in samples if len(facets)], []
     for facets in samples:
         jets = spline.jets(*facets[:, :, :2].mean(axis=1).T).repeat(4, axis=1)  # of the lens at the facet's middle
         thrown.append(_thrown(facets.reshape(-1, 5), jets, beam, aim).reshape(2, -1, 4))
-    far = max(float(np.nanquantile(np.abs(one), 0.999)) for one in thrown)
+    reaches = [np.abs(one[np.isfinite(one)]) for one in thrown]
+    far = max((float(np.quantile(one, 0.999)) for one in reaches if one.size), default=math.nan)
+    if math.isnan(far):  # nothing to learn from
+        return irradiance.copy()
     kernel = _kernel(samples, thrown, min(math.ceil(far) + 1, max(shape)))
     blurred = np.asarray(fftconvolve(irradiance, kernel, mode="same"))
     grain = _grain(samples, thrown, math.ceil(far) + 1, aim, shape)

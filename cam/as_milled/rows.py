@@ -117,7 +117,10 @@ def _small_fields(lens: Heightfield, radius_mm: float, pitch_mm: float) -> Itera
 
 
 def _inner(facets: Array, rim_mm: float) -> Array:
-    """Without those near the sample's rim, where neighbours are missing."""
+    """Without those near the sample's rim, where neighbours are missing; half of a small sample at least."""
+    if not len(facets):
+        return facets
     middle = facets[:, :, :2].mean(axis=1)
     low, high = (np.quantile(middle, share, axis=0) for share in (0.002, 0.998))
-    return facets[((middle > low + rim_mm) & (middle < high - rim_mm)).all(axis=1)]
+    rim = np.minimum(rim_mm, (high - low) / 4)
+    return facets[((middle > low + rim) & (middle < high - rim)).all(axis=1)]

@@ -1,11 +1,11 @@
 """The check: a written program is read back and cut in the computer; its verdict decides whether it may be used.
 
 Nothing of the generator is used here: text -> moves (cam.reading) -> stock left (`removal`) on the whole part and in
-fine windows, contact with the exact surface move by move (`clearance`), track spacing (`coverage`, `path_quality`), time
-(cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
+fine windows, contact with the exact surface move by move (`clearance`), track spacing (`coverage`, `path_quality`),
+time (cam.duration), the rules for single moves (`move_rules`), the bite (`engagement`) and, where flutes and shank are
 stated, what stands beside them (`collision`).
 Two threads share each batch of moves while the next one is parsed; memory does not grow with the program, but for
-the tracks of a contour pass, 9 bytes a move (cam.checking.path_quality).
+the tracks of a contour pass, 9 bytes a move (`path_quality`).
 """
 
 from __future__ import annotations

@@ -29,7 +29,7 @@ _LONGEST_LINE = 1 << 16  # comments included
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScanBatch:
-    """Consecutive entries of one program, laid out like the MoveBatch of cam.reading; arcs come as chords (0.002 mm, GRBL's $12).
+    """Consecutive entries of one program, laid out like cam.reading's; arcs come as chords (0.002 mm, GRBL's $12).
 
     sent_bytes (n,) : bytes on the wire up to and including the line of this entry (comments and blanks are not sent)
     A place that only the controller knows costs no time: the axis appears where it is next given, as a pause of 0 s.
