@@ -1,7 +1,8 @@
 """How the tool comes down: by rapid to over the block, at the plunge feed to just above the stock, then on a ramp.
 
 A ball's dead centre does not cut, so no entry goes straight down into stock: it sinks at three degrees along the path's
-first stretch or, where a pocket leaves that too short, round a helix beside it.
+first stretch or, where a pocket leaves that too short, round a helix beside it. A path that covers its first stretch
+once more later is entered going on, without a turn.
 """
 
 from __future__ import annotations
@@ -51,8 +52,7 @@ def enter(
     pocket   : allows a helix beside the first point, where its highest floor is not above stock_mm
     """
     x, y, z = polyline_mm[0]
-    over_mm = max(stock_mm, z, 0.0) + RAPID_CLEARANCE_MM
-    yield rapid((x, y, safe_z_mm), (x, y, over_mm)) if over_mm < safe_z_mm else rapid((x, y, safe_z_mm))
+    yield _over(x, y, max(stock_mm, z), safe_z_mm)
     if stock_mm <= z:
         yield cut([polyline_mm[0]], spec.plunge_mm_per_min)
         return
@@ -62,6 +62,31 @@ def enter(
     if pocket is not None and _legs(polyline_mm, start_mm) > MOST_LEGS:
         way = helix(polyline_mm, start_mm, spec, pocket)
     yield cut(ramp(polyline_mm, start_mm) if way is None else way, spec.plunge_mm_per_min)
+
+
+def enter_onward(polyline_mm: Array, stock_mm: float, spec: PassSpec, *, safe_z_mm: float) -> Iterator[Path]:
+    """From safe height to the last point of a polyline (n, 3): onto it without turning back, where it is long enough.
+
+    What stands above the stretch on which the tool sinks is left to the rest of the path.
+    """
+    x, y, z = polyline_mm[0]
+    start_mm = min(stock_mm + CLEARANCE_MM, safe_z_mm) if stock_mm > z else float(z)
+    run = _runs(polyline_mm)[0]
+    if start_mm - z > RAMP_SLOPE * run[-1]:
+        yield from enter(polyline_mm, stock_mm, spec, safe_z_mm=safe_z_mm)
+        yield cut(polyline_mm, spec.plunge_mm_per_min)
+        return
+    yield _over(x, y, max(start_mm, z), safe_z_mm)
+    sunk = polyline_mm.copy()
+    sunk[:, 2] += np.maximum(0.0, start_mm - z - RAMP_SLOPE * run)
+    yield cut(sunk, spec.plunge_mm_per_min)
+
+
+def _over(x_mm: float, y_mm: float, stock_mm: float, safe_z_mm: float) -> Path:
+    """By rapid to over the block, and down to just above the stock."""
+    over_mm = max(stock_mm, 0.0) + RAPID_CLEARANCE_MM
+    above = (x_mm, y_mm, safe_z_mm)
+    return rapid(above, (x_mm, y_mm, over_mm)) if over_mm < safe_z_mm else rapid(above)
 
 
 def leave(x_mm: float, y_mm: float, *, safe_z_mm: float) -> Path:

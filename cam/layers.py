@@ -34,7 +34,11 @@ LAYER_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.01
 """Of the step-down: a layer's cusps and chords. Those of two layers may add up, and the check allows 5 % for them."""
 
 SLOT_FEED = 0.5
-"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides."""
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
+on the way from row to row and along the walls it may."""
+
+SLOT_DEPTH_SHARE = 0.3
+"""Of the step-down: stock that stands this much higher on both sides makes a slot."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,6 +204,7 @@ def layer_paths(
     sag = _sag_mm(surface, layer, spec)
     standing = _stands_above(left, tips, stock, above)
     by_row = [spans(row, pad=pad, gap=gap) for row in _with_neighbours(standing)]
+    now = left.copy()
     total = sum(map(len, by_row))
     pocket = _pocket(field, surface, layer)
     before: Run | None = None
@@ -211,12 +216,12 @@ def layer_paths(
         points = np.column_stack(
             [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
         )
-        slot = _slots(standing, run, pad=pad)
+        slot = _slots(now, tips, run, least_mm=SLOT_DEPTH_SHARE * spec.step_down_mm, pad=pad)
         if not run.upward:
             points, slot = points[::-1], slot[::-1]
-        standing[run.row, samples] = False
+        now[run.row, samples] = np.minimum(now[run.row, samples], tips[run.row, samples])
         if run.joined and before is not None:
-            yield cut(_link(field, surface, layer, before, run, sag), spec.feed_mm_per_min)
+            yield cut(_link(field, surface, layer, before, run, sag), SLOT_FEED * spec.feed_mm_per_min)
         else:
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
@@ -231,11 +236,16 @@ def layer_paths(
         yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
 
 
-def _slots(standing: npt.NDArray[np.bool_], run: Run, *, pad: int) -> npt.NDArray[np.bool_]:
-    """(n,) samples of a run where stock stands on both sides of it. standing (n rows, n samples): not cut yet."""
+def _slots(now: Array, tips: Array, run: Run, *, least_mm: float, pad: int) -> npt.NDArray[np.bool_]:
+    """(n,) samples of a run where stock stands on both sides of it, least_mm above it or more.
+
+    now : tips (n rows, n samples) at which the ball would meet the stock of the moment; on a steep surface a row
+          beside, though cut, may lie that much higher
+    """
     samples = slice(run.first, run.last + 1)
-    below, above = max(run.row - 1, 0), min(run.row + 1, len(standing) - 1)
-    both = standing[run.row, samples] & standing[below, samples] & standing[above, samples]
+    below, above = max(run.row - 1, 0), min(run.row + 1, len(now) - 1)
+    lowest = np.minimum(np.minimum(now[below, samples], now[above, samples]), now[run.row, samples])
+    both = lowest - tips[run.row, samples] > least_mm
     slot = np.zeros_like(both)
     for first, last in spans(both, pad=pad, gap=2 * pad):
         slot[first : last + 1] = True
@@ -313,7 +323,7 @@ def _end_walls(
             points = thinned(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
             height = float(left[0, first]) + stock.slack_mm + 2 * sag
             yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
-            yield cut(points, spec.feed_mm_per_min)
+            yield cut(points, SLOT_FEED * spec.feed_mm_per_min)
             yield leave(points[-1, 0], points[-1, 1], safe_z_mm=safe_z_mm)
 
 

@@ -10,6 +10,7 @@ once more before it goes on: no mark, no gap. Memory does not grow with the pass
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
@@ -27,9 +28,9 @@ AT_LIFT, OUTSIDE = 0.85, 0.93
 
 _SPARE_BYTES = 400  # the lift and the end
 _SPARE_SHARE = 0.03  # and the slice that is being written
-_MOST_POINTS = 100  # written before the limits are looked at again
-_UNLIMITED_POINTS = 1 << 20
+_FEWEST_POINTS, _FEW_POINTS, _MOST_POINTS = 10, 100, 1 << 20  # written before the limits are looked at again
 _BYTES_PER_POINT = 48
+_RECENT_MM = OVERLAP_MM + CLEARANCE_MM / RAMP_SLOPE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,12 +41,14 @@ class PartLimits:
     most_s: float = math.inf
     rapid_mm_per_min: float = 3000.0
 
+    @property
+    def any(self) -> bool:
+        return not (math.isinf(self.most_bytes) and math.isinf(self.most_s))
+
     def points_at_once(self) -> int:
-        """So few that a program cannot outgrow its limit between two looks at it."""
-        if math.isinf(self.most_bytes) and math.isinf(self.most_s):
-            return _UNLIMITED_POINTS
+        """So few that a program near its limit cannot outgrow it between two looks at it."""
         room = 0.01 * self.most_bytes / _BYTES_PER_POINT
-        return int(min(max(room, 10), _MOST_POINTS))
+        return int(min(max(room, _FEWEST_POINTS), _FEW_POINTS))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +68,7 @@ def programs(
 ) -> Iterator[Iterator[bytes]]:
     """The text of each program, in pieces; one is to be read to its end before the next is asked for."""
     limits = limits or PartLimits()
-    source = _Slices(paths, limits.points_at_once())
+    source = _Slices(paths, limits)
     part = 0
     while part == 0 or source.has_more:
         part += 1
@@ -86,7 +89,10 @@ def _program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimit
         for text in writer.write(path):
             meter.wrote(text)
             yield text
+        if not limits.any:
+            continue
         meter.moved(path, source.length_mm)
+        source.points_at_once = meter.points_at_once()
         place = source.place
         aloft = path.motion is Motion.RAPID and place[2] >= frame.safe_z_mm - 1e-9
         if source.has_more and meter.share >= (AT_LIFT if aloft else OUTSIDE if _outside(place, frame) else 1.0):
@@ -131,13 +137,19 @@ class _Meter:
     def __init__(self, limits: PartLimits) -> None:
         self._limits = limits
         self._most_bytes = limits.most_bytes * (1 - _SPARE_SHARE) - _SPARE_BYTES
-        self._bytes, self._seconds = 0, 0.0
+        self._bytes, self._seconds, self._points = 0, 0.0, 0
 
     def wrote(self, text: bytes) -> None:
         self._bytes += len(text)
 
     def moved(self, path: Path, length_mm: float) -> None:
+        self._points += len(path.points_mm)
         self._seconds += 60 * length_mm / (path.feed_mm_per_min or self._limits.rapid_mm_per_min)
+
+    def points_at_once(self) -> int:
+        """A quarter of what still fits until the program may end, going by what it has taken so far."""
+        fits = self._points * (AT_LIFT / max(self.share, 1e-9) - 1)
+        return int(min(max(fits / 4, self._limits.points_at_once()), _MOST_POINTS))
 
     @property
     def share(self) -> float:
@@ -145,13 +157,15 @@ class _Meter:
 
 
 class _Slices:
-    """Paths in slices of a few points, and what was cut last of them."""
+    """Paths in slices of a few points, and what was cut last of them; whole paths where there are no limits."""
 
-    def __init__(self, paths: Iterable[Path], points_at_once: int) -> None:
-        self._at_once = points_at_once
-        self._slices = self._cut_up(paths)
+    def __init__(self, paths: Iterable[Path], limits: PartLimits) -> None:
+        self._limited = limits.any
+        self.points_at_once = limits.points_at_once()
+        self._slices = self._cut_up(paths) if self._limited else iter(paths)
         self._next = next(self._slices, None)
-        self._recent: list[Path] = []
+        self._recent: deque[tuple[Path, float]] = deque()  # each with the length of all before its first point
+        self._way_mm = 0.0
         self.place = np.full(3, np.nan)
         self.length_mm = 0.0
 
@@ -167,37 +181,43 @@ class _Slices:
     def __iter__(self) -> Iterator[Path]:
         while (path := self._next) is not None:
             self._next = next(self._slices, None)
-            self._passed(path)
+            if self._limited:
+                self._passed(path)
             yield path
 
     def recent(self) -> tuple[Array, float] | None:
         """The last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in one."""
-        feed = self._recent[-1].feed_mm_per_min if self._recent else None
+        feed = self._recent[-1][0].feed_mm_per_min if self._recent else None
         if feed is None:
             return None
-        return np.concatenate([path.points_mm for path in self._recent]), feed
+        return np.concatenate([path.points_mm for path, _ in self._recent]), feed
 
     def _cut_up(self, paths: Iterable[Path]) -> Iterator[Path]:
         for path in paths:
-            for first in range(0, len(path.points_mm), self._at_once):
+            first = 0
+            while first < len(path.points_mm):
+                end = first + self.points_at_once
                 yield Path(
                     motion=path.motion,
-                    points_mm=path.points_mm[first : first + self._at_once],
+                    points_mm=path.points_mm[first:end],
                     feed_mm_per_min=path.feed_mm_per_min,
                 )
+                first = end
 
     def _passed(self, path: Path) -> None:
-        way = path.points_mm if np.isnan(self.place[2]) else np.vstack([self.place, path.points_mm])
-        self.length_mm = _length_mm(way)
-        self.place = path.points_mm[-1]
-        if path.motion is Motion.RAPID:
-            self._recent = []
-            return
-        same_feed = [kept for kept in self._recent if kept.feed_mm_per_min == path.feed_mm_per_min]
-        self._recent = [*same_feed, path] if len(same_feed) == len(self._recent) else [path]
-        needed = OVERLAP_MM + CLEARANCE_MM / RAMP_SLOPE
-        while len(self._recent) > 1 and sum(_length_mm(kept.points_mm) for kept in self._recent[1:]) > needed:
-            self._recent.pop(0)
+        """Moves on to the end of a path, and keeps of the cuts what an entry in their midst would need."""
+        points = path.points_mm
+        reach_mm = 0.0 if np.isnan(self.place[2]) else math.dist(self.place, points[0])
+        self.length_mm = reach_mm + _length_mm(points)
+        begin_mm = self._way_mm + reach_mm
+        self._way_mm += self.length_mm
+        self.place = points[-1]
+        if self._recent and self._recent[-1][0].feed_mm_per_min != path.feed_mm_per_min:  # a rapid has none
+            self._recent.clear()
+        if path.motion is Motion.CUT:
+            self._recent.append((path, begin_mm))
+        while len(self._recent) > 1 and self._way_mm - self._recent[1][1] > _RECENT_MM:
+            self._recent.popleft()
 
 
 def _length_mm(points: Array) -> float:

@@ -39,6 +39,7 @@ class Shop:
 
     spindle_rpm       : slowest and fastest of the mill
     step_mm, noise_mm : smallest move of its axes; sigma of the height error from row to row
+    whole_steps       : vertices of finishing passes are put where the path goes through whole steps
     margin_mm         : of the block around the lens
     strategies        : that finishing passes may take
     """
@@ -50,6 +51,7 @@ class Shop:
     step_mm: float
     noise_mm: float
     margin_mm: float
+    whole_steps: bool = False
     strategies: tuple[Strategy, ...] = ("raster",)
 
     def speeds(self, tool: Tool) -> Speeds:
@@ -224,6 +226,7 @@ def _candidate(rough: Roughing, tool: Tool, finish: PassSpec, light: Light) -> C
         step_mm=shop.step_mm,
         noise_mm=shop.noise_mm,
         vertex_mm=rough.form.usual_chord_mm(finish),
+        whole_steps=shop.whole_steps,
     )
     return Candidate(
         tool=tool,

@@ -10,7 +10,7 @@ import numpy as np
 
 from cam.contour.path import contour_path
 from cam.cutter import largest_fitting_radius_mm, reached_share
-from cam.entries import enter, leave
+from cam.entries import enter, enter_onward, leave
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
 from cam.layers import SLOT_FEED, Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
 from cam.moves import Array, Path, cut
@@ -291,11 +291,13 @@ def _polyline_paths(
             height = met.at(start[0], start[1]) + met.slack_mm
             if above is not None:
                 height = min(height, float(above.tips_mm(start[2:])[0]) + CUSP_MM)
-            yield from enter(_first_row(polyline), height, spec, safe_z_mm=safe_z_mm)
+            first = _first_row(polyline)
+            onward = spec.strategy == "contour"
+            yield from (enter_onward if onward else enter)(first, height, spec, safe_z_mm=safe_z_mm)
         last = polyline[-1]
         if index == 0:  # stock stands on both sides of the first row
-            first = _first_row(polyline)
-            yield cut(first, SLOT_FEED * spec.feed_mm_per_min)
+            if not onward:
+                yield cut(first, SLOT_FEED * spec.feed_mm_per_min)
             polyline = polyline[len(first) :]
         if len(polyline):
             yield cut(polyline, spec.feed_mm_per_min)

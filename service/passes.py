@@ -96,8 +96,11 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
         optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
     if optics.min_radius_mm is None and not optics.creases:
         optics = optics.model_copy(update={"min_radius_mm": planned["min_radius_mm"]})
+    machine = spec.machine
+    if machine.whole_steps is None and planned["whole_steps"]:
+        machine = machine.model_copy(update={"whole_steps": True})
     rows = tuple(PassRow.model_validate(row) for row in planned["passes"])
-    return spec.model_copy(update={"optics": optics, "passes": rows})
+    return spec.model_copy(update={"optics": optics, "passes": rows, "machine": machine})
 
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:

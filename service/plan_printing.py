@@ -133,6 +133,8 @@ def spec_fragment(planned: Planned, spec: JobSpec) -> str:
         tables["optics"]["min_radius_mm"] = planned.chosen.finish.radius_mm
     if any(planned.foreseen_blur_mm()):
         tables["optics"]["foreseen_blur_mm"] = planned.foreseen_blur_mm()
+    if planned.machine.whole_steps:
+        tables["machine"]["whole_steps"] = True
     for name, values in tables.items():
         lines += _toml_table(name, values)
     for row in planned.rows():

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from cam.planner import TOLERATED_DB, Candidate
+from cam.row_slopes import row_slopes
 from cam.tools import contact_speed_m_per_min
 
 if TYPE_CHECKING:
@@ -19,7 +20,8 @@ RUBBING_M_PER_MIN = 10.0
 
 def reasons(planned: Planned) -> list[str]:
     """Why these passes, most important first."""
-    return [sentence for sentence in (_aim(planned), *_ball(planned), *_rows(planned), *_rough(planned)) if sentence]
+    found = (_aim(planned), *_ball(planned), *_rows(planned), *_steps(planned), *_rough(planned))
+    return [sentence for sentence in found if sentence]
 
 
 def blur_warnings(planned: Planned) -> list[str]:
@@ -104,6 +106,25 @@ def _rows(planned: Planned) -> Iterator[str]:
         if gain >= 0.05:
             way, other = finish.direction.upper(), "Y" if finish.direction == "x" else "X"
             yield f"They run along {way}: along {other} their blur would cost this picture {gain:.1f} dB more."
+
+
+def _steps(planned: Planned) -> Iterator[str]:
+    machine, chosen = planned.machine, planned.chosen
+    if not machine.whole_steps:
+        return
+    finish = chosen.finish
+    between = row_slopes(
+        radius_mm=finish.radius_mm,
+        pitch_mm=finish.pitch_mm,
+        step_mm=machine.step_mm,
+        noise_mm=machine.z_noise_mm,
+        vertex_mm=chosen.slopes.vertex_mm,
+    )
+    gain = chosen.psnr_db - planned.light.aimed_db(finish.radius_mm, between, finish)
+    yield (
+        f"Heights are written in whole steps of the mill, {1000 * machine.step_mm:g} µm: vertices stand where the path "
+        f"goes through one, which gains {max(0.0, gain):.1f} dB."
+    )
 
 
 def _rough(planned: Planned) -> Iterator[str]:

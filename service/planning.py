@@ -11,6 +11,7 @@ from typing import Any
 
 from cam.materials import PMMA
 from cam.planner import Candidate, Goal, NoPlanError, Plan, Shop, make_plan
+from cam.posts.dialects import POSTS
 from cam.tools import Tool
 from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
@@ -27,6 +28,8 @@ from service.tools import load_tools
 
 Progress = Callable[[float], None]
 _CLEAR_MM = 1.0
+COARSE_STEP_MM = 0.0005
+"""Steps from which the light shows that heights between them are not reached."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +87,7 @@ class Planned:
             {
                 "min_radius_mm": chosen.finish.radius_mm,
                 "foreseen_blur_mm": self.foreseen_blur_mm(),
+                "whole_steps": self.machine.whole_steps,
                 "goal": {key: value for key, value in asdict(self.goal).items() if value is not None},
                 "goal_met": self.plan.met,
                 "hours": chosen.hours,
@@ -147,15 +151,25 @@ def plan_for_lens(
     return _planned(spec, shop, light, shapes_lens=False)
 
 
+def mill_of(spec: JobSpec) -> MachineProfile:
+    """The mill as a plan has it run: heights in whole steps where these are coarse, unless the job says otherwise."""
+    machine = machine_of(spec)
+    if spec.machine.whole_steps is not None:
+        return machine
+    return replace(machine, whole_steps=machine.whole_steps or machine.step_mm >= COARSE_STEP_MM)
+
+
 def shop_of(spec: JobSpec, tools: tuple[Tool, ...]) -> Shop:
     """Tools, material and mill of a job."""
-    machine = machine_of(spec)
+    machine = mill_of(spec)
+    digit_mm = POSTS[machine.dialect].digits.z_mm
     return Shop(
         tools=tools,
         material=PMMA,
         mill=kinematics_of(machine),
         spindle_rpm=machine.spindle_rpm,
-        step_mm=machine.step_mm,
+        step_mm=max(machine.step_mm, digit_mm),
+        whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
         noise_mm=machine.z_noise_mm,
         margin_mm=spec.stock.margin_mm,
     )
@@ -179,6 +193,4 @@ def _planned(spec: JobSpec, shop: Shop, light: PictureLight, *, shapes_lens: boo
         raise InputError(
             f"plan.hours: {goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
         )
-    return Planned(
-        plan=plan, light=light, machine=machine_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
-    )
+    return Planned(plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools)

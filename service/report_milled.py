@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -26,6 +27,17 @@ def milled_sentences(milled: Mapping[str, Any]) -> list[str]:
     if cause is not None and gains[cause] >= _WORTH_DB:
         sentences.append(f"What costs most is {CAUSES[cause]} ({gains[cause]:.1f} dB would be won without it).")
     return sentences
+
+
+def detail_lost(milled: Mapping[str, Any]) -> str | None:
+    """A warning where the milled surface blurs more than a pixel of the picture."""
+    pixels = math.hypot(milled["blur_x_px"], milled["blur_y_px"])
+    if not pixels > 1.0:
+        return None
+    return (
+        f"the tool's marks blur the picture by {pixels:.1f} pixels (rms): these passes cannot show its finer detail; "
+        '`causticmill plan`, or preset = "recommended", finds passes that show more'
+    )
 
 
 def _expected(milled: Mapping[str, Any]) -> str:

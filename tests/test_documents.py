@@ -41,7 +41,8 @@ def test_the_tour_runs(tmp_path: Path) -> None:
             if words[-1] == "&":
                 beside.append(begun(words[:-1], tmp_path))
                 continue
-            sizes = [part for value in SMALL for part in ("--set", value)] if words[0] in ("make", "design", "plan") else []
+            sized = words[0] in ("make", "design", "plan")
+            sizes = [part for value in SMALL for part in ("--set", value)] if sized else []
             found = [name for word in words for name in (matching(tmp_path, word) if "*" in word else [word])]
             process = begun([*found, *sizes], tmp_path)
             output, errors = process.communicate()

@@ -21,7 +21,7 @@ WORDS = (
     (RIGHT, LEFT, RIGHT),
     (LEFT, RIGHT, LEFT),
 )
-ARC_STEP = math.radians(15.0)
+ARC_STEP = math.radians(7.5)
 """At most, from point to point of an arc."""
 
 

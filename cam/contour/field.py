@@ -104,7 +104,10 @@ def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
 
 
 def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, pitch_mm: float) -> Mask:
-    """The aperture and, around it, the places from which the ball touches it."""
+    """The aperture and, around it, the places from which the ball touches it; and the nodes beside these.
+
+    So all corners of a cell are wanted that holds such a place, even where a corner of the lens is all that it holds.
+    """
     slack = 1e-6
     inside = ((y >= -slack) & (y <= height_mm + slack))[:, None] & ((x >= -slack) & (x <= width_mm + slack))
     wanted = inside.copy()
@@ -118,7 +121,7 @@ def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm
         & (contacts[:, 1] > -beyond)
         & (contacts[:, 1] < height_mm + beyond)
     )
-    return wanted
+    return np.asarray(ndimage.binary_dilation(wanted, np.ones((3, 3))))
 
 
 def _density(needed: Array, usual: float, step_mm: float) -> Array:

@@ -17,7 +17,7 @@ from numba import njit
 from cam.contact import Ball, touch
 from cam.contour.field import ContourField
 from cam.contour.strokes import without_holes
-from cam.contour.tour import TURN_PITCHES, Room, toured
+from cam.contour.tour import Room, toured, turn_radius_mm
 from cam.contour.tracer import trace
 from cam.entries import RAMP_STRETCH_MM
 from cam.moves import Array
@@ -28,8 +28,8 @@ from cam.vertices import TICKS_PER_MM, VertexRule
 from optics.heightfield import Heightfield, spline_jet
 
 PIECE_VERTICES = 50_000
-SHORTEST_MM = 0.02
-"""Chords of less than twice this are not cut: turns are drawn in such, and on top of other tracks."""
+SHORTEST_MM = 0.007
+"""Chords of less than twice this are not cut: on a raster of 0.1 µm their parts would turn too visibly."""
 
 TRACED, CLOSED, JOINED = 0.2, 0.5, 0.6
 """Shares of the work done when a step is."""
@@ -69,7 +69,7 @@ def plan_path(
     tracks = without_holes(tracks, field, width_mm=width, height_mm=height, pitch_mm=pitch)
     on_progress(CLOSED)
     ring = 0.98 * spec.radius_mm
-    radius = min(TURN_PITCHES * pitch, 0.6 * spec.radius_mm)
+    radius = min(turn_radius_mm(pitch, max(width, height)), 0.6 * spec.radius_mm)
     room = Room(x_from=-ring, x_to=width + ring, y_from=-ring, y_to=height + ring, radius=radius)
     straight = min(RAMP_STRETCH_MM, width / 2)
     lead_in = np.array([[width / 4, -ring / 2], [width / 4 + straight, -ring / 2]])

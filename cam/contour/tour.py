@@ -18,12 +18,15 @@ from cam.contour.dubins import draw, shortest
 from cam.contour.tracer import Tracks
 from cam.moves import Array
 
-TURN_PITCHES = 5.5
+TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 2.5
+TURNS_ACROSS = 180.0
+"""Radii of a turn that fit across the lens: on a small part at a coarse pitch wide turns would be half the path."""
+
 PLACES_PITCHES = 25.0
 """Between the places at which a closed track may be entered."""
 
 CELL_PITCHES = 16.0
-MOST_JOINT_POINTS = 100
+MOST_JOINT_POINTS = 160
 
 
 class Entries(NamedTuple):
@@ -53,6 +56,11 @@ class Room(NamedTuple):
     y_from: float
     y_to: float
     radius: float
+
+
+def turn_radius_mm(pitch_mm: float, side_mm: float) -> float:
+    """Of joints: wide enough not to be felt by a mill, unless the lens is only some hundred pitches wide."""
+    return min(TURN_PITCHES * pitch_mm, max(side_mm / TURNS_ACROSS, TIGHTEST_PITCHES * pitch_mm))
 
 
 def toured(tracks: Tracks, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:

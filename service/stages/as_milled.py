@@ -25,7 +25,7 @@ from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predicted_light
 from service.job_files import HEIGHTFIELD, MAP, files_of_pass, read_chunks
 from service.passes import cam_passes_of, machine_of
-from service.report_milled import CAUSES
+from service.report_milled import CAUSES, detail_lost
 from service.stages import arrays
 from service.stages.optical_task import bench_of
 from service.stages.plain import plain
@@ -140,6 +140,8 @@ def _tell(
             "gain_db_without": gains,
         }
     )
+    if lost := detail_lost(shop.report["as_milled"]):
+        shop.note("passes", lost)
 
 
 def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None:

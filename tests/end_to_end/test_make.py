@@ -27,7 +27,9 @@ SIDE_MM = 10.0
 COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]
 VALUES = ("image.pixels=64", "image.tone=linear", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=40")
 SETTINGS = [part for value in VALUES for part in ("--set", value)]
-PICTURES = ("target.png", "caustic.png", "through-focus.png", "toolpath.png")
+PICTURES = (
+    "target.png", "caustic.png", "through-focus.png", "toolpath.png", "caustic-as-milled.png", "as-milled.png",
+)  # fmt: skip
 FILES = {"spec.json", "heightfield.npz", "map.npz", "lens.stl", "report.json", "report.html", *PICTURES}
 
 

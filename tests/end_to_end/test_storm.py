@@ -24,6 +24,7 @@ def test_nothing_is_lost_in_a_storm_on_sqlite(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.skipif(bool(missing()), reason=missing())
 def test_nothing_is_lost_in_a_storm_on_postgresql(tmp_path: Path) -> None:
     """Two workers; the database is restarted in the middle, and an owner stands still for longer than its lease."""

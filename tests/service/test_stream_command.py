@@ -248,12 +248,16 @@ def test_a_port_that_another_process_has(tmp_path: Path, monkeypatch: pytest.Mon
 @pytest.mark.parametrize(
     ("answer", "words"),
     [
-        (lambda data: b"", "nothing answers"),
-        (lambda data: data, "not a GRBL controller"),
-        (lambda data: b"start\r\nMarlin 2.1.2\r\n", "'start'"),
-        (lambda data: bytes(0x80 | byte * 37 & 0x7F for byte in data * 5), "wrong baud"),
+        pytest.param(lambda data: b"", "nothing answers", id="silent"),
+        *(
+            pytest.param(*case, id=name, marks=pytest.mark.thorough)  # the words themselves: tests/machines/grbl
+            for name, case in {
+                "echo": (lambda data: data, "not a GRBL controller"),
+                "printer": (lambda data: b"start\r\nMarlin 2.1.2\r\n", "'start'"),
+                "noise": (lambda data: bytes(0x80 | byte * 37 & 0x7F for byte in data * 5), "wrong baud"),
+            }.items()
+        ),
     ],
-    ids=["silent", "echo", "printer", "noise"],
 )
 def test_what_is_behind_the_port_is_no_grbl(tmp_path: Path, answer: Callable[[bytes], bytes], words: str) -> None:
     """One line says which; nothing but the harmless '?' is sent to a machine that is not known."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 import httpx
@@ -16,8 +17,13 @@ from tests.service.api.test_process import api_process, migrated
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
 
+@pytest.mark.parametrize(
+    "crashes",
+    [("after store", "after create", "after engine"), pytest.param(points(JOB_STEPS), marks=pytest.mark.thorough)],
+    ids=["around the job's row", "everywhere"],
+)
 def test_a_killed_post_is_a_job_or_nothing_and_can_be_sent_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, crashes: Sequence[str]
 ) -> None:
     """Each server finds what the one before it left when it was killed, and gets the same request again."""
     data, trap = tmp_path / "data", tmp_path / "trap"
@@ -25,7 +31,7 @@ def test_a_killed_post_is_a_job_or_nothing_and_can_be_sent_again(
     monkeypatch.setenv("CRASH_AT", str(trap))
     made: dict[str, str] = {}
     before: tuple[str, bytes] | None = None
-    for point in [*points(JOB_STEPS), ""]:
+    for point in [*crashes, ""]:
         with api_process(data, CRASHING) as (process, client):
             assert list((data / "uploads").glob("*")) == []
             if before is not None:
@@ -39,7 +45,7 @@ def test_a_killed_post_is_a_job_or_nothing_and_can_be_sent_again(
                 pytest.fail(f"'{point}' was not reached")
             trap.unlink()
             assert process.wait(20) == -signal.SIGKILL, point
-    assert len(set(made.values())) == len(points(JOB_STEPS))
+    assert len(set(made.values())) == len(crashes)
 
 
 def _post(client: httpx.Client, key: str, picture: bytes) -> httpx.Response:

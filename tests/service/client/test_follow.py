@@ -7,6 +7,7 @@ import re
 import signal
 
 import httpx
+import pytest
 
 from tests.service.client.shop import BadWire, Shop, begun, run
 from tests.trials.server.processes import kill, of_kind
@@ -43,6 +44,7 @@ def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
     assert ended.returncode == 0 and "succeeded" in ended.stdout
 
 
+@pytest.mark.thorough
 def test_a_server_that_is_killed_is_waited_for(shop: Shop) -> None:
     """kill -9 of the API while somebody follows: they are told, and see the job succeed."""
     words = ("submit", str(shop.picture(4)), *DRAFT, "--set", "optics.throw_mm=72", "--follow")

@@ -42,7 +42,7 @@ def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: 
         if kind in kinds:
             kinds[kind].append(stage)
     assert kinds["stage.reused"] == ["image", "irradiance", "map", "heightfield", "caustic", "pass-1"]
-    assert kinds["stage.committed"] == ["pass-2", "check", "report"]
+    assert kinds["stage.committed"] == ["pass-2", "check", "as-milled", "report"]
 
 
 def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: Shop) -> None:

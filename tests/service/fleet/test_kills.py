@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +21,18 @@ from tests.service.mills import Bench
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
 
+@pytest.mark.parametrize(
+    "crashes",
+    [("after row", "after post"), pytest.param(points(RUN_STEPS), marks=pytest.mark.thorough)],
+    ids=["before and behind the agent", "everywhere"],
+)
 def test_a_killed_hand_over_is_one_parked_run_or_none(
-    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch, crashes: Sequence[str]
 ) -> None:
     data, trap = tmp_path / "data", tmp_path / "trap"
     monkeypatch.setenv("CRASH_AT", str(trap))
     with shop(data, mill) as floor:
-        jobs = {point: floor.job((20,)) for point in points(RUN_STEPS)}
+        jobs = {point: floor.job((20,)) for point in crashes}
         headers, card = {"Authorization": f"Bearer {floor.token('machine:run', 'jobs:read')}"}, floor.card()
     before = ""
     for point in [*jobs, ""]:

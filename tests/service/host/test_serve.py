@@ -105,7 +105,7 @@ def test_a_full_disk_is_told_and_the_mills_have_their_agents(tmp_path: Path) -> 
         serving.kill(int(started.split("process ")[1].split(";")[0]))
 
 
-@pytest.mark.parametrize("word", [signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize("word", [pytest.param(signal.SIGTERM, marks=pytest.mark.thorough), signal.SIGKILL])
 def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path: Path, word: signal.Signals) -> None:
     with served("--no-agents", data=tmp_path) as serving:
         serving.until_ready()

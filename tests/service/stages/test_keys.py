@@ -69,6 +69,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("optics.throw_mm", {"map", "caustic", "as-milled"}),
         ("optics.corrections", {"map"}),
         ("optics.polish", {"map"}),
+        ("optics.foreseen_blur_mm", {"map"}),
         ("optics.branch", {"map"}),
         ("optics.vertices_per_pixel", {"map"}),
         ("optics.surface", {"map", "caustic", "as-milled"}),
@@ -97,6 +98,7 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
     [
         ("optics.method", {"map"}),
         ("optics.creases", {"map"}),
+        ("plan.hours", set()),  # the passes are given
         *((key, {"map", "caustic", "as-milled"}) for key in ALONE if key.startswith("optics.light")),
     ],
 )
@@ -204,7 +206,7 @@ def test_what_a_stage_does_not_declare_does_not_show_in_what_it_makes(job: Stage
         spec=spec_with(*others).plain(),
         image_name="another name.png",
         inputs=inputs,
-        report={"passes": _rows(job)} if stage == "check" else {},
+        report={"passes": _rows(job)} if stage in ("check", "as-milled") else {},
         notes={"optics": ["something else"]},
         job_id="another",
         attempt=7,

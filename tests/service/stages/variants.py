@@ -19,12 +19,14 @@ _ROW = {
 }
 BASE: dict[str, Any] = {
     "preset": "draft",
+    "plan": {"hours": None, "blur_mm": None, "psnr_db": None},
     "image": {"pixels": 24, "tone": "linear", "fit": "crop", "invert": False},
     "optics": {
         "width_mm": 10.0, "height_mm": 10.0, "throw_mm": 40.0, "refractive_index": 1.49, "screen_width_mm": 10.0,
         "screen_height_mm": 10.0, "min_radius_mm": 3.0, "method": "transport", "viewed_from": "lens", "corrections": 0,
         "screen_shift_x_mm": 0.0, "screen_shift_y_mm": 0.0, "surface": "lens", "branch": "direct",
         "outline": "rectangle", "creases": False, "vertices_per_pixel": 2, "polish": False,
+        "foreseen_blur_mm": [0.0, 0.0],
         "light": {"kind": "collimated", "size_deg": None, "distance_mm": None, "size_mm": None, "profile": None,
                   "gaussian_mm": None},
     },
@@ -51,6 +53,7 @@ OTHER: dict[str, Any] = {
     "optics.viewed_from": "behind", "optics.corrections": 1, "optics.screen_shift_x_mm": 1.0,
     "optics.screen_shift_y_mm": -1.0, "optics.surface": "mirror", "optics.branch": "inverted",
     "optics.outline": "ellipse", "optics.vertices_per_pixel": 3, "optics.polish": True,
+    "optics.foreseen_blur_mm": [0.2, 0.1],
     "optics.light.profile": [[1.0, 0.5], [0.8, 0.9]],
     "stock.thickness_mm": 25.0, "stock.margin_mm": 9.0, "stock.skim_mm": 0.15,
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
@@ -74,6 +77,7 @@ OTHER: dict[str, Any] = {
 ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
+    **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
     "optics.method": ({}, {"optics.method": "paper"}),
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),

@@ -23,7 +23,7 @@ _HASH = re.compile(r"[0-9a-f]{64}")
 _OWN = re.compile(r"report\.(json|html)|.*\.log")
 _MUST_HAVE = {
     "spec.json", "report.json", "report.html", "target.png", "map.npz", "heightfield.npz", "lens.stl", "caustic.png",
-    "through-focus.png", "toolpath.png",
+    "through-focus.png", "toolpath.png", "caustic-as-milled.png", "as-milled.png",
 }  # fmt: skip
 
 
