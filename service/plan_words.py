@@ -24,13 +24,13 @@ def reasons(planned: Planned) -> list[str]:
     return [sentence for sentence in found if sentence]
 
 
-def blur_warnings(planned: Planned) -> list[str]:
-    """What the picture loses, and whether the ball rubs."""
+def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
+    """What the picture loses, and whether the ball rubs. milled_next: the job itself will tell how much it blurs."""
     found = []
     chosen, pixels = planned.chosen, planned.blur_px(planned.chosen)
     if not planned.plan.met:
         found.append(_not_met(planned))
-    if pixels > 1.0:
+    if pixels > 1.0 and not milled_next:
         found.append(
             f"the tool's marks will blur the picture by {chosen.blur_mm:.2g} mm, {pixels:.1f} pixels: finer detail "
             f"will not be seen; {_remedy(planned)}"

@@ -121,9 +121,9 @@ class Planned:
         """Why these passes, in sentences."""
         return reasons(self)
 
-    def warnings(self) -> list[str]:
-        """What the chosen passes cannot do, and what would help."""
-        return blur_warnings(self)
+    def warnings(self, *, milled_next: bool = False) -> list[str]:
+        """What the chosen passes cannot do, and what would help; milled_next: but for what the job itself will tell."""
+        return blur_warnings(self, milled_next=milled_next)
 
 
 def plan_for_picture(

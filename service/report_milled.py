@@ -36,7 +36,7 @@ def detail_lost(milled: Mapping[str, Any]) -> str | None:
         return None
     return (
         f"the tool's marks blur the picture by {pixels:.1f} pixels (rms): these passes cannot show its finer detail; "
-        '`causticmill plan`, or preset = "recommended", finds passes that show more'
+        "`causticmill plan` tells with which ones this mill shows most"
     )
 
 

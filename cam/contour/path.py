@@ -28,8 +28,11 @@ from cam.vertices import TICKS_PER_MM, VertexRule
 from optics.heightfield import Heightfield, spline_jet
 
 PIECE_VERTICES = 50_000
-SHORTEST_MM = 0.007
-"""Chords of less than twice this are not cut: on a raster of 0.1 µm their parts would turn too visibly."""
+SHORTEST_MM = 0.014
+"""Chords of less than twice this are not cut: turns are drawn in such, and a mill slows down on shorter ones."""
+
+SAG_SHARE = 0.7
+"""Of the rule's sag that equal parts may have on average: curvature changes along a chord."""
 
 TRACED, CLOSED, JOINED = 0.2, 0.5, 0.6
 """Shares of the work done when a step is."""
@@ -124,7 +127,7 @@ def _cut_chords(b, rule, xy, out):  # type: ignore[no-untyped-def]
         chord = (nz - z) / length
         off = max(abs(slope_a - chord), abs(slope_b - chord), abs(slope_m - chord))
         sag = max(abs(mz - (z + nz) / 2), off * length / 4)
-        wanted = max(off / rule.slope_rad, math.sqrt(sag / rule.sag_mm))
+        wanted = max(off / rule.slope_rad, math.sqrt(sag / (SAG_SHARE * rule.sag_mm)))
         parts = max(1, min(int(math.ceil(wanted - 1e-6)), int(length / SHORTEST_MM)))
         for part in range(1, parts):
             t = part / parts

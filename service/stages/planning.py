@@ -36,6 +36,6 @@ def _tell(shop: Workshop, planned: Planned) -> None:
 
     rows = [PassRow.model_validate(row).model_dump(mode="json") for row in planned.rows()]
     shop.report["plan"] = {**planned.figures(), "passes": rows, "why": planned.why()}
-    for sentence in planned.warnings():
+    for sentence in planned.warnings(milled_next=True):
         shop.note("passes", sentence)
     shop.save(PLAN, figures_plan.plan_png(planned, viewed_from=shop.spec.optics.viewed_from))

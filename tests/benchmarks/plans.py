@@ -15,14 +15,19 @@ import numpy as np
 from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks
 from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Tracks
+from cam.moves import cut, rapid
 from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
 from cam.passes import PassSpec
+from cam.posts.dialects import POSTS
+from cam.rounding import Rounding, on_raster
+from machines.profiles import MachineProfile
 from optics.design import design_lens
 from optics.foreseen import sharpened
 from optics.heightfield import Heightfield
 from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
-from service.passes import cam_passes_of
+from service.passes import cam_passes_of, machine_of
 from service.planning import Planned, plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
@@ -44,10 +49,10 @@ def _against_the_paper(name: str, goal: np.ndarray) -> Iterator[Figure]:
     spec = resolve_spec(preset="recommended", overrides=MILL)
     planned = plan_for_picture(spec, goal)
     chosen = planned.chosen
-    ours = as_milled(_lens(goal, chosen.finish.radius_mm, planned), goal, chosen.finish, planned)
+    ours = as_milled(_lens(goal, chosen.finish.radius_mm, planned), goal, chosen.finish, planned.machine)
     paper = resolve_spec(preset="paper", overrides=MILL)
     lens = _lens(goal, 0.5, None)
-    theirs = as_milled(lens, goal, cam_passes_of(paper)[-1], planned)
+    theirs = as_milled(lens, goal, cam_passes_of(paper)[-1], machine_of(paper))
     hours = _paper_hours(paper, lens, planned)
     finish = chosen.finish
     words = f"ball {finish.radius_mm:g} mm, pitch {finish.pitch_mm:g} mm, rows along {finish.direction}"
@@ -70,15 +75,25 @@ def _lens(goal: np.ndarray, ball_mm: float, planned: Planned | None) -> Heightfi
     return design_lens(aim, replace(PAPER_SETTING, min_radius_mm=ball_mm)).heightfield
 
 
-def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, planned: Planned) -> CausticScore:
+def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: MachineProfile) -> CausticScore:
     """Of the light by way of every groove that the rows of a finishing pass leave on that mill."""
-    mill = planned.machine
     tracks = row_tracks(lens, radius_mm=finish.radius_mm, pitch_mm=finish.pitch_mm, direction=finish.direction)
+    if mill.whole_steps:
+        tracks = _on_whole_steps(tracks, mill, finish)
     tracks = tracks.made_by(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
     error_mm = sqrt(mill.z_noise_mm**2 + mill.step_mm**2 / 12)
     surface = MilledSurface.of_tracks([tracks], lens, pitch_mm=finish.pitch_mm, error_mm=error_mm)
     light = simulate_milled(surface.part, surface.parts, lens, PAPER_SETTING.bench, pixels=goal.shape)
     return score_caustic(light.irradiance, goal)
+
+
+def _on_whole_steps(tracks: Tracks, mill: MachineProfile, finish: PassSpec) -> Tracks:
+    """The same rows with their vertices where a program for that mill has them."""
+    digits = POSTS[mill.dialect].digits.coarsened(mill.step_mm)
+    start, way = rapid(tracks.tips_mm[0]), cut(tracks.tips_mm[1:], finish.feed_mm_per_min)
+    paths = on_raster([start, way], Rounding(digits=digits, pitch_mm=finish.pitch_mm))
+    tips = np.concatenate([path.points_mm for path in paths])
+    return replace(tracks, tips_mm=tips, joined=np.arange(len(tips)) > 0)
 
 
 def _paper_hours(paper: JobSpec, lens: Heightfield, planned: Planned) -> float:

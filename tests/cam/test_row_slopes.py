@@ -79,3 +79,12 @@ def test_slopes_are_those_of_the_facets_that_are_left(noise_mm: float) -> None:
     length = np.abs(facets[inside][:, 1, 0] - facets[inside][:, 0, 0])
     square = float(((low**2 + low * high + high**2) / 3 * width * length).sum() / (width * length).sum())
     assert across(radius_mm, pitch_mm, noise_mm) == pytest.approx(sqrt(square), rel=0.1 if noise_mm else 0.05)
+
+
+@given(RADII, st.floats(0.02, 0.2), st.floats(0.0005, 0.004))
+@settings(max_examples=20, deadline=None)
+def test_whole_steps_never_leave_more_than_heights_between_them(radius: float, pitch: float, step: float) -> None:
+    common = {"radius_mm": radius, "pitch_mm": pitch, "step_mm": step, "noise_mm": 0.0005, "vertex_mm": 0.1}
+    between, on_steps = (row_slopes(**common, whole_steps=whole) for whole in (False, True))
+    assert on_steps.along.rms < between.along.rms
+    assert 0.0005 < on_steps.off_mm < between.off_mm

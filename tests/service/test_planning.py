@@ -14,11 +14,12 @@ from PIL import Image
 from optics.irradiance import target_irradiance
 from service.cli import run
 from service.passes import with_plan
-from service.planning import Planned, plan_for_picture
+from service.planning import Planned, mill_of, plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.stages.plan import plan, shares, stage_key
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
 OPTIONS = [word for text in SIZE for word in ("--set", text)]
 
@@ -61,6 +62,8 @@ def test_a_plan_makes_the_spec_whole_and_only_once(spec: JobSpec, planned: Plann
     assert not whole.to_be_planned
     assert [row.radius_mm for row in whole.passes] == [one.radius_mm for one in planned.chosen.passes]
     assert whole.optics.min_radius_mm == planned.chosen.finish.radius_mm
+    assert whole.machine.whole_steps
+    assert any("whole steps" in sentence for sentence in planned.why())
     assert with_plan(whole, {"plan": {"passes": []}}) is whole
     assert with_plan(spec, {}) is spec
     again = resolve_spec(base=whole.plain())
@@ -74,6 +77,14 @@ def test_what_the_person_decided_stays(planned: Planned) -> None:
     whole = with_plan(given, report(planned))
     assert whole.optics.min_radius_mm == 1
     assert whole.optics.foreseen_blur_mm == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("given", "whole"),
+    [((), True), (("machine.whole_steps=false",), False), (("machine.step_mm=0.0001",), False)],
+)
+def test_heights_are_in_whole_steps_where_these_are_coarse(given: tuple[str, ...], whole: bool) -> None:
+    assert mill_of(resolve_spec(preset="recommended", overrides=[*SIZE, *given])).whole_steps == whole
 
 
 def test_a_planned_job_is_the_same_after_any_restart(spec: JobSpec, planned: Planned) -> None:
@@ -117,6 +128,7 @@ def test_the_command_writes_a_picture_and_a_spec_that_make_takes(
     assert fragment.passes[-1].stock_to_leave_mm == 0
     assert fragment.optics.min_radius_mm == fragment.passes[-1].radius_mm
     assert fragment.optics.width_mm == 20
+    assert fragment.machine.whole_steps
     assert tomllib.loads(out.with_suffix(".toml").read_text())["preset"] == "recommended"
 
 
@@ -146,3 +158,15 @@ def test_what_cannot_be_planned_is_one_line(
     assert run(["plan", str(picture), *OPTIONS, *options]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert all(word in line for word in words), line
+
+
+@pytest.mark.thorough
+def test_a_recommended_small_job_runs_whole(tmp_path: Path) -> None:
+    """A deep lens: its rough pass cuts many slots, none of them too fast."""
+    options = [word for text in (*SIZE[:3], "image.pixels=96") for word in ("--set", text)]
+    assert (
+        run(["make", str(EXAMPLES / "camera.png"), "-o", str(tmp_path / "job"), "--preset", "recommended", *options])
+        == 0
+    )
+    report = json.loads((tmp_path / "job" / "report.json").read_text())
+    assert [row["ok"] for row in report["passes"]] == [True] * len(report["plan"]["passes"])

@@ -7,7 +7,7 @@ import pytest
 
 from service.figures_milled import as_milled_png, busiest_part
 from service.report import render_report
-from service.report_milled import CAUSES, milled_sentences
+from service.report_milled import CAUSES, detail_lost, milled_sentences
 
 MILLED = {
     "psnr_db": 24.4, "psnr_db_designed": 41.0, "ssim": 0.73, "misplaced_light": 0.05, "dark_leak": 0.0,
@@ -23,6 +23,11 @@ def test_the_sheet_says_what_to_expect_and_what_costs_most():
     assert milled_sentences({}) == []
     quiet = {**MILLED, "gain_db_without": dict.fromkeys(CAUSES, 0.1)}
     assert len(milled_sentences(quiet)) == 2
+
+
+def test_a_blur_of_more_than_a_pixel_is_a_warning():
+    assert "2.9 pixels" in (detail_lost(MILLED) or "")
+    assert detail_lost({**MILLED, "blur_y_px": 0.9}) is None
 
 
 def test_the_page_shows_the_picture_beside_the_design():
