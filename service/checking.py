@@ -116,7 +116,7 @@ def _of_the_job(programs: Sequence[Path], folder: Path) -> tuple[list[Task], Sto
     parts of a pass."""
     spec: JobSpec = stored_spec(folder)
     rows = job_files.read_report(folder).get("passes", [])
-    files = [[name for name, _ in job_files.files_of_pass(row)] for row in rows]
+    files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
     for path in programs:
         if path.name not in of_file or path.parent.resolve() != folder.resolve():

@@ -59,6 +59,11 @@ def files_of_pass(row: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(part["file"], part["sha256"]) for part in row.get("parts") or [row]]
 
 
+def names_of_pass(row: Mapping[str, Any]) -> list[str]:
+    """The names alone."""
+    return [part["file"] for part in row.get("parts") or [row]]
+
+
 def is_program(name: str) -> bool:
     return _PROGRAM.fullmatch(name) is not None
 

@@ -18,7 +18,7 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
     """(what was verified, what is allowed, one cell per pass); rows that no pass has an answer to are left out."""
     asked: tuple[tuple[str, str, Callable[[Row], str | None]], ...] = (
         ("Program read back and cut in simulation", "every move", lambda p: _unit(p, "moves", whole, "moves")),
-        ("Cut below the lens", "1 µm", lambda p: _number(p, "gouge_um", 2, "µm")),
+        ("Cut below the lens", "1 µm, or 1.5 steps of the heights written", lambda p: _number(p, "gouge_um", 2, "µm")),
         ("Deepest bite", "the step-down and the cusps before", _bite),
         ("Rapid moves in stock, or across below the safe height", "none", _none),
         ("Straight down into stock; spindle off in stock", "none", _none),

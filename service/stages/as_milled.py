@@ -23,7 +23,7 @@ from optics.irradiance import picture_from_irradiance
 from optics.metrics import psnr_db, score_caustic
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predicted_light
-from service.job_files import HEIGHTFIELD, MAP, files_of_pass, read_chunks
+from service.job_files import HEIGHTFIELD, MAP, names_of_pass, read_chunks
 from service.passes import cam_passes_of, machine_of
 from service.report_milled import CAUSES, detail_lost
 from service.stages import arrays
@@ -64,7 +64,7 @@ def _surface(
     machine, rows = machine_of(shop.spec), shop.so_far["passes"]
     tracks = []
     for done, (number, spec) in enumerate(passes, 1):
-        paths = [shop.folder / name for name, _ in files_of_pass(rows[number])]
+        paths = [shop.folder / name for name in names_of_pass(rows[number])]
         batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         tracks.append(Tracks.of_program(batches, radius_mm=spec.radius_mm, step_mm=machine.step_mm, noise=noise))

@@ -11,7 +11,7 @@ from machines.errors import ProgramRefusedError
 from machines.gcode.limits import MillLimits, limits_of
 from service.contour_sample import ContourSample
 from service.errors import FailedError
-from service.job_files import TOOLPATH, files_of_pass, read_chunks
+from service.job_files import TOOLPATH, files_of_pass, names_of_pass, read_chunks
 from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.path_sample import PathSample
 from service.preflight_worker import examine
@@ -27,7 +27,7 @@ def final_check(shop: Workshop) -> None:
         for number, (name, sha256) in enumerate(files):
             for warning in _warnings(shop.folder / name, sha256, limits, _part(reached, number, len(files))):
                 shop.note("passes", f"{name}: {warning}")
-    _draw(shop, [[shop.folder / name for name, _ in files_of_pass(row)] for row in rows])
+    _draw(shop, [[shop.folder / name for name in names_of_pass(row)] for row in rows])
 
 
 def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[float], None]) -> tuple[str, ...]:
