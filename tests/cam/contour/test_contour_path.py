@@ -90,7 +90,8 @@ def length_mm(tips: np.ndarray) -> float:
 
 def judge(tips: np.ndarray, heightfield: Heightfield, spec: PassSpec) -> None:
     """What holds for every lens and pass."""
-    width, height, reach = heightfield.width_mm, heightfield.height_mm, spec.radius_mm
+    width, height = heightfield.width_mm, heightfield.height_mm
+    reach = spec.radius_mm + 0.02 * spec.pitch_mm  # a track through the corner of the field's last cell
     assert np.abs(tips[:, :2] * 1e4 - np.rint(tips[:, :2] * 1e4)).max() < 1e-6, "x and y are on the writing raster"
     assert np.hypot(*np.diff(tips[:, :2], axis=0).T).min() > 0, "every move goes somewhere"
     assert tips[:, 0].min() >= -reach
@@ -186,7 +187,9 @@ def test_the_path_begins_with_a_straight_for_the_ramp_outside_the_aperture():
 
 
 def test_no_level_line_is_lost_where_the_gradient_of_the_field_is_even():
-    """On a ramp f is the distance uphill: as many tracks as pitches, all straight and parallel."""
+    """On a ramp f is the distance uphill: as many tracks as pitches, all straight and parallel; some lie at the corners,
+    in cells of the field that reach beyond the aperture.
+    """
     heightfield = lens(WAYS["ramp"])
     surface = surface_with(heightfield, pass_of())
     f = field.ContourField.over(heightfield, surface, pitch_mm=PITCH)
@@ -195,4 +198,4 @@ def test_no_level_line_is_lost_where_the_gradient_of_the_field_is_even():
         ahead = np.diff(tracks.xy_mm[tracks.start[k] : tracks.start[k + 1]], axis=0)
         assert np.abs(ahead @ (2, 1)).max() < 0.02 * np.hypot(*ahead.T).max() * np.hypot(2, 1)
     across = (SIDE * 2 + SIDE) / np.hypot(2, 1)
-    assert tracks.count == pytest.approx(across / (2 * field.REACH_PITCHES * PITCH), rel=0.12)
+    assert 1.0 <= tracks.count / (across / (2 * field.REACH_PITCHES * PITCH)) < 1.15
