@@ -188,8 +188,9 @@ def test_the_path_begins_with_a_straight_for_the_ramp_outside_the_aperture():
 
 
 def test_no_level_line_is_lost_where_the_gradient_of_the_field_is_even():
-    """On a ramp f is the distance uphill: as many tracks as pitches, all straight and parallel; some lie at the corners,
-    in cells of the field that reach beyond the aperture.
+    """On a ramp f is the distance uphill: as many tracks as pitches, all straight and parallel.
+
+    Some lie at the corners, in cells of the field that reach beyond the aperture.
     """
     heightfield = lens(WAYS["ramp"])
     surface = surface_with(heightfield, pass_of())
