@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from cam.program import generate_program
+from cam.program import generate_parts
 from service.cli import run
 
 VALUES = ("image.pixels=32", "image.tone=linear", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=40")
@@ -21,11 +21,13 @@ SETTINGS = [part for value in VALUES for part in ("--set", value)]
 def spoiled(how: str) -> Any:
     """A generator of programs that goes wrong in the middle of the aperture."""
 
-    def generate(*arguments: Any, **options: Any) -> Iterator[bytes]:
-        lines = b"".join(generate_program(*arguments, **options)).decode().splitlines()
+    def generate(*arguments: Any, **options: Any) -> Iterator[Iterator[bytes]]:
+        lines = (
+            b"".join(piece for part in generate_parts(*arguments, **options) for piece in part).decode().splitlines()
+        )
         cuts = [k for k, line in enumerate(lines) if re.fullmatch(r"X[\d.]+Z-[\d.]+", line)]
         lines.insert(cuts[len(cuts) // 2] + 1, how)
-        yield ("\n".join(lines) + "\n").encode()
+        yield iter([("\n".join(lines) + "\n").encode()])
 
     return generate
 
@@ -43,7 +45,7 @@ def test_a_faulty_program_fails_the_job(
 ) -> None:
     ramp = np.linspace(50, 127, 32)
     Image.fromarray(np.add.outer(ramp, ramp).astype(np.uint8)).save(tmp_path / "p.png")
-    monkeypatch.setattr("service.stages.programs.generate_program", spoiled(how))
+    monkeypatch.setattr("service.stages.programs.generate_parts", spoiled(how))
     paths = [str(tmp_path / "p.png"), "-o", str(tmp_path / "out")]
     code = run(["make", *paths, "--quiet", "--preset", "draft", *SETTINGS])
     told = capsys.readouterr()
