@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from service.path_sample import Array, Mask, PathSample, Segments, Window
+from service.path_sample import Array, Mask, PathSample, Segments, square
 
 _ACROSS = 42  # drawn tracks over the shorter side
 _OWN = 4.0  # distances: as far back along the path a track does not mind itself
@@ -75,33 +76,14 @@ class _Stretch:
 class ContourSample(PathSample):
     """Of a contour pass. `row_distance_mm` is the distance between the tracks drawn."""
 
-    def __init__(
-        self,
-        *,
-        label: str,
-        pitch_mm: float,
-        radius_mm: float,
-        width_mm: float,
-        height_mm: float,
-        along: str = "x",
-        everywhere: bool = True,
-        limit: int = 200_000,
-    ) -> None:
-        """along, everywhere: of rows; a contour pass has none and covers all."""
-        super().__init__(
-            label=label,
-            pitch_mm=pitch_mm,
-            radius_mm=radius_mm,
-            width_mm=width_mm,
-            height_mm=height_mm,
-            along=along,
-            everywhere=everywhere,
-            limit=limit,
-        )
+    def __init__(self, *, pitch_mm: float, radius_mm: float, width_mm: float, height_mm: float, **others: Any) -> None:
+        """As a `PathSample`; it has no rows and covers all, whatever `along` and `everywhere` say."""
+        super().__init__(pitch_mm=pitch_mm, radius_mm=radius_mm, width_mm=width_mm, height_mm=height_mm, **others)
         self._window_follows = False
         side_mm = min(_WINDOW_PITCHES * pitch_mm, 0.5 * min(width_mm, height_mm))
-        x0_mm, y0_mm = -0.15 * side_mm, 0.5 * height_mm - 0.5 * side_mm  # the rim, with what lies on either side
-        self.window = Window(x0_mm=x0_mm, y0_mm=y0_mm, x1_mm=x0_mm + side_mm, y1_mm=y0_mm + side_mm)
+        self.window = square(
+            -0.15 * side_mm, 0.5 * height_mm - 0.5 * side_mm, side_mm
+        )  # over the rim
         self.row_distance_mm = max(min(width_mm, height_mm) / _ACROSS, pitch_mm)
         self._cell_mm = self.row_distance_mm / 4
         self._corner_mm = np.array([-radius_mm, -radius_mm])

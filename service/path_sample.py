@@ -39,7 +39,8 @@ class Window:
         )
 
 
-def _square(x0_mm: float, y0_mm: float, side_mm: float) -> Window:
+def square(x0_mm: float, y0_mm: float, side_mm: float) -> Window:
+    """The window with that lower left corner."""
     return Window(x0_mm=x0_mm, y0_mm=y0_mm, x1_mm=x0_mm + side_mm, y1_mm=y0_mm + side_mm)
 
 
@@ -65,7 +66,7 @@ class PathSample:
         rim_mm = -radius_mm - 0.12 * side_mm  # rows turn round one cutter radius outside the aperture
         middle_x_mm, middle_y_mm = 0.5 * width_mm - 0.5 * side_mm, 0.5 * height_mm - 0.5 * side_mm
         corner_mm = (rim_mm, middle_y_mm) if along == "x" else (middle_x_mm, rim_mm)
-        self.window = _square(*corner_mm, side_mm)
+        self.window = square(*corner_mm, side_mm)
         self._window_follows = not everywhere
         apart_mm = min(width_mm, height_mm) / 50
         self.row_distance_mm = apart_mm if apart_mm > 4 * pitch_mm else pitch_mm  # few rows: all of them
@@ -95,7 +96,7 @@ class PathSample:
             self._window_follows = False
             side_mm = self.window.x1_mm - self.window.x0_mm
             x_mm, y_mm, _ = start_mm[int(np.argmin(rapid))]
-            self.window = _square(float(x_mm) - 0.5 * side_mm, float(y_mm) - 0.12 * side_mm, side_mm)
+            self.window = square(float(x_mm) - 0.5 * side_mm, float(y_mm) - 0.12 * side_mm, side_mm)
         self._note_entries(start_mm, rapid)
         self._note_extremes(start_mm, end_mm, ~rapid)
         self._keep_rows(start_mm, end_mm, rapid)

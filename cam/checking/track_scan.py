@@ -177,7 +177,8 @@ def _paint_outside(bits, columns, rows, tile_x, tile_y, pixel, rim):  # type: ig
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _distance2(tracks, k, x, y):  # type: ignore[no-untyped-def]
+def _apart(tracks, k, x, y):  # type: ignore[no-untyped-def]
+    """(dx, dy) from the nearest point of track k to (x, y)."""
     ax = tracks[k, 0]
     ay = tracks[k, 1]
     ex = tracks[k, 2] - ax
@@ -189,6 +190,12 @@ def _distance2(tracks, k, x, y):  # type: ignore[no-untyped-def]
         t = min(max((dx * ex + dy * ey) / length2, 0.0), 1.0)
         dx -= t * ex
         dy -= t * ey
+    return dx, dy
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _distance2(tracks, k, x, y):  # type: ignore[no-untyped-def]
+    dx, dy = _apart(tracks, k, x, y)
     return dx * dx + dy * dy
 
 
@@ -218,17 +225,7 @@ def distance_to(points, counts, x, y):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _away(tracks, k, x, y):  # type: ignore[no-untyped-def]
     """Unit vector from the nearest point of track k to (x, y)."""
-    ax = tracks[k, 0]
-    ay = tracks[k, 1]
-    ex = tracks[k, 2] - ax
-    ey = tracks[k, 3] - ay
-    length2 = ex * ex + ey * ey
-    dx = x - ax
-    dy = y - ay
-    if length2 > 0.0:
-        t = min(max((dx * ex + dy * ey) / length2, 0.0), 1.0)
-        dx -= t * ex
-        dy -= t * ey
+    dx, dy = _apart(tracks, k, x, y)
     size = math.hypot(dx, dy)
     return (dx / size, dy / size) if size > 0.0 else (0.0, 0.0)
 

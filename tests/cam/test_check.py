@@ -15,13 +15,13 @@ import pytest
 from cam.checking.check import UNCUT_ALLOWED_MM, PassCheck, check_program
 from cam.checking.clearance import SurfaceWitness
 from cam.checking.stock_left import StockLeft, _deepest_in, find_excess
-from cam.duration import Kinematics
 from cam.passes import PassSpec, Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import ProgramError, read_program
 from cam.stock_grid import StockGrid
 from optics.heightfield import Heightfield
+from tests.cam.checking import MILL
 
 WIDTH, HEIGHT, RADIUS, PITCH, SAFE = 6.0, 4.0, 0.5, 0.1, 5.0
 STOCK = Stock(width_mm=WIDTH, height_mm=HEIGHT, thickness_mm=10, margin_mm=2)
@@ -34,13 +34,6 @@ SPEC = PassSpec(
     feed_mm_per_min=600,
     plunge_mm_per_min=300,
     spindle_rpm=24000,
-)
-MILL = Kinematics(
-    max_rate_mm_per_min=(5000, 5000, 3000),
-    acceleration_mm_per_s2=(500, 500, 300),
-    junction_deviation_mm=0.01,
-    planner_blocks=16,
-    lines_per_s=400,
 )
 CELL = 0.05
 HEAD = ["G21 G90 G94 G17 G54", f"G0 Z{SAFE:g}", "M3 S24000", "G4 P1"]

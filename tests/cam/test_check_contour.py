@@ -10,22 +10,15 @@ import numpy as np
 import pytest
 
 from cam.checking.check import PassCheck, check_program
-from cam.duration import Kinematics
 from cam.passes import Stock, ball_pass
 from cam.stock_grid import StockGrid
 from optics.heightfield import Heightfield
+from tests.cam.checking import MILL
 
 SIDE, RADIUS, PITCH = 4.0, 0.5, 0.1
 STOCK = Stock(width_mm=SIDE, height_mm=SIDE, thickness_mm=10, margin_mm=2)
 SPEC = replace(
     ball_pass("finish", radius_mm=RADIUS, pitch_mm=PITCH, stock_to_leave_mm=0.0, step_down_mm=0.1), strategy="contour"
-)
-MILL = Kinematics(
-    max_rate_mm_per_min=(5000, 5000, 3000),
-    acceleration_mm_per_s2=(500, 500, 300),
-    junction_deviation_mm=0.01,
-    planner_blocks=16,
-    lines_per_s=400,
 )
 
 

@@ -5,41 +5,22 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from cam.checking.check import PassCheck, check_program
-from cam.duration import Kinematics
+from cam.checking.check import PassCheck
 from cam.passes import Stock, ball_pass
-from cam.posts.grbl import GRBL
-from cam.program import generate_program
 from cam.stock_grid import StockGrid
+from tests.cam.checking import checked
 from tests.cam.conftest import lens
 
 STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2.5)  # walls: a ball reaches 2 mm beyond the lens
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.4)
 FINISH = ball_pass("finish", radius_mm=1.0, pitch_mm=0.2, stock_to_leave_mm=0.0, step_down_mm=0.3)
-MILL = Kinematics(
-    max_rate_mm_per_min=(5000, 5000, 3000),
-    acceleration_mm_per_s2=(500, 500, 300),
-    junction_deviation_mm=0.01,
-    planner_blocks=16,
-    lines_per_s=400,
-)
 
 
 def milled(heightfield, specs, *, cell_mm) -> list[PassCheck]:
     top = StockGrid.block(STOCK, cell_mm)
     verdicts = []
     for spec in specs:
-        program = generate_program(heightfield, spec, STOCK, stock_top=top, post=GRBL)
-        verdict = check_program(
-            program,
-            heightfield=heightfield,
-            spec=spec,
-            stock=STOCK,
-            stock_top=top,
-            kinematics=MILL,
-            travel_mm=(300, 300, 100),
-            safe_z_mm=5.0,
-        )
+        verdict = checked(heightfield, spec, STOCK, top)
         verdicts.append(verdict)
         top = verdict.stock_top
     return verdicts

@@ -9,16 +9,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.checking.check import check_program
 from cam.errors import PassValueError
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
-from cam.posts.grbl import GRBL
-from cam.program import generate_program, pass_paths
+from cam.program import pass_paths
 from cam.rest import RestAreas
 from cam.stock_grid import StockGrid
 from optics.heightfield import Heightfield
-from tests.cam.test_turned import MILL
+from tests.cam.checking import checked
 
 W, H, CELL = 12.0, 8.0, 0.05
 STOCK = Stock(width_mm=W, height_mm=H, thickness_mm=10, margin_mm=3)
@@ -35,20 +33,6 @@ def pitted(*pits: tuple[float, float]) -> Heightfield:
     return Heightfield.on_aperture(z - max(0.0, z.max() + 0.05), width_mm=W, height_mm=H)
 
 
-def checked(lens, spec, top):
-    program = generate_program(lens, spec, STOCK, stock_top=top, post=GRBL)
-    return check_program(
-        program,
-        heightfield=lens,
-        spec=spec,
-        stock=STOCK,
-        stock_top=top,
-        kinematics=MILL,
-        travel_mm=(300, 300, 100),
-        safe_z_mm=5.0,
-    )
-
-
 TWO = ((3.5, 4.0), (8.5, 3.0))
 
 
@@ -59,7 +43,7 @@ def lens():
 
 @pytest.fixture(scope="module")
 def before(lens):
-    result = checked(lens, BIG, StockGrid.block(STOCK, CELL))
+    result = checked(lens, BIG, STOCK, StockGrid.block(STOCK, CELL))
     assert result.ok, result.faults
     assert result.unreached_share > 0.001
     return result.stock_top
@@ -67,7 +51,7 @@ def before(lens):
 
 @pytest.mark.parametrize(("direction", "link"), [("x", "u-turn"), ("y", "u-turn"), ("x", "retract")])
 def test_what_the_big_ball_left_is_gone_after_one_entry_per_pit(lens, before, direction, link):
-    result = checked(lens, replace(REST, direction=direction, link=link), before)
+    result = checked(lens, replace(REST, direction=direction, link=link), STOCK, before)
     assert result.ok, result.faults
     assert result.unreached == ()
     assert result.rest.regions == 2
@@ -81,7 +65,7 @@ def test_what_the_big_ball_left_is_gone_after_one_entry_per_pit(lens, before, di
 def test_it_cuts_nowhere_else_and_leaves_no_step(lens, before):
     """Beyond the band the stock is untouched; across it the surface nowhere gets steeper than the cusps were before."""
     areas = RestAreas.of(before, lens, REST)
-    after = checked(lens, REST, before).stock_top
+    after = checked(lens, REST, STOCK, before).stock_top
     assert (after.top_mm <= before.top_mm).all()
     untouched = areas.beyond_mm > areas.blend_mm + REST.pitch_mm
     np.testing.assert_array_equal(after.top_mm[untouched], before.top_mm[untouched])
@@ -102,7 +86,7 @@ def _steepest(over, where) -> float:
 
 def test_where_nothing_is_left_nothing_is_cut(before):
     even = pitted()
-    top = checked(even, BIG, StockGrid.block(STOCK, CELL)).stock_top
+    top = checked(even, BIG, STOCK, StockGrid.block(STOCK, CELL)).stock_top
     assert list(pass_paths(even, REST, STOCK, stock_top=top)) == []
 
 

@@ -7,25 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.checking.check import check_program
-from cam.duration import Kinematics
 from cam.passes import Stock, ball_pass
-from cam.posts.grbl import GRBL
-from cam.program import generate_program, pass_paths
+from cam.program import pass_paths
 from cam.stock_grid import StockGrid
 from cam.turned import turned_block, turned_lens, turned_stock
+from tests.cam.checking import checked
 
 W, H = 5.0, 3.5
 STOCK = Stock(width_mm=W, height_mm=H, thickness_mm=10, margin_mm=2)
 ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.7)
 FINISH = ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4)
-MILL = Kinematics(
-    max_rate_mm_per_min=(5000, 5000, 3000),
-    acceleration_mm_per_s2=(500, 500, 300),
-    junction_deviation_mm=0.01,
-    planner_blocks=16,
-    lines_per_s=400,
-)
 
 
 @pytest.fixture(scope="module")
@@ -57,26 +48,12 @@ def test_rows_along_y_are_those_of_the_turned_lens(small, spec):
     np.testing.assert_allclose(along_y[-same:, 2], along_x[-same:, 2], atol=1e-12)
 
 
-def checked(lens, spec, top):
-    program = generate_program(lens, spec, STOCK, stock_top=top, post=GRBL)
-    return check_program(
-        program,
-        heightfield=lens,
-        spec=spec,
-        stock=STOCK,
-        stock_top=top,
-        kinematics=MILL,
-        travel_mm=(300, 300, 100),
-        safe_z_mm=5.0,
-    )
-
-
 @pytest.mark.parametrize("link", ["u-turn", "retract"])
 def test_the_check_passes_rows_along_y(small, link):
     """Gaps, gouge, engagement and excess are measured, whatever the direction; one way is the way that climbs."""
     top = StockGrid.block(STOCK, 0.05)
     for spec in (ROUGH, FINISH):
-        along_x, along_y = (checked(small, replace(spec, direction=d, link=link), top) for d in "xy")
+        along_x, along_y = (checked(small, replace(spec, direction=d, link=link), STOCK, top) for d in "xy")
         for result in (along_x, along_y):
             assert result.ok, result.faults
             assert result.max_gap_mm <= spec.pitch_mm * 1.001

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import signal
 import sys
@@ -164,11 +165,13 @@ def test_the_nursery_has_one_thread_when_it_forks(computing: Bench) -> None:
 
 def test_a_hundred_stages_leave_no_file_and_no_process(bench: Bench) -> None:
     bench.run("echo")
+    gc.collect()  # what earlier tests left behind would go at a moment of its own
     before = len(list(Path("/proc/self/fd").iterdir())), threading.active_count()
     nursery, children = nursery_pid(), set(own_children())
     its_files = len(list(Path(f"/proc/{nursery}/fd").iterdir()))
     for number in range(100):
         assert isinstance(bench.run("echo", say=number), Done)
-    assert (len(list(Path("/proc/self/fd").iterdir())), threading.active_count()) == before
-    assert len(list(Path(f"/proc/{nursery}/fd").iterdir())) == its_files
+    assert len(list(Path("/proc/self/fd").iterdir())) <= before[0]
+    assert threading.active_count() <= before[1]
+    assert len(list(Path(f"/proc/{nursery}/fd").iterdir())) <= its_files
     assert set(own_children()) == children
