@@ -51,7 +51,11 @@ def _draw(shop: Workshop, programs: list[list[Path]]) -> None:
             samples.append(_sample(paths, number, spec, stock, machine_of(shop.spec).dialect))
             reached(number / (len(programs) + 1))
         picture = figures_paths.toolpath_png(
-            samples, width_mm=stock.width_mm, height_mm=stock.height_mm, margin_mm=stock.margin_mm
+            samples,
+            width_mm=stock.width_mm,
+            height_mm=stock.height_mm,
+            margin_mm=stock.margin_mm,
+            outline_mm=shop.spec.optics.outline_mm,
         )
         shop.save(TOOLPATH, picture)
 

@@ -132,7 +132,7 @@ _AFTER = (
         name="check",
         function="service.stages.final_check:final_check",
         reads=("pass-*",),
-        spec=("passes", "machine", *_BLOCK),
+        spec=("passes", "machine", "optics.outline", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(

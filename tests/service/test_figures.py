@@ -247,3 +247,18 @@ def test_a_contour_pass_is_drawn_beside_the_others():
     sample.add(points[:-1], points[1:], np.zeros(len(points) - 1, dtype=bool))
     rows = sampled(*serpentine(40, 30, pitch_mm=0.5), batch=99, pitch_mm=0.5, limit=10**5)
     assert pixels(toolpath_png([rows, sample], width_mm=20, height_mm=20, margin_mm=2)).std() > 10
+
+
+def test_a_toolpath_picture_shows_a_lens_that_does_not_fill_its_aperture():
+    """Its rim is drawn where it runs, and nothing else changes but the line of the aperture."""
+
+    def dark(outline_mm):
+        sample = PathSample(label="p", pitch_mm=1, radius_mm=1, width_mm=20, height_mm=20)
+        sample.add(np.zeros((1, 3)), np.array([[20.0, 0, 0]]), np.array([True]))
+        picture = toolpath_png([sample], width_mm=20, height_mm=20, margin_mm=2, outline_mm=outline_mm)
+        return pixels(picture).astype(int)[..., :3].max(axis=-1) < 90
+
+    square = [(5.0, 5.0), (15.0, 5.0), (15.0, 15.0), (5.0, 15.0)]
+    with_rim, without = dark(square), dark(None)
+    assert with_rim.shape == without.shape
+    assert (with_rim & ~without).sum() > 300  # pixels of the rim's sides
