@@ -25,11 +25,11 @@ demo: $(READY)
 	until port=$$(grep -o -s 'socket://[^ ]*' $(MILL)); do kill -0 $$mill || exit 1; sleep 0.1; done; \
 	$(BIN)/causticmill stream out/demo/pass-1-rough.nc --port $$port --yes
 
-# The job server with everything in $(DATA); Ctrl-C stops it. make serve DATA=... PORT=...
+# The job server with everything in $(DATA), and a simulated mill to try it on; Ctrl-C stops it. make serve DATA=... PORT=...
 DATA ?= out/server
 PORT ?= 8000
 serve: $(READY)
-	@exec $(BIN)/causticmill serve --data $(DATA) --port $(PORT)
+	@exec $(BIN)/causticmill serve --data $(DATA) --port $(PORT) --with-simulated-mill
 
 # A file of tests stays in one process, so that what its tests share is made once.
 test: $(READY)

@@ -172,10 +172,11 @@ def _block_s(length, entry2, exit2, nominal2, accel):  # type: ignore[no-untyped
 
 
 @njit(cache=True, nogil=True)
-def _run(blocks, count, window, line_s, byte_s, clock, ends):  # type: ignore[no-untyped-def]
+def _run(blocks, count, window, line_s, byte_s, clock, ends, done):  # type: ignore[no-untyped-def]
     """Execute the first `count` blocks. clock: entry speed^2, time of the last end, last arrival, blocks done.
 
     ends (window,) : ring of the ends of the last blocks; a line is taken when the block `window` before it is done
+    done (count,)  : gets the end of each
     """
     if count > 0:
         entry2 = min(clock[0], _entry2(blocks, 0, window))
@@ -190,7 +191,7 @@ def _run(blocks, count, window, line_s, byte_s, clock, ends):  # type: ignore[no
             on_the_way_s = max(blocks[k, _LINES] * line_s, blocks[k, _BYTES] * byte_s)
             clock[2] = max(clock[2] + on_the_way_s, ends[slot])
             clock[1] = max(clock[1], clock[2]) + took
-            ends[slot] = clock[1]
+            ends[slot] = done[k] = clock[1]
             clock[3] += 1.0
             entry2 = exit2
         clock[0] = entry2
@@ -212,6 +213,10 @@ class DurationModel:
         self._waiting = np.empty((0, _COLUMNS))
 
     def add(self, batch: Moves) -> None:
+        self.timed(batch)
+
+    def timed(self, batch: Moves) -> Array:
+        """Add a batch; ends [s] of the blocks that are certain now, each once: see `is_block`."""
         blocks = np.empty((len(self._waiting) + len(batch), _COLUMNS))
         sent = getattr(batch, "sent_bytes", _NOTHING)
         blocks[: len(self._waiting)] = self._waiting
@@ -220,13 +225,27 @@ class DurationModel:
             *(self._rate, self._accel, self._deviation, self._carry, blocks[len(self._waiting) :]),
         )
         ready = max(0, n - self._window - 1)
-        _run(blocks[:n], ready, self._window, self._line_s, self._byte_s, self._clock, self._ends)
+        done = np.empty(ready)
+        _run(blocks[:n], ready, self._window, self._line_s, self._byte_s, self._clock, self._ends, done)
         self._waiting = blocks[ready:n].copy()
+        return done
+
+    def waiting_s(self) -> Array:
+        """Ends of the blocks that `timed` has not told of, if the program ended here."""
+        return self._to_the_end()[1]
 
     @property
     def seconds(self) -> float:
         """Time until the mill stands still, if the program ended here."""
-        clock = self._clock.copy()
-        waiting = self._waiting
-        _run(waiting, len(waiting), self._window, self._line_s, self._byte_s, clock, self._ends.copy())
-        return float(clock[1])
+        return self._to_the_end()[0]
+
+    def _to_the_end(self) -> tuple[float, Array]:
+        clock, waiting = self._clock.copy(), self._waiting
+        done = np.empty(len(waiting))
+        _run(waiting, len(waiting), self._window, self._line_s, self._byte_s, clock, self._ends.copy(), done)
+        return float(clock[1]), done
+
+
+def is_block(batch: Moves) -> np.ndarray:
+    """(n,) which moves of a batch make the planner do something: all but those that go nowhere."""
+    return (np.diff(batch.points_mm, axis=0) != 0.0).any(axis=1) | (batch.pause_s >= 0.0)

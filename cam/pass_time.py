@@ -12,20 +12,20 @@ from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
-from scipy.ndimage import binary_closing
+from scipy.ndimage import binary_closing, grey_dilation
 
 from cam.cutter import concave_curvature
 from cam.duration import Kinematics
 from cam.entries import RAMP_SLOPE
 from cam.passes import Direction, PassSpec
 from cam.program import SLOPE_ERROR_RAD
-from cam.tool_surface import ToolSurface
 from cam.vertices import finish_rule, rough_rule
 from optics.heightfield import Array, Heightfield
 
 _SAMPLES = 160  # along a side of the lens
+_PLACES_A_RADIUS = 16  # of a ball, at most; what it bends between them is a two-thousandth of its radius
 _USED = 0.85  # of the length that the rule allows a chord
-CONTOUR_STRETCH = 1.25  # of one connected path over the area by pitch
+CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
 _BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
 _ENTRIES = 4.0  # of a layer
 LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
@@ -38,6 +38,7 @@ class LensForm:
     heights_mm       : sorted
     slopes           : of the surface, sorted
     bends_x, bends_y : curvature along X and along Y, positive in a hollow [1/mm]
+    steep_x, steep_y : change of the slope along X and along Y on a ball that touches, by way over radius
     turns_rad        : direction of the gradient
     hollows_per_mm   : greatest principal curvature, sorted, positive in a hollow
     """
@@ -48,6 +49,8 @@ class LensForm:
     slopes: Array
     bends_x: Array
     bends_y: Array
+    steep_x: Array
+    steep_y: Array
     turns_rad: Array
     hollows_per_mm: Array
     lens: Heightfield
@@ -66,16 +69,30 @@ class LensForm:
             slopes=np.sort(np.hypot(p, q)),
             bends_x=r / (1.0 + p * p) / np.sqrt(square),
             bends_y=t / (1.0 + q * q) / np.sqrt(square),
+            steep_x=(1.0 + p * p) * np.sqrt(square),
+            steep_y=(1.0 + q * q) * np.sqrt(square),
             turns_rad=np.arctan2(q, p),
             hollows_per_mm=np.sort(concave_curvature(lens), axis=None),
             lens=lens,
         )
 
     def tips_mm(self, radius_mm: float) -> Array:
-        """Heights of a ball's tip (n, n) over the lens and one radius around it."""
-        surface = ToolSurface.over(self.lens, radius_mm=radius_mm)
-        x, y = (np.linspace(-radius_mm, side_mm + radius_mm, _SAMPLES) for side_mm in (self.width_mm, self.height_mm))
-        return surface.tip_rows_mm(x, y)
+        """Heights of a ball's tip over the lens and one radius around it, on a grid as fine as ball and samples need.
+
+        The highest of lens and ball above each place: low by what both bend between two places, micrometres.
+        """
+        across, up = (
+            min(_SAMPLES, ceil(_PLACES_A_RADIUS * side_mm / radius_mm)) for side_mm in (self.width_mm, self.height_mm)
+        )
+        dx, dy = self.width_mm / across, self.height_mm / up
+        nx, ny = ceil(radius_mm / dx), ceil(radius_mm / dy)
+        spline = self.lens.spline_with_run_out(2 * radius_mm + max(dx, dy))
+        x, y = (np.arange(-2 * n, count + 2 * n + 1) * step for n, count, step in ((nx, across, dx), (ny, up, dy)))
+        z = spline.jets(*np.meshgrid(self.lens.x_mm[0] + x, self.lens.y_mm[0] + y))[0]
+        off_x, off_y = np.meshgrid(np.arange(-nx, nx + 1) * dx, np.arange(-ny, ny + 1) * dy)
+        square = radius_mm**2 - off_x**2 - off_y**2
+        ball = np.where(square >= 0, np.sqrt(np.maximum(square, 0.0)) - radius_mm, -np.inf)
+        return np.asarray(grey_dilation(z, footprint=square >= 0, structure=ball)[ny:-ny, nx:-nx])
 
     @property
     def deepest_mm(self) -> float:
@@ -87,6 +104,16 @@ class LensForm:
 
     def bends(self, direction: Direction) -> Array:
         return self.bends_x if direction == "x" else self.bends_y
+
+    def steepness(self, spec: PassSpec) -> float:
+        """Slopes that the rows of a pass leave across them, by those on a flat lens, rms: a sloping ball is steeper,
+        and what the lens itself bends between two rows is no error.
+        """
+        over = {"y": self.steep_x * (1 - self.bends_x * spec.radius_mm)}
+        over["x"] = self.steep_y * (1 - self.bends_y * spec.radius_mm)
+        if spec.strategy == "contour":
+            return round(float(np.sqrt((over["x"] ** 2 + over["y"] ** 2).mean() / 2)), 3)
+        return round(float(np.sqrt((over[spec.direction] ** 2).mean())), 3)
 
     def chords_mm(self, spec: PassSpec) -> Array:
         """(n,) usual distance of the vertices of a pass along its rows."""
@@ -119,7 +146,8 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     stretch = float(np.sqrt(1.0 + form.slopes**2 / 2).mean())
     slowness = stretch * (inside * float((1 / speeds).mean()) + (1 - inside) / feed)
     if spec.strategy == "contour":
-        return CONTOUR_STRETCH * form.width_mm * form.height_mm / spec.pitch_mm * slowness
+        stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
+        return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
     turning = min(feed, sqrt(acceleration * spec.pitch_mm / 2))
     return rows * (length_mm * slowness + (feed - turning) ** 2 / feed / acceleration)
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import atan, ceil, cos, sqrt
+from math import atan, ceil, cos, inf, sqrt
 from typing import Protocol
 
 import numpy as np
@@ -22,10 +22,11 @@ from cam.passes import Direction, PassSpec, Strategy
 from cam.row_slopes import RowSlopes, row_slopes
 from cam.tools import Speeds, Tool, tool_pass
 
-PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28, 0.4, 0.56, 0.8)
+PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28, 0.34, 0.4, 0.56, 0.8)
 PITCH_SHARE = 1 / 8  # of the radius, at most
-TOLERATED_DB = 0.5
+TOLERATED_DB = 0.2
 _WORTH_DB = 0.03
+_GUESS_DB, _GOOD_DB = 0.25, 2.0
 LEAST_FIT = 0.99
 _FINISH_STEP_DOWN_MM, _FINISH_STEP_DOWN_SHARE = 0.5, 1 / 3
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
@@ -76,11 +77,15 @@ class Light(Protocol):
     """What a lens shows as milled."""
 
     def psnr_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
-        """Of the lens for that ball, its rows leaving those slopes."""
+        """Of the lens for that ball, its rows leaving those slopes; quick, a guess."""
+        ...
+
+    def settle(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> None:
+        """Make the lens for that ball once more, sharper by as much as those rows will blur."""
         ...
 
     def aimed_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
-        """The same of a lens that is made sharper by as much as its rows will blur; slow, for a few of the best."""
+        """As `psnr_db`, of a lens made so for its own rows; slow, for a few of the best."""
         ...
 
     def blur_mm(self, slopes: RowSlopes) -> float:
@@ -155,11 +160,12 @@ def make_plan(shop: Shop, lenses: Mapping[float, LensForm], light: Light, goal: 
         ]
     if not candidates:
         raise NoPlanError(tuple(left_out))
-    best = [
-        replace(one, psnr_db=light.aimed_db(one.finish.radius_mm, one.slopes, one.finish))
-        for one in _front(candidates, _WORTH_DB)
-    ]
-    front = _front(best, 0.0)
+    near = _near_front(candidates)
+    for best in {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}.values():
+        light.settle(best.finish.radius_mm, best.slopes, best.finish)
+    front = _front(
+        [replace(one, psnr_db=light.aimed_db(one.finish.radius_mm, one.slopes, one.finish)) for one in near], _WORTH_DB
+    )
     chosen, met = choose(front, goal)
     return Plan(chosen=chosen, front=front, left_out=tuple(left_out), met=met)
 
@@ -184,6 +190,18 @@ def _front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...
         if not front or one.psnr_db > front[-1].psnr_db + worth_db:
             front.append(one)
     return tuple(front)
+
+
+def _near_front(candidates: list[Candidate]) -> list[Candidate]:
+    """Those that a guess puts on the front; of good ones also those so little behind that a closer look may."""
+    good_db = max(one.psnr_db for one in candidates) - _GOOD_DB
+    near: list[Candidate] = []
+    best_db = -inf
+    for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
+        if one.psnr_db > best_db + (-_GUESS_DB if one.psnr_db > good_db else _GUESS_DB):
+            near.append(one)
+        best_db = max(best_db, one.psnr_db)
+    return near
 
 
 def _why_not(tool: Tool, form: LensForm, shop: Shop) -> str | None:
@@ -227,6 +245,7 @@ def _candidate(rough: Roughing, tool: Tool, finish: PassSpec, light: Light) -> C
         noise_mm=shop.noise_mm,
         vertex_mm=rough.form.usual_chord_mm(finish),
         whole_steps=shop.whole_steps,
+        steepness=rough.form.steepness(finish),
     )
     return Candidate(
         tool=tool,
@@ -253,6 +272,7 @@ class Roughing:
     def __init__(self, *, form: LensForm, shop: Shop) -> None:
         self.form, self.shop = form, shop
         self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
+        self._firsts: dict[Tool, Before] = {}
         self._rough: dict[float, Before | None] = {}
         self._known: dict[tuple[float, float], Before | None] = {}
 
@@ -278,7 +298,7 @@ class Roughing:
         if finish.radius_mm not in self._rough:
             room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
             ways = [
-                self._way((), tool, pitch_mm=_ROUGH_PITCH_SHARE * tool.radius_mm, leaves_mm=_rough_leaves(tool))
+                self._first(tool)
                 for tool in self.shop.tools
                 if tool.radius_mm >= finish.radius_mm
                 and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - _CLEAR_MM)
@@ -287,6 +307,12 @@ class Roughing:
             ]
             self._rough[finish.radius_mm] = min(ways, key=lambda way: sum(way.seconds), default=None)
         return self._rough[finish.radius_mm]
+
+    def _first(self, tool: Tool) -> Before:
+        if tool not in self._firsts:
+            pitch_mm = _ROUGH_PITCH_SHARE * tool.radius_mm
+            self._firsts[tool] = self._way((), tool, pitch_mm=pitch_mm, leaves_mm=_rough_leaves(tool))
+        return self._firsts[tool]
 
     def _with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         for tool in self.shop.tools:

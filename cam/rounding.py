@@ -35,11 +35,10 @@ _CHOICES = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rounding:
-    """digits, and how lines lie: pitch_mm apart. never_deep: the tool is not lowered by any part of a digit."""
+    """digits, and how lines lie: pitch_mm apart."""
 
     digits: Digits
     pitch_mm: float = math.inf
-    never_deep: bool = False
 
     @property
     def matters(self) -> bool:
@@ -72,14 +71,12 @@ def _placed(line: Array, start: Array, rounding: Rounding) -> Array:
     """The points of a line after its first, which stands at start already."""
     points = nearest(line[1:], rounding.digits)
     runs = np.hypot(*np.diff(line[:, :2], axis=0).T)
-    if rounding.never_deep:
-        points[:, 2] = np.ceil(line[1:, 2] / rounding.digits.z_mm - 1e-6) * rounding.digits.z_mm
     if not (runs > 0).all():  # straight down or up: nothing to choose
         return points
     xy_mm, z_mm = rounding.digits.xy_mm, rounding.digits.z_mm
     out = np.empty((len(line), 3))
     weight = 2.0 / rounding.pitch_mm**2
-    lowest = (0.0 if rounding.never_deep else -0.5 * z_mm) - 1e-9
+    lowest = -0.5 * z_mm - 1e-9
     aside_mm = min(_ASIDE_PITCHES * rounding.pitch_mm, _ASIDE_MM)
     count = _choose(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out)
     return out[:count] if count else points

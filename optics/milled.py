@@ -25,7 +25,7 @@ from optics.tubes.edges import add_edge, add_point
 from optics.tubes.lattice import Aim
 from optics.tubes.spread import POINT_AREA
 
-_STRIPS = 4  # a fixed number, so that sums do not depend on the machine's cores
+_STRIPS = 8  # a fixed number, so that sums do not depend on the machine's cores
 BEAMS = 7  # of light from a disc: what grooves do to it is wider
 _MOST_CORNERS = 8  # of a quadrilateral cut by a rectangle
 

@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 
 from optics.irradiance import picture_from_irradiance
 from service.figures import new_figure, panel_height, png_bytes, srgb_levels
+from service.plan_words import finish_words
 from service.summary import duration
 
 if TYPE_CHECKING:
@@ -31,10 +32,9 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
     panels = above.subplots(1, columns, squeeze=False)[0]
     _picture(panels[0], picture_from_irradiance(target, viewed_from=viewed_from), white, "Picture wanted", "")
     for axes, one in zip(panels[1:], shown, strict=True):
-        score, finish = planned.score(one), one.finish
-        title = f"{duration(3600 * one.hours)}: SSIM {score.ssim:.2f}, {score.psnr_db:.1f} dB"
-        rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
-        words = f"ball {finish.radius_mm:g} mm, pitch {finish.pitch_mm:g} mm, {rows}\nblur {one.blur_mm:.2g} mm"
+        score = planned.score(one)
+        title = f"{duration(3600 * one.hours)}: SSIM {score.ssim:.2f}, {one.psnr_db:.1f} dB"
+        words = f"{finish_words(one.finish)}\nblur {one.blur_mm:.2g} mm"
         picture = picture_from_irradiance(planned.picture(one), viewed_from=viewed_from)
         _picture(axes, picture, white, title, words, marked=one is planned.chosen)
     _curve(below.subplots(), planned)
@@ -43,8 +43,8 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
 
 def _shown(planned: Planned) -> list[Candidate]:
     """The quickest, the chosen and the best, each once, by time."""
-    every = {id(one): one for one in (planned.plan.quickest, planned.chosen, planned.plan.best)}
-    return sorted(every.values(), key=lambda one: one.hours)
+    chosen = (planned.plan.quickest, planned.chosen, planned.plan.best)
+    return [one for one in planned.plan.front if one in chosen]
 
 
 def _picture(axes: Axes, picture: np.ndarray, white: float, title: str, words: str, *, marked: bool = False) -> None:
@@ -87,7 +87,10 @@ def _curve(axes: Axes, planned: Planned) -> None:
 
 
 def _ticks(low: float, high: float) -> list[float]:
-    """Round numbers between two hours, a handful."""
-    every = [base * 10.0**power for power in range(-3, 5) for base in (1, 2, 5)]
-    inside = [tick for tick in every if low * 0.95 <= tick <= high * 1.05]
-    return inside if len(inside) >= 2 else [round(low, 2), round(high, 2)]
+    """Round numbers between two hours, a handful: the coarsest kind that gives three."""
+    for bases in ((1, 2, 5), (1, 1.5, 2, 3, 5, 7), tuple(part / 10 for part in range(10, 100))):
+        every = [base * 10.0**power for power in range(-3, 5) for base in bases]
+        inside = [tick for tick in every if low * 0.99 <= tick <= high * 1.01]
+        if len(inside) >= 3:
+            return inside[:: -(-len(inside) // 9)]
+    return [round(low, 2), round(high, 2)]

@@ -31,9 +31,11 @@ LENS_FILES = ("target.png", HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
 LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png")
 TOOLPATH = "toolpath.png"
 PLAN = "plan.png"
+SURFACE, FOCUS = "surface.bin", "focus.bin"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 _KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH, PLAN}
+_PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "optics", "timings_s", "warnings_by_part", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
@@ -52,6 +54,11 @@ class WrittenProgram:
 def program_name(number: int, name: str, suffix: str, part: int | None = None) -> str:
     """pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix with its dot. Part: pass-1-rough-02.nc."""
     return f"pass-{number}-{name}{suffix}" if part is None else f"pass-{number}-{name}-{part:02d}{suffix}"
+
+
+def path_name(number: int) -> str:
+    """The file from which the operator page draws a pass."""
+    return f"pass-{number}.path"
 
 
 def files_of_pass(row: Mapping[str, Any]) -> list[tuple[str, str]]:
@@ -74,9 +81,14 @@ def run_order(name: str) -> tuple[int, int, str]:
     return int(pass_number), len(rest), rest  # a hundredth part has one more digit
 
 
+def is_drawing(name: str) -> bool:
+    """True for what only the operator page reads: nobody wants it in a folder."""
+    return name in (SURFACE, FOCUS) or _PATH.fullmatch(name) is not None
+
+
 def is_known(name: str) -> bool:
     """True for the name of any file this program writes into a job's folder."""
-    return name in _KNOWN or is_program(name)
+    return name in _KNOWN or is_program(name) or is_drawing(name)
 
 
 def is_job_folder(folder: Path) -> bool:

@@ -4,6 +4,9 @@ Each lens is designed, or closed, for its ball and lit once. Facets of a milled 
 each patch sends its light over all their slopes, and the picture is that of the perfect lens convolved with where they
 send it, darker at its edges, with the stripes of rows that are off in height. Lenses are designed on a coarser picture:
 what they miss of it is taken over, fine detail as the target has it.
+
+A first guess of PSNR takes no picture at all: the errors of a picture's waves add up as squares, and rows keep of each
+wave a part for X times a part for Y. Lenses of the best are then designed once more, sharpened for their own rows.
 """
 
 from __future__ import annotations
@@ -34,26 +37,35 @@ COARSE = 256  # pixels along the longer side of the picture that lenses are desi
 _DIRECTIONS = 16
 _TUBES, _BEAMS = 2, 7
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
+_SEEN_PIXELS = 0.25  # of blur along the rows; less is not worth sharpening for
+_BLOCK = 4  # waves along a side that share what contours keep of them
+_SHARPENING = 4.0  # of Landweber's steps, that light without negative places allows on average
+
+
+Redesign = Callable[[float, Array], tuple[LensForm, Array]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shown:
-    """A lens for one ball: its form, and the waves (ny, nx) of the picture that it would show unmilled."""
+    """A lens for one ball: its form, the waves (ny, nx) of the picture that it would show unmilled, were it not
+    sharpened, and the PSNR of that picture."""
 
     form: LensForm
     waves: Array
+    perfect_db: float
 
 
 class PictureLight:
     """Pictures and scores of milled lenses; `cam.planner.Light`.
 
-    aims : a lens can still be made sharper for the blur of its milling
+    aims     : a lens can still be made sharper for the blur of its milling
+    redesign : form and missed light of a lens for a ball (mm) that aims at a picture of the target's size
     """
 
-    def __init__(self, target: Array, bench: Bench, *, aims: bool = False) -> None:
-        self.target, self.bench, self.aims = target, bench, aims
+    def __init__(self, target: Array, bench: Bench, *, aims: bool = False, redesign: Redesign | None = None) -> None:
+        self.target, self.bench, self.aims, self._redesign = target, bench, aims, redesign
         self._waves = dctn(target, norm="ortho")
-        self._peak = float(target.max())
+        self._peak, self._square = float(target.max()), float(np.square(target).mean())
         ny, nx = target.shape
         self.pixel_mm = (bench.screen.height_mm / ny, bench.screen.width_mm / nx)
         self._along_y, self._along_x = (
@@ -66,33 +78,91 @@ class PictureLight:
         return {radius: shown.form for radius, shown in self.lenses.items()}
 
     def add(self, radius_mm: float, form: LensForm, missed: Array) -> None:
-        """A lens for a ball; missed: its light less the target, at any size."""
+        """A lens for a ball; missed: its light less the picture that it aims at, at any size."""
         error = _resized(missed, self.target.shape)
-        self.lenses[radius_mm] = Shown(form=form, waves=self._waves + dctn(error, norm="ortho"))
+        shown = Shown(
+            form=form,
+            waves=self._waves + dctn(error, norm="ortho"),
+            perfect_db=self._psnr_db(self.target + error, 0.0),
+        )
+        self.lenses[radius_mm] = shown
 
     def same(self, radius_mm: float, as_of_mm: float) -> None:
         """The lens for another ball serves this one as well."""
         self.lenses[radius_mm] = self.lenses[as_of_mm]
 
     def reach_mm(self, form: LensForm) -> float:
-        """How far aside a slope error sends light on the screen, per unit of slope."""
-        drop_mm = self.bench.throw_mm - float(form.heights_mm.mean())
-        return drop_mm * (2.0 if self.bench.mirror else self.bench.refractive_index - 1.0)
+        """How far aside a slope error sends light on the screen, per unit of slope.
+
+        A slope s sends light aside by (n - 1)(s + c s^3) of the way, to third order; its change by 1 + 2 c s^2 times as
+        much, the mean of along it and across it.
+        """
+        drop_mm, n = self.bench.throw_mm - float(form.heights_mm.mean()), self.bench.refractive_index
+        cubic = 1.0 if self.bench.mirror else n * (n + 1) / 6 + ((n - 1) ** 2 - 1) / 3
+        leaning = 1.0 + 2.0 * cubic * float(np.square(form.slopes).mean())
+        return drop_mm * (2.0 if self.bench.mirror else n - 1.0) * leaning
 
     def blur_mm(self, slopes: RowSlopes) -> float:
         form = next(iter(self.lenses.values())).form
         return self.reach_mm(form) * sqrt(slopes.across.rms**2 + slopes.along.rms**2)
 
     def psnr_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
-        shown = self.lenses[radius_mm]
-        return self._psnr_db(self._milled(shown, shown.waves, slopes, spec), self.grain(radius_mm, slopes, spec))
+        """At a guess: as if darkness had no floor, and the picture no place where its edges' darkness matters more."""
+        shown, form = self.lenses[radius_mm], self.lenses[radius_mm].form
+        grain = self.grain(radius_mm, slopes, spec)
+        if spec.strategy == "contour":
+            error = self._error_by_contours(shown, slopes)
+        else:
+            over_y, over_x = (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
+            kept_y, kept_x = (
+                spread.transfer(waves, self.reach_mm(form))
+                for spread, waves in ((over_y, self._along_y), (over_x, self._along_x))
+            )
+            error = self._error_by_rows(shown, kept_y, kept_x)
+        return float(10 * np.log10(self._peak**2 / max(error + grain**2 * self._square, 1e-300)))
 
     def aimed_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
         return self._psnr_db(self._aimed(radius_mm, slopes, spec), self.grain(radius_mm, slopes, spec))
 
+    def unsharpened_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
+        """The same of a lens that aims at the picture itself."""
+        shown = self.lenses[radius_mm]
+        return self._psnr_db(self._milled(shown, shown.waves, slopes, spec), self.grain(radius_mm, slopes, spec))
+
+    def settle(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> None:
+        """Design the lens of a ball once more, sharpened for those rows; nothing where none is sharpened."""
+        blur_x_mm, blur_y_mm = self.foreseen_blur_mm(radius_mm, slopes, spec)
+        if self._redesign is None or not (blur_x_mm or blur_y_mm):
+            return
+        aim = sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
+        before_db = self.lenses[radius_mm].perfect_db
+        self.add(radius_mm, *self._redesign(radius_mm, aim))
+        self.lenses[radius_mm] = replace(self.lenses[radius_mm], perfect_db=before_db)
+
+    def _error_by_rows(self, shown: Shown, kept_y: Array, kept_x: Array) -> float:
+        """Mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
+        left = np.outer(kept_y, kept_x)
+        lost = 1.0 - left
+        if self.aims:
+            lost *= np.clip(1.0 - left * left, 0.0, 1.0) ** _SHARPENING
+        return float(np.square(lost * self._waves - left * (shown.waves - self._waves)).mean())
+
+    def _error_by_contours(self, shown: Shown, slopes: RowSlopes) -> float:
+        """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
+        ny, nx = (count // _BLOCK * _BLOCK for count in self.target.shape)
+        along_y, along_x = self._along_y[:ny:_BLOCK], self._along_x[:nx:_BLOCK]
+        kept, squared = _kept_by_contours(shown.form, slopes, self.reach_mm(shown.form), along_y, along_x)
+
+        def blocks(values: Array) -> Array:
+            return np.asarray(values[:ny, :nx].reshape(ny // _BLOCK, _BLOCK, nx // _BLOCK, _BLOCK).sum(axis=(1, 3)))
+
+        own, cross, goal = shown.waves**2, shown.waves * self._waves, self._waves**2
+        error = (squared * blocks(own) - 2 * kept * blocks(cross)).sum() + goal.sum()
+        return float(max(error, 0.0)) / self.target.size
+
     def perfect_db(self, radius_mm: float) -> float:
         """What the lens for a ball would show without any mark of the tool."""
-        return self._psnr_db(idctn(self.lenses[radius_mm].waves, norm="ortho"), 0.0)
+        return self.lenses[radius_mm].perfect_db
 
     def grain(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
         """Standard deviation of the light of a pixel over its mean: rows off in height, chords off in slope."""
@@ -110,14 +180,14 @@ class PictureLight:
         return np.asarray(smooth * np.maximum(1.0 + self.grain(radius_mm, slopes, spec) * lot / lot.std(), 0.0))
 
     def foreseen_blur_mm(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> tuple[float, float]:
-        """(x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists."""
-        if not self.aims:
+        """(x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists,
+        nor where contours blur each place in a direction of its own.
+        """
+        if not self.aims or spec.strategy == "contour":
             return 0.0, 0.0
         form = self.lenses[radius_mm].form
         across, along = (self.reach_mm(form) * spread.rms for spread in (slopes.across, slopes.along))
-        if spec.strategy == "contour":
-            share_x = float((np.cos(form.turns_rad) ** 2).mean())
-            return sqrt(share_x) * across, sqrt(1 - share_x) * across
+        along = along if along > _SEEN_PIXELS * min(self.pixel_mm) else 0.0
         return (along, across) if spec.direction == "x" else (across, along)
 
     def _aimed(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> Array:
@@ -125,7 +195,7 @@ class PictureLight:
         shown = self.lenses[radius_mm]
         blur_x_mm, blur_y_mm = self.foreseen_blur_mm(radius_mm, slopes, spec)
         waves = shown.waves
-        if self.aims:
+        if blur_x_mm or blur_y_mm:
             aim = sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
             waves = waves + dctn(aim - self.target, norm="ortho")
         return self._milled(shown, waves, slopes, spec)
@@ -153,23 +223,29 @@ class PictureLight:
         """What is left of each wave (ny, nx)."""
         reach = self.reach_mm(form)
         if spec.strategy == "contour":
-            return self._kept_by_contours(form, slopes, reach)
+            return _kept_by_contours(form, slopes, reach, self._along_y, self._along_x)[0]
         over_y, over_x = (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
         return over_y.transfer(self._along_y, reach)[:, None] * over_x.transfer(self._along_x, reach)[None, :]
 
-    def _kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach: float) -> Array:
-        """Rows run along the contour lines, so across them is the gradient's direction, which all places share out."""
-        edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
-        share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
-        most = float(np.hypot(self._along_x[-1], self._along_y[-1]))
-        waves = np.linspace(0.0, most, 512)
-        across = slopes.across.transfer(waves, reach)
-        kept = np.zeros((self._along_y.size, self._along_x.size))
-        for turn, part in zip((edges[:-1] + edges[1:]) / 2, share, strict=True):
-            for way in (1.0, -1.0):  # a cosine transform knows no sign of a wave
-                along = self._along_x[None, :] * np.cos(turn) + way * self._along_y[:, None] * np.sin(turn)
-                kept += part / 2 * np.interp(np.abs(along), waves, across)
-        return kept
+
+def _kept_by_contours(
+    form: LensForm, slopes: RowSlopes, reach: float, along_y: Array, along_x: Array
+) -> tuple[Array, Array]:
+    """What is left of each wave (ny, nx), and of its square: rows run along the contour lines, so across them is the
+    gradient's direction, which all places share out.
+    """
+    edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
+    share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
+    waves = np.linspace(0.0, float(np.hypot(along_x[-1], along_y[-1])), 512)
+    across = slopes.across.transfer(waves, reach)
+    kept, squared = np.zeros((2, along_y.size, along_x.size))
+    for turn, part in zip((edges[:-1] + edges[1:]) / 2, share, strict=True):
+        for way in (1.0, -1.0):  # a cosine transform knows no sign of a wave
+            along = along_x[None, :] * np.cos(turn) + way * along_y[:, None] * np.sin(turn)
+            left = np.interp(np.abs(along), waves, across)
+            kept += part / 2 * left
+            squared += part / 2 * left**2
+    return kept, squared
 
 
 def lit_designs(
@@ -188,7 +264,15 @@ def lit_designs(
     """
     coarse = _coarser(target)
     quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
-    light = PictureLight(target, settings.bench, aims=aims)
+
+    def lit(radius_mm: float, aim: Array) -> tuple[LensForm, Array, bool]:
+        design = design_lens(aim, replace(quick, min_radius_mm=radius_mm))
+        missed = _light_of(design.heightfield, settings.bench, aim) - aim
+        return LensForm.of(design.heightfield), missed, design.closing is not None
+
+    light = PictureLight(
+        target, settings.bench, aims=aims, redesign=None if as_given else lambda r, aim: lit(r, _coarser(aim))[:2]
+    )
     if as_given:
         _add_as_left(light, design_lens(coarse, quick).heightfield, coarse, radii_mm, on_progress)
         return light
@@ -198,10 +282,9 @@ def lit_designs(
         if served is not None:
             light.same(radius_mm, served)
             continue
-        design = design_lens(coarse, replace(quick, min_radius_mm=radius_mm))
-        lens = design.heightfield
-        light.add(radius_mm, LensForm.of(lens), _light_of(lens, settings.bench, coarse) - coarse)
-        if design.closing is None:
+        form, missed, filled = lit(radius_mm, coarse)
+        light.add(radius_mm, form, missed)
+        if not filled:
             served = radius_mm
         if on_progress is not None:
             on_progress(number / len(wanted))

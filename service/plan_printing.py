@@ -48,8 +48,7 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
         job_files.write_bytes(beside, fragment.encode())
         written = [f"picture: {request.output}", f"spec: {beside} (causticmill make --spec {beside})"]
     if as_json:
-        report = {**planned.figures(), "passes": planned.rows(), "why": planned.why(), "warnings": planned.warnings()}
-        yield json.dumps(report, indent=2)
+        yield json.dumps(planned.figures(), indent=2)
         return
     yield from table(planned)
     yield ""
@@ -129,15 +128,12 @@ def spec_fragment(planned: Planned, spec: JobSpec) -> str:
     tables: dict[str, dict[str, Any]] = {name: {} for name in ("image", "optics", "stock", "machine")}
     for name, found in tables.items():
         found.update({key: value for key, value in data.get(name, {}).items() if usual[name].get(key) != value})
-    if planned.shapes_lens:
-        tables["optics"]["min_radius_mm"] = planned.chosen.finish.radius_mm
-    if any(planned.foreseen_blur_mm()):
-        tables["optics"]["foreseen_blur_mm"] = planned.foreseen_blur_mm()
-    if planned.machine.whole_steps:
-        tables["machine"]["whole_steps"] = True
+    fragment = planned.fragment()
+    for name in ("optics", "machine"):
+        tables[name].update(fragment[name])
     for name, values in tables.items():
         lines += _toml_table(name, values)
-    for row in planned.rows():
+    for row in fragment["passes"]:
         lines += ["", "[[passes]]", *(f"{key} = {json.dumps(value)}" for key, value in row.items())]
     return "\n".join(lines) + "\n"
 

@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from cam.passes import PassSpec
 from cam.planner import TOLERATED_DB, Candidate
 from cam.row_slopes import row_slopes
 from cam.tools import contact_speed_m_per_min
+from service.summary import duration
 
 if TYPE_CHECKING:
     from service.planning import Planned
@@ -27,14 +29,11 @@ def reasons(planned: Planned) -> list[str]:
 def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
     """What the picture loses, and whether the ball rubs. milled_next: the job itself will tell how much it blurs."""
     found = []
-    chosen, pixels = planned.chosen, planned.blur_px(planned.chosen)
+    chosen = planned.chosen
     if not planned.plan.met:
         found.append(_not_met(planned))
-    if pixels > 1.0 and not milled_next:
-        found.append(
-            f"the tool's marks will blur the picture by {chosen.blur_mm:.2g} mm, {pixels:.1f} pixels: finer detail "
-            f"will not be seen; {_remedy(planned)}"
-        )
+    if (lost := blur_warning(planned, chosen)) and not milled_next:
+        found.append(f"{lost}; {_remedy(planned)}")
     if (speed := _cutting_speed(planned)) < RUBBING_M_PER_MIN:
         found.append(
             f"on half of the lens the ball of {chosen.finish.radius_mm:g} mm cuts at less than {speed:.0f} m/min and "
@@ -43,12 +42,28 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
     return found
 
 
+def blur_warning(planned: Planned, one: Candidate) -> str | None:
+    """What a plan cannot show of the picture, if anything."""
+    if (pixels := planned.blur_px(one)) <= 1.0:
+        return None
+    return (
+        f"the tool's marks will blur the picture by {one.blur_mm:.2g} mm, {pixels:.1f} pixels: finer detail "
+        "will not be seen"
+    )
+
+
+def finish_words(finish: PassSpec) -> str:
+    """A finishing pass in a few words."""
+    rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
+    return f"ball {finish.radius_mm:g} mm, pitch {finish.pitch_mm:g} mm, {rows}"
+
+
 def best_possible(planned: Planned) -> str:
     """What no plan on this mill can surpass."""
     best = planned.plan.best
     perfect = max(planned.light.perfect_db(radius) for radius in planned.light.lenses)
     return (
-        f"No plan does better than {best.psnr_db:.1f} dB on this mill ({best.hours:.1f} h): its steps of "
+        f"No plan does better than {best.psnr_db:.1f} dB on this mill ({duration(3600 * best.hours)}): its steps of "
         f"{1000 * planned.machine.step_mm:g} µm and its noise of {1000 * planned.machine.z_noise_mm:g} µm decide; "
         f"the lens itself could show {perfect:.1f} dB."
     )
@@ -56,7 +71,7 @@ def best_possible(planned: Planned) -> str:
 
 def _aim(planned: Planned) -> str:
     chosen, goal = planned.chosen, planned.goal
-    shown = f"{chosen.psnr_db:.1f} dB in {chosen.hours:.1f} h"
+    shown = f"{chosen.psnr_db:.1f} dB in {duration(3600 * chosen.hours)}"
     if not planned.plan.met:
         return f"{shown}, the nearest to what was asked for. {best_possible(planned)}"
     if goal.hours is not None:
@@ -79,7 +94,7 @@ def _ball(planned: Planned) -> Iterator[str]:
         words += f"; the lens is shaped for it, which takes {lost:.1f} dB of the {least:.1f} dB of one without marks"
     yield words + "."
     if any(planned.foreseen_blur_mm()):
-        plain = planned.light.psnr_db(radius, planned.chosen.slopes, planned.chosen.finish)
+        plain = planned.light.unsharpened_db(radius, planned.chosen.slopes, planned.chosen.finish)
         gain = planned.chosen.psnr_db - plain
         yield f"The lens is made sharper by what milling will blur, which gains {gain:.1f} dB on the wall."
     larger = [(name, why) for name, why in planned.plan.left_out if _radius(planned, name) > radius]
@@ -90,11 +105,13 @@ def _ball(planned: Planned) -> Iterator[str]:
 def _rows(planned: Planned) -> Iterator[str]:
     chosen = planned.chosen
     finish = chosen.finish
-    finer = [one for one in planned.plan.front if one.finish.pitch_mm < finish.pitch_mm]
+    front = planned.plan.front
+    sharper = front[front.index(chosen) + 1 :]
     words = f"Rows {finish.pitch_mm:g} mm apart"
-    if finer:
-        gain, more = finer[0].psnr_db - chosen.psnr_db, finer[0].hours - chosen.hours
-        yield f"{words}: {finer[0].finish.pitch_mm:g} mm would gain {gain:.1f} dB for {more:.1f} h more."
+    if sharper:
+        gain, more_s = sharper[0].psnr_db - chosen.psnr_db, 3600 * (sharper[0].hours - chosen.hours)
+        other = finish_words(sharper[0].finish)
+        yield f"{words}; the next sharper plan ({other}) would gain {gain:.2g} dB for {duration(more_s)} more."
     else:
         grain = 100 * planned.light.grain(finish.radius_mm, chosen.slopes, finish)
         yield (
@@ -119,6 +136,7 @@ def _steps(planned: Planned) -> Iterator[str]:
         step_mm=machine.step_mm,
         noise_mm=machine.z_noise_mm,
         vertex_mm=chosen.slopes.vertex_mm,
+        steepness=planned.light.forms[finish.radius_mm].steepness(finish),
     )
     gain = chosen.psnr_db - planned.light.aimed_db(finish.radius_mm, between, finish)
     yield (
@@ -150,8 +168,8 @@ def _remedy(planned: Planned) -> str:
     largest = max(planned.light.lenses)
     if planned.plan.left_out and any(_radius(planned, name) > largest for name, _ in planned.plan.left_out):
         return "a wider margin of the block leaves room for a larger ball"
-    steps, noise = planned.machine.step_mm / 12**0.5, planned.machine.z_noise_mm
-    cause = "finer steps of the mill" if steps > noise else "a steadier mill"
+    noise_mm = planned.machine.z_noise_mm
+    cause = "finer steps of the mill" if planned.chosen.slopes.off_mm > 1.5 * noise_mm else "a steadier mill"
     return f"{cause}, a larger ball, or a coarser picture on a larger screen helps"
 
 

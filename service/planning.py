@@ -19,7 +19,7 @@ from optics.metrics import CausticScore
 from service.errors import InputError
 from service.passes import machine_of
 from service.plan_light import PictureLight, lit_designs, lit_lens
-from service.plan_words import blur_warnings, reasons
+from service.plan_words import blur_warning, blur_warnings, finish_words, reasons
 from service.spec import JobSpec, PassRow
 from service.stages.optical_task import bench_of, branch_of, lens_settings
 from service.stages.plain import plain
@@ -52,23 +52,28 @@ class Planned:
         return self.plan.chosen
 
     def picture(self, candidate: Candidate) -> Array:
-        """Predicted light (ny, nx) on the screen, work frame."""
+        """Predicted light (ny, nx) on the screen of one of the plan's front, work frame."""
+        return self._pictures[self.plan.front.index(candidate)]
+
+    def _picture(self, candidate: Candidate) -> Array:
         return self.light.picture(candidate.finish.radius_mm, candidate.slopes, candidate.finish)
 
     @cached_property
-    def _scores(self) -> dict[int, CausticScore]:
-        return {}
+    def _pictures(self) -> tuple[Array, ...]:
+        return tuple(self._picture(one) for one in self.plan.front)
+
+    @cached_property
+    def _scores(self) -> tuple[CausticScore, ...]:
+        return tuple(map(self.light.score, self._pictures))
 
     def score(self, candidate: Candidate) -> CausticScore:
-        """PSNR, SSIM and the rest of the predicted light."""
-        if id(candidate) not in self._scores:
-            self._scores[id(candidate)] = self.light.score(self.picture(candidate))
-        return self._scores[id(candidate)]
+        """PSNR, SSIM and the rest of the predicted light of one of the plan's front."""
+        return self._scores[self.plan.front.index(candidate)]
 
-    def foreseen_blur_mm(self) -> list[float]:
+    def foreseen_blur_mm(self, candidate: Candidate | None = None) -> list[float]:
         """What the lens is to be made sharper for, to the micrometre."""
-        chosen = self.chosen
-        found = self.light.foreseen_blur_mm(chosen.finish.radius_mm, chosen.slopes, chosen.finish)
+        one = candidate or self.chosen
+        found = self.light.foreseen_blur_mm(one.finish.radius_mm, one.slopes, one.finish)
         return [round(value, 3) for value in found]
 
     def blur_px(self, candidate: Candidate) -> float:
@@ -80,41 +85,59 @@ class Planned:
         rows = [{key: value for key, value in asdict(spec).items() if key in PassRow.model_fields} for spec in passes]
         return [{key: value for key, value in row.items() if value is not None} for row in rows]
 
+    def fragment(self, candidate: Candidate | None = None) -> dict[str, Any]:
+        """What laid over the job's spec, section by section, makes it this plan."""
+        one = candidate or self.chosen
+        optics: dict[str, Any] = {"min_radius_mm": one.finish.radius_mm} if self.shapes_lens else {}
+        if any(blur_mm := self.foreseen_blur_mm(one)):
+            optics["foreseen_blur_mm"] = blur_mm
+        machine = {"whole_steps": True} if self.machine.whole_steps else {}
+        return {"passes": self.rows(one), "optics": optics, "machine": machine}
+
     def figures(self) -> dict[str, Any]:
-        """For report.json: what was chosen and what else there was."""
-        chosen, score = self.chosen, self.score(self.chosen)
+        """For report.json: what was chosen and what else there was, each with all that it takes to have it."""
+        chosen = self.chosen
         return plain(
             {
+                **self._figures(chosen),
+                "passes": self.rows(),
                 "min_radius_mm": chosen.finish.radius_mm,
                 "foreseen_blur_mm": self.foreseen_blur_mm(),
                 "whole_steps": self.machine.whole_steps,
                 "goal": {key: value for key, value in asdict(self.goal).items() if value is not None},
                 "goal_met": self.plan.met,
-                "hours": chosen.hours,
-                "hours_by_pass": [seconds / 3600 for seconds in chosen.seconds],
-                "psnr_db": score.psnr_db,
-                "ssim": score.ssim,
-                "blur_mm": chosen.blur_mm,
-                "blur_px": self.blur_px(chosen),
                 "perfect_psnr_db": self.light.perfect_db(chosen.finish.radius_mm),
                 "best_psnr_db": self.plan.best.psnr_db,
+                "chosen": self.plan.front.index(chosen),
                 "candidates": [self._line(one) for one in self.plan.front],
                 "left_out": [{"tool": name, "why": why} for name, why in self.plan.left_out],
+                "why": self.why(),
+                "warnings": self.warnings(),
             }
         )
+
+    def _figures(self, one: Candidate) -> dict[str, Any]:
+        return {
+            "hours": one.hours,
+            "hours_by_pass": [seconds / 3600 for seconds in one.seconds],
+            "psnr_db": one.psnr_db,
+            "ssim": self.score(one).ssim,
+            "blur_mm": one.blur_mm,
+            "blur_px": self.blur_px(one),
+        }
 
     def _line(self, one: Candidate) -> dict[str, Any]:
         finish = one.finish
         return {
+            **self._figures(one),
             "tool": one.tool.name,
             "radius_mm": finish.radius_mm,
             "pitch_mm": finish.pitch_mm,
             "direction": finish.direction,
             "strategy": finish.strategy,
-            "passes": len(one.passes),
-            "hours": one.hours,
-            "psnr_db": one.psnr_db,
-            "blur_mm": one.blur_mm,
+            "words": finish_words(finish),
+            "warning": blur_warning(self, one),
+            "spec": self.fragment(one),
         }
 
     def why(self) -> list[str]:
@@ -172,6 +195,7 @@ def shop_of(spec: JobSpec, tools: tuple[Tool, ...]) -> Shop:
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
         noise_mm=machine.z_noise_mm,
         margin_mm=spec.stock.margin_mm,
+        strategies=("raster", "contour"),
     )
 
 

@@ -29,15 +29,16 @@ def milled_sentences(milled: Mapping[str, Any]) -> list[str]:
     return sentences
 
 
-def detail_lost(milled: Mapping[str, Any]) -> str | None:
-    """A warning where the milled surface blurs more than a pixel of the picture."""
+def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | None:
+    """A warning where the milled surface blurs more than a pixel. planned: the planner chose the passes, for a goal."""
     pixels = math.hypot(milled["blur_x_px"], milled["blur_y_px"])
     if not pixels > 1.0:
         return None
-    return (
-        f"the tool's marks blur the picture by {pixels:.1f} pixels (rms): these passes cannot show its finer detail; "
-        "`causticmill plan` tells with which ones this mill shows most"
-    )
+    seen = f"the tool's marks blur the picture by {pixels:.1f} pixels (rms): "
+    if planned:
+        return f"{seen}its finer detail will not be seen with the passes planned for this goal"
+    told = "`causticmill plan` tells with which ones this mill shows most"
+    return f"{seen}these passes cannot show its finer detail; {told}"
 
 
 def _expected(milled: Mapping[str, Any]) -> str:

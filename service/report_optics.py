@@ -32,9 +32,21 @@ def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             rows.append((f"{prefix}SSIM", f"{scores['ssim']:.3f}", "likeness of local structure; 1 is identical"))
         if scores.get("misplaced_light") is not None:
             share = scores["misplaced_light"]
-            rows.append((f"{prefix}Misplaced light", f"{100 * share:.2f} %", misplaced_in_words(share)))
+            rows.append(
+                (
+                    f"{prefix}misplaced light" if prefix else "Misplaced light",
+                    f"{100 * share:.2f} %",
+                    misplaced_in_words(share),
+                )
+            )
         if scores.get("dark_leak"):
-            rows.append((f"{prefix}Dark leak", f"{100 * scores['dark_leak']:.2f} %", _leak_in_words(scores)))
+            rows.append(
+                (
+                    f"{prefix}dark leak" if prefix else "Dark leak",
+                    f"{100 * scores['dark_leak']:.2f} %",
+                    _leak_in_words(scores),
+                )
+            )
     sharp = table(table(report.get("optics")).get("from_a_point_source")).get("psnr_db")
     if sharp is not None:
         rows.append(

@@ -39,6 +39,7 @@ class ServerSettings(BaseSettings):
     requests_per_s    : of one caller, with bursts of ten times as many; POST of jobs: jobs_per_min
     agents_file       : TOML that lists the agents of mills on other computers
     start_agents      : `serve` starts an agent for every configured machine that has a port
+    simulated_mill    : `serve` offers a simulated mill, too, to try everything on
     """
 
     model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore")
@@ -66,6 +67,7 @@ class ServerSettings(BaseSettings):
     jobs_per_min: Annotated[float, Field(gt=0)] = 600.0
     agents_file: Path | None = None
     start_agents: bool = True
+    simulated_mill: bool = False
     log_level: Literal["debug", "info", "warning"] = "info"
 
     @property

@@ -26,7 +26,6 @@ __all__ = [
 ]
 
 PRESETS = ("paper", "draft", "recommended")
-MATERIALS = ("pmma",)
 MAX_PIXELS = 4096
 MOST_PASSES = 20
 MAX_VERTICES = 8192  # of the lens along a side: 0.5 GB an array

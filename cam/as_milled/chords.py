@@ -17,13 +17,15 @@ class Chords(NamedTuple):
 
     group (n,) uint8 : which ball runs it; radii (groups,)
     start (boxes + 1,), member : CSR of chords by box; boxes (rows, columns) of `side` from (x0, y0)
+    half_x, half_y             : no chord reaches farther from its middle than this
     """
 
     tips: Any
     joined: Any
     group: Any
     radii: Any
-    longest: float
+    half_x: float
+    half_y: float
     start: Any
     member: Any
     x0: float
@@ -33,8 +35,7 @@ class Chords(NamedTuple):
     rows: int
 
 
-def sorted_chords(tracks: Sequence[Tracks], *, longest_mm: float, side_mm: float) -> Chords:
-    """No chord of the tracks may be longer than longest_mm."""
+def sorted_chords(tracks: Sequence[Tracks], *, side_mm: float) -> Chords:
     tips = tracks[0].tips_mm if len(tracks) == 1 else np.concatenate([one.tips_mm for one in tracks])
     joined = tracks[0].joined if len(tracks) == 1 else np.concatenate([one.joined for one in tracks])
     group = np.repeat(np.arange(len(tracks), dtype=np.uint8), [one.joined.size for one in tracks])
@@ -45,12 +46,14 @@ def sorted_chords(tracks: Sequence[Tracks], *, longest_mm: float, side_mm: float
     start = np.zeros(columns * rows + 1, dtype=np.int32)
     member = np.empty(int(joined.sum()), dtype=np.int32)
     _sort(tips, joined, float(low[0]), float(low[1]), side_mm, columns, start, member)
+    half_x, half_y = _half_sizes(tips, joined)
     return Chords(
         tips=tips,
         joined=joined,
         group=group,
         radii=np.array([one.radius_mm for one in tracks]),
-        longest=longest_mm,
+        half_x=half_x,
+        half_y=half_y,
         start=start,
         member=member,
         x0=float(low[0]),
@@ -59,6 +62,16 @@ def sorted_chords(tracks: Sequence[Tracks], *, longest_mm: float, side_mm: float
         columns=columns,
         rows=rows,
     )
+
+
+@njit(cache=True, nogil=True)
+def _half_sizes(tips, joined):  # type: ignore[no-untyped-def]
+    wide = high = 0.0
+    for k in range(1, joined.size):
+        if joined[k]:
+            wide = max(wide, 0.5 * abs(tips[k, 0] - tips[k - 1, 0]))
+            high = max(high, 0.5 * abs(tips[k, 1] - tips[k - 1, 1]))
+    return wide, high
 
 
 @njit(cache=True, nogil=True)
@@ -93,8 +106,7 @@ def gather(c, k, reach, room, out):  # type: ignore[no-untyped-def]
     bx, by = c.tips[k, 0], c.tips[k, 1]
     mx, my = 0.5 * (ax + bx), 0.5 * (ay + by)
     half = 0.5 * math.hypot(bx - ax, by - ay)
-    wide = reach + 0.5 * c.longest
-    far_x, far_y = wide + 0.5 * abs(bx - ax), wide + 0.5 * abs(by - ay)
+    far_x, far_y = reach + c.half_x + 0.5 * abs(bx - ax), reach + c.half_y + 0.5 * abs(by - ay)
     i0 = max(int((mx - far_x - c.x0) / c.side), 0)
     i1 = min(int((mx + far_x - c.x0) / c.side), c.columns - 1)
     j0 = max(int((my - far_y - c.y0) / c.side), 0)

@@ -1,37 +1,70 @@
 """What each chord of the path leaves of itself on the surface: the part where its ball was lowest, as small facets.
 
-Theory of operation. A point of the ball with centre c and radius R is c + R v, v a unit vector. It lies outside another
-ball of the path, d away, where 2 R v . d < |d|^2 (for equal radii): a half-space in v, so what a ball shows of itself
-is cut out by half-spaces, whatever the path is like: neighbours, crossings, deeper tracks that hide it altogether.
-While the tool moves along t only points with v . t = 0 stay: v = f b - n, one angle f across the track, with the frame
-t, b, n turned so that n is about the surface's normal. Each other chord bounds f from one side, or hides the place, in
-closed form: f < min X / D over its balls, X = d_n + |d|^2 / 2R and D = d_b (squares of f, some 1e-4, are left out). So
-a short piece of a chord shows one interval of f, and slopes and places at its ends follow.
+Theory of operation. What the ball shows across its track is an interval of angles, see `rivals`; along a chord its two
+ends move, and a *strip* between them is what the chord leaves. A strip is asked at three places: where its ends run
+straight enough it is one facet, elsewhere it is cut in three and each third asked again. So where tracks lie even a
+facet is as long as its chord, and where they cross, or come and go with steps and noise, it is as short as need be.
 
 Between two chords: where the path bends down (a hill) both lose R / 2 times the bend to one another; where it bends up
-the ball at the corner shows itself between the two, in slices that are treated like pieces.
-
-Balls of different radii are compared by their lowest points towards n: exact where they touch the same surface, off by
-d^2 / 2 (1/R1 - 1/R2) at a border between two programs.
+the ball at the corner shows itself between the two, in a strip that is treated like that of a chord.
 """
 
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from cam.as_milled.chords import gather
+from cam.as_milled.rivals import FACTS, WIDEST, are_crossed, set_frame, shown, to_frame
 from optics.heightfield import spline_jet
 
-ROOM = 1024  # neighbours of one chord
-SLICES = 32  # of a corner's ball, at most
-_WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
+_ROOM = 1024  # neighbours of one chord
+_MOST = 27  # parts of a strip before any is cut
+_FINEST = 81  # of a strip's length to its shortest part
+_PER_CHORD = 12 * _FINEST  # facets, more than there can be
 _TURNED = 0.03  # rad: a frame farther from the surface's normal than this is set up anew
-_CROSSING = 0.3  # tangent of the angle at which tracks cross
+_STEEPEST = 0.7  # rad: steps of a machine can make corners steeper than any ball shows
 _SPARE = 0.01  # rad: added to the tilts at which a ball may show at all
-_TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
+
+
+class Fineness(NamedTuple):
+    """How small facets have to be.
+
+    longest, crossed : parts of a strip, before any is cut; of one that other tracks cross
+    shortest         : parts no longer than this are not cut
+    bend             : a strip's ends may miss a straight line by about this [rad x radius]
+    """
+
+    longest: float
+    crossed: float
+    shortest: float
+    bend: float
+
+
+class Strip(NamedTuple):
+    """What a chord, or the ball at its end, may show: u from 0 to 1 along it.
+
+    length                : of it on the surface
+    start, run            : way along the chord, start + u run
+    first, span, up, left : of a corner's ball, turned by (first + u span) (up - left x across)
+    before, after         : of a chord, the bends at its ends, see `_bend`
+    skip                  : the rival that does not count
+    """
+
+    is_corner: bool
+    length: float
+    start: float
+    run: float
+    first: float
+    span: float
+    up: float
+    left: float
+    before: Any
+    after: Any
+    skip: int
 
 
 @njit(cache=True, nogil=True)
@@ -43,109 +76,6 @@ def _slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no
         w = radius / math.sqrt(1.0 + zx * zx + zy * zy)
         px, py = x + w * zx, y + w * zy
     return px, py, zx, zy
-
-
-@njit(cache=True, nogil=True)
-def _set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
-    """frame (3, 3): t along chord k, b to its left, n as near to the given normal as may be; returns the length."""
-    tx, ty, tz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
-    length = math.sqrt(tx * tx + ty * ty + tz * tz)
-    tx, ty, tz = tx / length, ty / length, tz / length
-    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
-    size = math.sqrt(bx * bx + by * by + bz * bz)
-    bx, by, bz = bx / size, by / size, bz / size
-    frame[0, 0], frame[0, 1], frame[0, 2] = tx, ty, tz
-    frame[1, 0], frame[1, 1], frame[1, 2] = bx, by, bz
-    frame[2, 0], frame[2, 1], frame[2, 2] = ty * bz - tz * by, tz * bx - tx * bz, tx * by - ty * bx
-    return length
-
-
-@njit(cache=True, nogil=True)
-def _are_crossed(count, rivals):  # type: ignore[no-untyped-def]
-    """Whether another track runs across this one: then what it shows changes from place to place."""
-    crossed = False
-    for m in range(count):
-        crossed = crossed or abs(rivals[m, 4]) > _CROSSING * abs(rivals[m, 3])
-    return crossed
-
-
-@njit(cache=True, nogil=True)
-def _in_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyped-def]
-    """rivals (count, 8): the neighbours' beginnings (t, b, n) from that of chord k, ways, who wins a tie, names."""
-    for m in range(count):
-        j = near[m]
-        more = c.radii[c.group[j]] - radius
-        for d in range(3):
-            ax, bx, cx = frame[d, 0], frame[d, 1], frame[d, 2]
-            px, py = c.tips[j - 1, 0] - c.tips[k - 1, 0], c.tips[j - 1, 1] - c.tips[k - 1, 1]
-            pz = c.tips[j - 1, 2] - c.tips[k - 1, 2] + more
-            rivals[m, d] = ax * px + bx * py + cx * pz
-            qx, qy = c.tips[j, 0] - c.tips[j - 1, 0], c.tips[j, 1] - c.tips[j - 1, 1]
-            qz = c.tips[j, 2] - c.tips[j - 1, 2]
-            rivals[m, 3 + d] = ax * qx + bx * qy + cx * qz
-        rivals[m, 2] -= more
-        rivals[m, 6] = _TIE_MM if j < k else -_TIE_MM
-        rivals[m, 7] = j
-
-
-@njit(cache=True, nogil=True)
-def _first(rivals, m):  # type: ignore[no-untyped-def]
-    """Whoever hides one piece will hide the next: it is asked first from now on."""
-    for d in range(rivals.shape[1]):
-        rivals[0, d], rivals[m, d] = rivals[m, d], rivals[0, d]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _shown(count, rivals, skip, s, offset, radius):  # type: ignore[no-untyped-def]
-    """(low, high): the angles across that the ball at s shows; low >= high: nothing. Chord `skip` does not count."""
-    low, high = -_WIDEST, _WIDEST
-    half = 0.5 / radius
-    for m in range(count):
-        if rivals[m, 7] == skip:
-            continue
-        t, b, dt, db = rivals[m, 0] - s, rivals[m, 1], rivals[m, 3], rivals[m, 4]
-        alpha = half * (dt * dt + db * db)
-        beta = rivals[m, 5] + 2.0 * half * (t * dt + b * db)
-        gamma = rivals[m, 2] + half * (t * t + b * b) - offset - rivals[m, 6]
-        near = min(max(-0.5 * beta / alpha, 0.0), 1.0)
-        least = gamma + near * (beta + alpha * near)
-        end = b + db
-        most = max(abs(b), abs(end))
-        if least > most * max(high, -low):
-            continue
-        if b * end > 0.0 and abs(db) < 1e-3 * most:  # as good as parallel
-            bound = least / (b + near * db)
-            if b > 0.0:
-                high = min(high, bound)
-            else:
-                low = max(low, bound)
-        elif abs(db) < 1e-12:  # straight ahead or behind
-            if least < 0.0:
-                _first(rivals, m)
-                return 0.0, -1.0
-        else:
-            curve = alpha / (db * db)
-            at = -b / db
-            level = gamma + at * (beta + alpha * at)  # X where D is 0; X / D is least at the root
-            first, last = min(b, end), max(b, end)
-            if first <= 0.0 <= last and level < 0.0:
-                _first(rivals, m)
-                return 0.0, -1.0
-            root = math.sqrt(max(level, 0.0) / curve)
-            if last > 0.0:
-                d = min(max(root, first), last)
-                if d > 0.0:
-                    way = (d - b) / db
-                    high = min(high, (gamma + way * (beta + alpha * way)) / d)
-            if first < 0.0:
-                d = max(min(-root, last), first)
-                if d < 0.0:
-                    way = (d - b) / db
-                    low = max(low, (gamma + way * (beta + alpha * way)) / d)
-        if low >= high:
-            _first(rivals, m)
-            break
-    return low, high
 
 
 @njit(cache=True, nogil=True)
@@ -182,54 +112,121 @@ def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _pieces(tips, k, frame, radius, length, piece, before, after, count, rivals, out, filled):  # type: ignore[no-untyped-def]
-    """Facets of chord k itself; before, after: bends at its ends, see `_bend`."""
-    most = max(1, int(math.ceil(length / piece - 1e-9)))
+def _strip_of_chord(length, radius, before, after):  # type: ignore[no-untyped-def]
     start, end = _lost(radius, before, 0.0), length - _lost(radius, after, 0.0)
-    if start >= end:
-        return filled
-    parts = max(1, int(math.ceil((end - start) / length * most - 1e-9)))
-    for m in range(parts):
-        s0, s1 = start + (end - start) * m / parts, start + (end - start) * (m + 1) / parts
-        low, high = _shown(count, rivals, -1, 0.5 * (s0 + s1), 0.0, radius)
-        if low >= high:
-            continue
-        for corner in range(4):
-            across = low if corner == 0 or corner == 1 else high
-            s = s0 if corner == 0 or corner == 3 else s1
-            if m == 0 and (corner == 0 or corner == 3):
-                s = min(_lost(radius, before, across), s1)
-            elif m == parts - 1 and (corner == 1 or corner == 2):
-                s = max(length - _lost(radius, after, across), s0)
-            _corner(tips, k, frame, radius, s, 0.0, across, out[filled, corner])
-        filled += 1
-    return filled
+    return Strip(False, end - start, start, end - start, 0.0, 0.0, 0.0, 0.0, before, after, -1)
 
 
 @njit(cache=True, nogil=True)
-def _slices(tips, k, frame, radius, length, piece, turn, count, rivals, out, filled):  # type: ignore[no-untyped-def]
-    """Facets of the ball at the end of chord k; turn: the bend there (up, left), and the tilts where it shows."""
-    up, left, least, most = turn
-    first, last = 0.0, 1.0
+def _strip_of_corner(k, length, radius, bend, least, most):  # type: ignore[no-untyped-def]
+    """The ball at the end of chord k; least, most: the tilts along the track where it may show."""
+    up, first, last = bend[0], 0.0, 1.0
     if up > 0.0:
+        least, most = max(least, -_STEEPEST), min(most, _STEEPEST)
         first, last = min(max(least / up, 0.0), 1.0), min(max(most / up, 0.0), 1.0)
-    parts = min(max(1, int(math.ceil(radius * (last - first) * max(up, 0.0) / piece))), SLICES)
-    step = (last - first) / parts
-    for m in range(parts):
-        along = (first + (m + 0.5) * step) * max(up, 0.0)
-        low, high = _shown(count, rivals, k + 1, length + radius * along, 0.5 * radius * along * along, radius)
-        if left > 0.0:
-            high = min(high, up / left)
-        elif left < 0.0:
-            low = max(low, up / left)
-        if low >= high:
-            continue
-        for corner in range(4):
-            across = low if corner == 0 or corner == 1 else high
-            share = first + (m if corner == 0 or corner == 3 else m + 1) * step
-            along = share * max(up - left * across, 0.0)
-            _corner(tips, k, frame, radius, length, along, across, out[filled, corner])
-        filled += 1
+    size = radius * (last - first) * max(up, 0.0)
+    return Strip(True, size, length, 0.0, first, last - first, up, bend[1], bend, bend, k + 1)
+
+
+@njit(cache=True, nogil=True)
+def _shown_at(strip, u, count, rivals, radius):  # type: ignore[no-untyped-def]
+    along = (strip.first + u * strip.span) * max(strip.up, 0.0)
+    low = strip.up / strip.left if strip.left < 0.0 else -WIDEST
+    high = strip.up / strip.left if strip.left > 0.0 else WIDEST
+    s = strip.start + u * strip.run + radius * along
+    offset = 0.5 * radius * along * along
+    return shown(count, rivals, strip.skip, s, offset, radius, max(low, -WIDEST), min(high, WIDEST))
+
+
+@njit(cache=True, nogil=True)
+def _end_of_facet(tips, k, frame, radius, strip, u, across, out):  # type: ignore[no-untyped-def]
+    """out (5,): a facet's corner at u along the strip."""
+    if strip.is_corner:
+        along = (strip.first + u * strip.span) * max(strip.up - strip.left * across, 0.0)
+        along = min(along, _STEEPEST)
+        _corner(tips, k, frame, radius, strip.start, along, across, out)
+        return
+    s = strip.start + u * strip.run
+    if u == 0.0:
+        s = min(_lost(radius, strip.before, across), strip.start + strip.run)
+    elif u == 1.0:
+        length = strip.start + strip.run + _lost(radius, strip.after, 0.0)
+        s = max(length - _lost(radius, strip.after, across), strip.start)
+    _corner(tips, k, frame, radius, s, 0.0, across, out)
+
+
+@njit(cache=True, nogil=True)
+def _facet(tips, k, frame, radius, strip, u0, u1, low, high, out):  # type: ignore[no-untyped-def]
+    """out (4, 5): the strip from u0 to u1; low, high: its ends at both, (there, there)."""
+    low0, low1, high0, high1 = low[0], low[1], high[0], high[1]
+    if low0 > high0:
+        low0 = high0 = 0.5 * (low0 + high0)
+    if low1 > high1:
+        low1 = high1 = 0.5 * (low1 + high1)
+    _end_of_facet(tips, k, frame, radius, strip, u0, low0, out[0])
+    _end_of_facet(tips, k, frame, radius, strip, u1, low1, out[1])
+    _end_of_facet(tips, k, frame, radius, strip, u1, high1, out[2])
+    _end_of_facet(tips, k, frame, radius, strip, u0, high0, out[3])
+
+
+@njit(cache=True, nogil=True)
+def _straight(a, b, c):  # type: ignore[no-untyped-def]
+    """Ends of the line that is nearest to a parabola with values a, b, c in the middles of thirds; the same mean."""
+    mean, half = (3.0 * a + 2.0 * b + 3.0 * c) / 8.0, 0.75 * (c - a)
+    return mean - half, mean + half
+
+
+@njit(cache=True, nogil=True)
+def _facets_of_strip(tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled):  # type: ignore[no-untyped-def]
+    """Facets of a strip into out from `filled` on, whose new value is returned; todo (rows, 4): room for its parts."""
+    parts = min(max(1, int(math.ceil(strip.length / longest - 1e-9))), _MOST)
+    shortest = max(fine.shortest, strip.length / _FINEST) / max(strip.length, 1e-9)
+    for part in range(parts):
+        todo[0, 0], todo[0, 1] = part / parts, (part + 1) / parts
+        todo[0, 2], todo[0, 3] = _shown_at(strip, (part + 0.5) / parts, count, rivals, radius)
+        left = 1
+        while left > 0:
+            left -= 1
+            u0, u1, middle = todo[left, 0], todo[left, 1], (todo[left, 2], todo[left, 3])
+            third = (u1 - u0) / 3.0
+            before = _shown_at(strip, u0 + 0.5 * third, count, rivals, radius)
+            after = _shown_at(strip, u1 - 0.5 * third, count, rivals, radius)
+            seen = (before[0] < before[1]) + (middle[0] < middle[1]) + (after[0] < after[1])
+            if seen == 0:
+                continue
+            bend = radius * max(
+                abs(before[0] - 2.0 * middle[0] + after[0]), abs(before[1] - 2.0 * middle[1] + after[1])
+            )
+            small = u1 - u0 <= shortest
+            if seen == 3 and (small or bend <= fine.bend):
+                lows, highs = _straight(before[0], middle[0], after[0]), _straight(before[1], middle[1], after[1])
+                _facet(tips, k, frame, radius, strip, u0, u1, lows, highs, out[filled])
+                filled += 1
+                continue
+            for m in range(3):
+                low, high = before if m == 0 else middle if m == 1 else after
+                if not small:
+                    todo[left, 0], todo[left, 1], todo[left, 2], todo[left, 3] = (
+                        u0 + m * third,
+                        u0 + (m + 1) * third,
+                        low,
+                        high,
+                    )
+                    left += 1
+                elif low < high:
+                    _facet(
+                        tips,
+                        k,
+                        frame,
+                        radius,
+                        strip,
+                        u0 + m * third,
+                        u0 + (m + 1) * third,
+                        (low, low),
+                        (high, high),
+                        out[filled],
+                    )
+                    filled += 1
     return filled
 
 
@@ -255,22 +252,30 @@ def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def facets_of(c, first, last, surface, reach, longest_piece, shortest_piece, out):  # type: ignore[no-untyped-def]
-    """Facets of chords first .. last - 1 into out (room, 4, 5): corners with x, y, z, slope in x, slope in y.
+def _with_more_room(out, filled):  # type: ignore[no-untyped-def]
+    more = np.empty((2 * out.shape[0], 4, 5))
+    more[:filled] = out[:filled]
+    return more
+
+
+@njit(cache=True, nogil=True)
+def facets_of(c, first, last, surface, reach, fine):  # type: ignore[no-untyped-def]
+    """(n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
 
     surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens, which only says where the normal is, about
     reach   : how far a ball can be that hides something
-    longest_piece, shortest_piece : of chords; the shortest where tracks cross
-    returns (facets, chords with more neighbours than there was room for)
     """
-    near, rivals = np.empty(ROOM, np.int32), np.empty((ROOM, 8))
-    frame = np.empty((3, 3))
-    filled = crowded = 0
+    near, rivals, todo = np.empty(_ROOM, np.int32), np.empty((_ROOM, FACTS)), np.empty((16, 4))
+    frame, out = np.empty((3, 3)), np.empty((2 * (last - first) + _PER_CHORD, 4, 5))
+    filled = 0
     px, py, steps = 0.0, 0.0, 8
+    straight = (0.0, 0.0, 0.0)
     for k in range(max(first, 1), last):
         if not c.joined[k]:
             steps = 8
             continue
+        if filled + _PER_CHORD > out.shape[0]:
+            out = _with_more_room(out, filled)
         radius = c.radii[c.group[k]]
         x, y = 0.5 * (c.tips[k, 0] + c.tips[k - 1, 0]), 0.5 * (c.tips[k, 1] + c.tips[k - 1, 1])
         if steps == 8:
@@ -279,29 +284,29 @@ def facets_of(c, first, last, surface, reach, longest_piece, shortest_piece, out
             px, py = px + c.tips[k, 0] - c.tips[k - 1, 0], py + c.tips[k, 1] - c.tips[k - 1, 1]
         px, py, zx, zy = _slopes_at_contact(surface, x, y, radius, px, py, steps)
         steps = 2
-        length = _set_frame(c.tips, k, -zx, -zy, 1.0, frame)
-        way, most = _rise(c, k, frame, reach), 1.2 * reach / radius + _SPARE
-        count = gather(c, k, reach, ROOM, near)
-        crowded += count == ROOM
-        _in_frame(c, k, frame, radius, near, count, rivals)
-        low, high = _shown(count, rivals, -1, 0.5 * length, 0.0, radius)
+        length = set_frame(c.tips, k, -zx, -zy, 1.0, frame)
+        count = gather(c, k, reach, _ROOM, near)
+        to_frame(c, k, frame, radius, near, count, rivals)
+        low, high = shown(count, rivals, -1, 0.5 * length, 0.0, radius, -WIDEST, WIDEST)
         middle = 0.5 * (low + high)
-        if low < high and abs(middle) > _TURNED and high < _WIDEST and low > -_WIDEST:
+        if low < high and abs(middle) > _TURNED and high < WIDEST and low > -WIDEST:
             nx = frame[2, 0] - middle * frame[1, 0]
             ny = frame[2, 1] - middle * frame[1, 1]
             nz = frame[2, 2] - middle * frame[1, 2]
-            _set_frame(c.tips, k, nx, ny, nz, frame)
-            _in_frame(c, k, frame, radius, near, count, rivals)
-        piece = min(longest_piece, shortest_piece) if _are_crossed(count, rivals) else longest_piece
-        before = after = (0.0, 0.0, 0.0)
-        if c.joined[k - 1]:
-            before = _bend(c.tips, k - 1, frame, -1.0)
+            set_frame(c.tips, k, nx, ny, nz, frame)
+            to_frame(c, k, frame, radius, near, count, rivals)
+        way, most = _rise(c, k, frame, reach), 1.2 * reach / radius + _SPARE
+        longest = min(fine.longest, fine.crossed) if are_crossed(count, rivals) else fine.longest
         goes_on = k + 1 < c.joined.size and c.joined[k + 1]
-        if goes_on:
-            after = _bend(c.tips, k + 1, frame, 1.0)
+        before = _bend(c.tips, k - 1, frame, -1.0) if c.joined[k - 1] else straight
+        after = _bend(c.tips, k + 1, frame, 1.0) if goes_on else straight
         if abs(way) < most:
-            filled = _pieces(c.tips, k, frame, radius, length, piece, before, after, count, rivals, out, filled)
+            strip = _strip_of_chord(length, radius, before, after)
+            if strip.length > 0.0:
+                filled = _facets_of_strip(
+                    c.tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled
+                )
         if goes_on and (after[0] > 1e-9 or abs(after[1]) > 1e-9):
-            turn = (*after[:2], way - most, way + most)
-            filled = _slices(c.tips, k, frame, radius, length, piece, turn, count, rivals, out, filled)
-    return filled, crowded
+            strip = _strip_of_corner(k, length, radius, after, way - most, way + most)
+            filled = _facets_of_strip(c.tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled)
+    return out[:filled]

@@ -13,7 +13,11 @@ from cam.moves import Array
 from cam.passes import PassSpec
 
 WANDER_MM = 10.0
-"""Along a path without entries the error keeps for about this way: that of a heavy axis, not that of chatter."""
+"""Along a path without entries the error keeps for about this way: that of a heavy axis, not that of chatter. A guess,
+and a harmless one: rows of a 1 mm ball at pitch 0.05 mm over 16 mm, 0.5 µm of noise. Against the light of the design
+22.5, 22.6, 22.7 dB for 5, 10, 20 mm (22.9 without noise, 22.5 with one error a row), slopes across 19.4, 18.8, 17.9
+mrad (14.5, 19.5); along the path 1.9, 1.4, 1.1 mrad.
+"""
 
 SEED = 20140511
 

@@ -9,17 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from cam.as_milled.chords import Chords, sorted_chords
-from cam.as_milled.facets import SLICES, facets_of
+from cam.as_milled.facets import Fineness, facets_of
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from optics.heightfield import Heightfield
 
 CHORDS_PER_PART = 20_000
-_LONGEST_MM = 0.1
+_LONGEST_MM = 0.1  # half a pixel of 512 on 100 mm
 _BOX_MM = 0.03  # smaller ones cost more memory than they save time
 _SIGMAS = 3.0
 _EVEN = 0.4  # of the pitch: roughness that hides less than this only bends the borders between tracks
-_PIECE, _SHORTEST_MM = 0.12, 0.005
+_PIECE, _SHORTEST_MM = 0.12, 0.005  # parts of a strip where tracks come and go: of what the roughness hides
+_BEND = 0.05  # of the pitch: borders of facets
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -27,14 +28,12 @@ class MilledSurface:
     """What finishing programs leave, as facets: `part(0)` .. `part(parts - 1)`.
 
     reach_mm : balls farther apart than this do not hide anything of one another
-    piece_mm : a chord is judged by pieces no longer than this; crossed_piece_mm: where other tracks cross it
     """
 
     chords: Chords
     lens: tuple[Array, float, float, float, float]
     reach_mm: float
-    piece_mm: float
-    crossed_piece_mm: float
+    fine: Fineness
 
     @classmethod
     def of_tracks(
@@ -55,17 +54,18 @@ class MilledSurface:
         radius = max(one.radius_mm for one in tracks)
         hidden, patchy = (math.sqrt(2.0 * radius * _SIGMAS * error) for error in (error_mm, roughness_mm))
         reach = 1.5 * pitch_mm + 1.5 * hidden
-        longest = min(_LONGEST_MM, max(2.0 * reach, 0.5 * _LONGEST_MM))
-        piece = longest if patchy < _EVEN * pitch_mm else min(longest, max(_PIECE * patchy, _SHORTEST_MM))
-        run_out = radius + 1.0
+        even = patchy < _EVEN * pitch_mm
+        shortest = _LONGEST_MM if even else max(_PIECE * patchy, _SHORTEST_MM)
         return cls(
-            chords=sorted_chords(
-                [one.divided(longest) for one in tracks], longest_mm=longest, side_mm=max(reach, _BOX_MM)
-            ),
-            lens=heightfield.spline_with_run_out(run_out).kernel_arguments,
+            chords=sorted_chords([one.divided(_LONGEST_MM) for one in tracks], side_mm=max(reach, _BOX_MM)),
+            lens=heightfield.spline_with_run_out(radius + 1.0).kernel_arguments,
             reach_mm=reach,
-            piece_mm=piece,
-            crossed_piece_mm=min(piece, pitch_mm / 3),
+            fine=Fineness(
+                longest=_LONGEST_MM,
+                crossed=pitch_mm / 3,
+                shortest=shortest,
+                bend=_BEND * pitch_mm,
+            ),
         )
 
     @property
@@ -76,9 +76,4 @@ class MilledSurface:
         """(n, 4, 5) facets: corners in order around, each x, y, z [mm] and slopes in x and y."""
         first = number * CHORDS_PER_PART
         last = min(first + CHORDS_PER_PART, self.chords.joined.size)
-        room = (last - first) * (math.ceil(self.chords.longest / self.crossed_piece_mm) + 1 + SLICES)
-        out = np.empty((room, 4, 5))
-        count, _ = facets_of(
-            self.chords, first, last, self.lens, self.reach_mm, self.piece_mm, self.crossed_piece_mm, out
-        )
-        return out[:count]
+        return np.asarray(facets_of(self.chords, first, last, self.lens, self.reach_mm, self.fine))

@@ -44,8 +44,7 @@ class Pixels(NamedTuple):
 
 def pixels_over(field: ContourField, *, width_mm: float, height_mm: float, pitch_mm: float) -> Pixels:
     """All places that must be covered."""
-    wanted = field.wanted
-    cells = wanted[:-1, :-1] & wanted[:-1, 1:] & wanted[1:, :-1] & wanted[1:, 1:]
+    cells = field.wanted
     j, i = (np.flatnonzero(cells.any(axis)) for axis in (1, 0))
     step = pitch_mm / PIXELS_PER_PITCH
     x_from, y_from = field.x0_mm + i[0] * field.step_mm, field.y0_mm + j[0] * field.step_mm

@@ -27,11 +27,14 @@ from optics.heightfield import BicubicSpline, Heightfield
 RATIO = 1.07
 """From class to class: how many times more tracks."""
 
+FREE_PITCHES, FREE_SHARE = 0.3, 0.1
+"""Left free at the border of the ring on which a tool may go, for turns: pitches, but no more than that share of it."""
+
 REACH_PITCHES = 0.485
 """No place may be farther from every track: half a pitch, less what is seen to a pixel in cover.py."""
 
 LEAST_GRADIENT = 0.2
-"""Of the greatest: flatter spots of f, around summits and saddles, are left to the strokes of holes.py."""
+"""Of the greatest: flatter spots of f, around summits and saddles, are left to strokes.py."""
 
 FLAT_SLOPE = 0.02
 FAINT = 1e-3
@@ -43,9 +46,14 @@ SMOOTH_MM = 0.6
 NODES = 400
 """Of the longer side, for the solve."""
 
-DIP_MM = 3.0
+CELLS = 1500
+"""Of the longer side, at least, where a quarter of a pitch is not finer still: tracks end where cells do."""
+
+DIP_MM, DIPS_ACROSS = 3.0, 4.0
 DIP_BELOW = 0.8
-"""Dips are filled up to the class that this share of the lens does with: not to that of a summit nearby."""
+"""Dips are filled up to the class that this share of the lens does with, not to that of a summit nearby: those up to
+3 mm across, on a small lens up to a quarter of it.
+"""
 
 RAMP = 0.3
 """Share of a class step that is a ramp."""
@@ -60,7 +68,9 @@ class ContourField:
     f (ny, nx)        : its level sets are tracks [mm]
     density (ny, nx)  : class, 0 at the greatest gradient
     level_mm          : between the levels of class 0, two reaches where the gradient is greatest
-    wanted (ny, nx)   : places of the tip that must lie near a track: the aperture, and where the ball touches it
+    wanted (ny - 1, nx - 1) : cells with places that must lie near a track: the aperture, and where the ball touches it
+    traced (ny - 1, nx - 1) : cells in which tracks may run: those, and what lies so near that its tracks reach them
+    ring_mm : how far outside the aperture tracks may end
     """
 
     x0_mm: float
@@ -70,28 +80,35 @@ class ContourField:
     density: Array
     level_mm: float
     wanted: Mask
+    traced: Mask
+    ring_mm: float
 
     @classmethod
     def over(cls, heightfield: Heightfield, surface: ToolSurface, *, pitch_mm: float) -> ContourField:
         width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
         step = min(2.5 * pitch_mm, 0.2, surface.radius_mm / 8)
+        step = min(step, max(pitch_mm / 4, max(width_mm, height_mm) / CELLS))
         pad = ceil(surface.radius_mm / step)
+        ring_mm = surface.radius_mm - min(FREE_PITCHES * pitch_mm, FREE_SHARE * surface.radius_mm)
+        dip_mm = min(DIP_MM, max(width_mm, height_mm) / DIPS_ACROSS)
         x, y = (np.arange(-pad, ceil(side / step) + pad + 1.0) * step for side in (width_mm, height_mm))
         spline = _solved(heightfield, surface)
         jets = _jets(spline, x, y)
-        wanted = _wanted(surface, x, y, width_mm, height_mm, pitch_mm)
+        nodes = _wanted(surface, x, y, width_mm, height_mm)
         gradient = np.hypot(jets[1], jets[2])
         near = ndimage.minimum_filter(gradient, 3)
-        greatest = float(np.quantile(gradient[wanted], 0.999))
+        greatest = float(np.quantile(gradient[nodes], 0.999))
         needed = np.log(greatest / np.clip(near, LEAST_GRADIENT * greatest, greatest)) / log(RATIO)
         return cls(
             x0_mm=float(x[0]),
             y0_mm=float(y[0]),
             step_mm=step,
             f=jets[0],
-            density=_density(needed, float(np.quantile(needed[wanted], DIP_BELOW)), step),
+            density=_density(needed, float(np.quantile(needed[nodes], DIP_BELOW)), dip_mm / step),
             level_mm=greatest * 2 * REACH_PITCHES * pitch_mm,
-            wanted=wanted,
+            wanted=nodes[:-1, :-1] & nodes[:-1, 1:] & nodes[1:, :-1] & nodes[1:, 1:],
+            ring_mm=ring_mm,
+            traced=_traced(nodes, x, y, (width_mm, height_mm), ring_mm, REACH_PITCHES * pitch_mm),
         )
 
 
@@ -103,7 +120,7 @@ def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
     return out
 
 
-def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, pitch_mm: float) -> Mask:
+def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float) -> Mask:
     """The aperture and, around it, the places from which the ball touches it; and the nodes beside these.
 
     So all corners of a cell are wanted that holds such a place, even where a corner of the lens is all that it holds.
@@ -111,24 +128,32 @@ def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm
     slack = 1e-6
     inside = ((y >= -slack) & (y <= height_mm + slack))[:, None] & ((x >= -slack) & (x <= width_mm + slack))
     wanted = inside.copy()
-    ring = ~inside
-    j, i = np.nonzero(ring)
-    contacts = surface.contacts_mm(x[i], y[j])
-    beyond = pitch_mm / 2
-    wanted[j, i] = (
-        (contacts[:, 0] > -beyond)
-        & (contacts[:, 0] < width_mm + beyond)
-        & (contacts[:, 1] > -beyond)
-        & (contacts[:, 1] < height_mm + beyond)
-    )
+    j, i = np.nonzero(~inside)
+    touched_x, touched_y = surface.contacts_mm(x[i], y[j])[:, :2].T
+    wanted[j, i] = (touched_x >= 0) & (touched_x <= width_mm) & (touched_y >= 0) & (touched_y <= height_mm)
     return np.asarray(ndimage.binary_dilation(wanted, np.ones((3, 3))))
 
 
-def _density(needed: Array, usual: float, step_mm: float) -> Array:
-    """(ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps."""
-    size = max(3, 2 * round(DIP_MM / 2 / step_mm) + 1)
+def _traced(nodes: Mask, x: Array, y: Array, sides_mm: tuple[float, float], ring_mm: float, reach_mm: float) -> Mask:
+    """Cells within the reach of a wanted one, none beyond the ring on which a tool may go."""
+    by = ceil(reach_mm / (x[1] - x[0]))
+    near = ndimage.binary_dilation(nodes, np.ones((3, 3)), iterations=by)
+    slack = 1e-6
+    allowed = [
+        (a >= -ring_mm - slack) & (a <= side + ring_mm + slack) for a, side in zip((y, x), sides_mm[::-1], strict=True)
+    ]
+    near &= np.outer(*allowed)
+    return np.asarray(near[:-1, :-1] & near[:-1, 1:] & near[1:, :-1] & near[1:, 1:])
+
+
+def _density(needed: Array, usual: float, dip: float) -> Array:
+    """(ny, nx) class, whole part at least `needed`: without short dips below what is usual, in steps with ramps.
+
+    dip : length of a dip that is short, in steps of the grid
+    """
+    size = max(3, 2 * round(dip / 2) + 1)
     raised = np.maximum(needed, ndimage.grey_closing(np.minimum(needed, usual), size))
-    blur = max(1, round(DIP_MM / 10 / step_mm))
+    blur = max(1, round(dip / 10))
     raised = ndimage.gaussian_filter(ndimage.maximum_filter(raised, 2 * blur + 1), blur / 2, truncate=2.0)
     whole = np.ceil(raised)
     return np.asarray(whole + np.clip(1 + (raised - whole) / RAMP, 0.0, 1.0))

@@ -8,13 +8,11 @@ keep the rule.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numba import njit
 
-from cam.contact import Ball, touch
+from cam.contour.chords import tips_along
 from cam.contour.field import ContourField
 from cam.contour.strokes import without_holes
 from cam.contour.tour import Room, toured, turn_radius_mm
@@ -24,16 +22,10 @@ from cam.moves import Array
 from cam.passes import PassSpec
 from cam.raster import on_ticks, ordered
 from cam.tool_surface import ToolSurface
-from cam.vertices import TICKS_PER_MM, VertexRule
-from optics.heightfield import Heightfield, spline_jet
+from cam.vertices import VertexRule
+from optics.heightfield import Heightfield
 
 PIECE_VERTICES = 50_000
-SHORTEST_MM = 0.014
-"""Chords of less than twice this are not cut: turns are drawn in such, and a mill slows down on shorter ones."""
-
-SAG_SHARE = 0.7
-"""Of the rule's sag that equal parts may have on average: curvature changes along a chord."""
-
 TRACED, CLOSED, JOINED = 0.2, 0.5, 0.6
 """Shares of the work done when a step is."""
 
@@ -53,7 +45,7 @@ def contour_path(
 
     def piece(first: int) -> Array:
         chosen = xy[first : first + PIECE_VERTICES + 1]
-        tips = _tips(surface.kernel, rule, chosen)
+        tips = tips_along(surface.kernel, rule, chosen)
         return tips if first == 0 else tips[1:]
 
     for done, tips in enumerate(ordered(piece, starts), start=1):
@@ -71,7 +63,7 @@ def plan_path(
     on_progress(TRACED)
     tracks = without_holes(tracks, field, width_mm=width, height_mm=height, pitch_mm=pitch)
     on_progress(CLOSED)
-    ring = 0.98 * spec.radius_mm
+    ring = spec.radius_mm
     radius = min(turn_radius_mm(pitch, max(width, height)), 0.6 * spec.radius_mm)
     room = Room(x_from=-ring, x_to=width + ring, y_from=-ring, y_to=height + ring, radius=radius)
     straight = min(RAMP_STRETCH_MM, width / 2)
@@ -90,53 +82,3 @@ def _divided(xy: Array, longest_mm: float) -> Array:
     k = np.repeat(np.arange(length.size), parts)
     share = (np.arange(k.size) - np.repeat(np.cumsum(parts) - parts, parts)) / parts[k]
     return np.concatenate([on_ticks(xy[k] + share[:, None] * (xy[k + 1] - xy[k])), xy[-1:]])
-
-
-def _tips(ball: Ball, rule: VertexRule, xy: Array) -> Array:
-    chords = np.hypot(*np.diff(xy, axis=0).T)
-    out = np.empty((xy.shape[0] + int(np.sum(chords // SHORTEST_MM)), 3))
-    return out[: _cut_chords(ball, rule, xy, out)].copy()
-
-
-@njit(cache=True, nogil=True)
-def _touch(b, x, y, px, py, ux, uy):  # type: ignore[no-untyped-def]
-    """(px, py, tip, slope along u) with the tip at (x, y): its surface has the slope of the lens at the contact."""
-    px, py, tip = touch(b, x, y, px, py)[:3]
-    jet = spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)
-    return px, py, tip, jet[1] * ux + jet[2] * uy
-
-
-@njit(cache=True, nogil=True)
-def _cut_chords(b, rule, xy, out):  # type: ignore[no-untyped-def]
-    """Vertices with heights into out (n, 3); returns n.
-
-    A chord's error in slope is read at its ends and its middle, its sag at the middle; n parts have an n-th of the one
-    and an n^2-th of the other.
-    """
-    x, y = xy[0, 0], xy[0, 1]
-    px, py, z = touch(b, x, y, x, y)[:3]
-    out[0, 0], out[0, 1], out[0, 2] = x, y, z
-    count = 1
-    for k in range(1, xy.shape[0]):
-        nx, ny = xy[k, 0], xy[k, 1]
-        length = math.hypot(nx - x, ny - y)
-        ux, uy = (nx - x) / length, (ny - y) / length
-        slope_a = _touch(b, x, y, px, py, ux, uy)[3]
-        mx, my, mz, slope_m = _touch(b, (x + nx) / 2, (y + ny) / 2, px + (nx - x) / 2, py + (ny - y) / 2, ux, uy)
-        qx, qy, nz, slope_b = _touch(b, nx, ny, 2 * mx - px, 2 * my - py, ux, uy)
-        chord = (nz - z) / length
-        off = max(abs(slope_a - chord), abs(slope_b - chord), abs(slope_m - chord))
-        sag = max(abs(mz - (z + nz) / 2), off * length / 4)
-        wanted = max(off / rule.slope_rad, math.sqrt(sag / (SAG_SHARE * rule.sag_mm)))
-        parts = max(1, min(int(math.ceil(wanted - 1e-6)), int(length / SHORTEST_MM)))
-        for part in range(1, parts):
-            t = part / parts
-            tx = math.floor((x + t * (nx - x)) * TICKS_PER_MM + 0.5) / TICKS_PER_MM
-            ty = math.floor((y + t * (ny - y)) * TICKS_PER_MM + 0.5) / TICKS_PER_MM
-            out[count, 0], out[count, 1] = tx, ty
-            out[count, 2] = touch(b, tx, ty, px + t * (qx - px), py + t * (qy - py))[2]
-            count += 1
-        out[count, 0], out[count, 1], out[count, 2] = nx, ny, nz
-        count += 1
-        x, y, z, px, py = nx, ny, nz, qx, qy
-    return count

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -22,7 +23,12 @@ def without_holes(tracks: Tracks, field: ContourField, *, width_mm: float, heigh
     """The tracks, and strokes over all places farther than half a pitch from them."""
     pixels = pixels_over(field, width_mm=width_mm, height_mm=height_mm, pitch_mm=pitch_mm)
     bare = uncovered(tracks, pixels, pitch_mm=pitch_mm)
-    return Tracks.joined([tracks, strokes_over(bare, pitch_mm)]) if len(bare) else tracks
+    if not len(bare):
+        return tracks
+    strokes = strokes_over(bare, pitch_mm)
+    ring_mm = field.ring_mm
+    inside = np.clip(strokes.xy_mm, -ring_mm, (width_mm + ring_mm, height_mm + ring_mm))
+    return Tracks.joined([tracks, replace(strokes, xy_mm=on_ticks(inside))])
 
 
 def strokes_over(places_mm: Array, pitch_mm: float) -> Tracks:

@@ -18,7 +18,7 @@ from cam.contour.dubins import draw, shortest
 from cam.contour.tracer import Tracks
 from cam.moves import Array
 
-TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 1.5
+TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 0.75
 TURNS_ACROSS = 180.0
 """Radii of a turn that fit across the lens: on a small part at a coarse pitch wide turns would be half the path."""
 

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from cam.contour.field import ContourField
+from cam.contour.field import REACH_PITCHES, ContourField
 from cam.contour.levels import level_at, level_tree
 from cam.moves import Array
 from cam.raster import THREAD_NAME, THREADS
@@ -55,12 +55,10 @@ def _before(parts: list[Tracks]) -> list[int]:
 
 
 def trace(field: ContourField, *, pitch_mm: float) -> Tracks:
-    """All level lines over the cells that have a wanted corner, and a little beyond."""
-    wanted = field.wanted
-    cells = wanted[:-1, :-1] | wanted[:-1, 1:] | wanted[1:, :-1] | wanted[1:, 1:]
+    """All level lines, as far as places are wanted beside them."""
     classes = int(np.ceil(field.density.max())) + 2
     levels = level_tree(float(field.f.min()), float(field.f.max()), field.level_mm, classes)
-    grid = field.f, field.density, cells, levels
+    grid = field.f, field.density, field.traced, levels
     counts = np.zeros(levels.birth.size + 1, np.int64)
     _bucket(*grid, counts, np.empty(0, np.int32), True)
     offset = np.concatenate([[0], np.cumsum(counts)])
@@ -73,7 +71,7 @@ def trace(field: ContourField, *, pitch_mm: float) -> Tracks:
         room = int(offset[last] - offset[first])
         xy, start = np.empty((2 * room + 4, 2)), np.empty(room + 4, np.int64)
         origin = field.x0_mm, field.y0_mm, field.step_mm
-        count = _walk(*grid, *origin, offset, triangles, first, last, pitch_mm, xy, start)
+        count = _walk(*grid, *origin, field.wanted, offset, triangles, first, last, pitch_mm, xy, start)
         return Tracks(xy_mm=xy[: start[count]].copy(), start=start[: count + 1].copy())
 
     with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:
@@ -202,7 +200,7 @@ def _other_edge(levels, line, fs, cs, edge):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _walk(f, density, cells, levels, x0, y0, step, offset, triangles, first, last, pitch, xy, start):  # type: ignore[no-untyped-def]
+def _walk(f, density, cells, levels, x0, y0, step, wanted, offset, triangles, first, last, pitch, xy, start):  # type: ignore[no-untyped-def]
     """Tracks of the lines first..last - 1, thinned, into xy and start; returns how many."""
     stamp = np.full(2 * cells.size, -1, np.int32)
     longest = 0
@@ -211,7 +209,7 @@ def _walk(f, density, cells, levels, x0, y0, step, offset, triangles, first, las
     raw = np.empty((2 * longest + 8, 2))
     middle = longest + 4
     fs, cs, nodes = np.empty(3), np.empty(3), np.empty((3, 2), np.int64)
-    tracks = 0
+    tracks, reach = 0, REACH_PITCHES * pitch
     start[0] = 0
     for line in range(first, last):
         for k in range(offset[line], offset[line + 1]):
@@ -230,9 +228,35 @@ def _walk(f, density, cells, levels, x0, y0, step, offset, triangles, first, las
                 edge = _other_edge(levels, line, fs, cs, edge)
                 begin, _ = _follow(f, density, cells, levels, line, t, edge, stamp, raw, middle - 1, -1)
                 begin += 1
+                begin, end = _needed(raw, begin, end, wanted, reach / step)
             if _placed(raw[begin:end], x0, y0, step) >= SHORTEST_PITCHES * pitch:
                 tracks = _thinned(raw[begin:end], pitch, xy, start, tracks)
     return tracks
+
+
+@njit(cache=True, nogil=True)
+def _needed(raw, begin, end, wanted, reach):  # type: ignore[no-untyped-def]
+    """(begin, end) of an open line's part beside which places are wanted, with a point more on either side."""
+    first = begin
+    while first + 2 < end and not _beside(raw[first + 1], raw[first + 2], wanted, reach):
+        first += 1
+    last = end
+    while last - 2 > first and not _beside(raw[last - 2], raw[last - 3], wanted, reach):
+        last -= 1
+    return first, last
+
+
+@njit(cache=True, nogil=True)
+def _beside(a, b, wanted, reach):  # type: ignore[no-untyped-def]
+    """Whether a place is wanted across from a, where the line goes on to b, within the reach."""
+    dx, dy = b[0] - a[0], b[1] - a[1]
+    length = math.hypot(dx, dy) + 1e-12
+    for k in range(-4, 5):
+        i = int(math.floor(a[0] - 0.25 * k * reach * dy / length))
+        j = int(math.floor(a[1] + 0.25 * k * reach * dx / length))
+        if 0 <= j < wanted.shape[0] and 0 <= i < wanted.shape[1] and wanted[j, i]:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)

@@ -52,11 +52,11 @@ class ControlRoutes:
         fields = await fields_of(request)
         if what == "resume":
             fields.done()
-            await self._agent.access.call(Mill.resume)
+            await self._agent.access.order(Mill.resume)
             return self._accepted()
         command = _COMMANDS[what](fields)
         fields.done()
-        await self._agent.access.call(lambda mill: mill.command(command))
+        await self._agent.access.order(lambda mill: mill.command(command))
         return self._accepted()
 
     def _accepted(self) -> Response:

@@ -15,14 +15,19 @@ from starlette.middleware import Middleware
 from service.api import (
     routes_archive,
     routes_artifacts,
+    routes_beginnings,
+    routes_control,
+    routes_estimates,
     routes_events,
     routes_health,
     routes_jobs,
     routes_machines,
+    routes_page,
     routes_root,
     routes_runs,
     routes_submit,
     routes_tokens,
+    routes_who,
 )
 from service.api.answers import with_problems
 from service.api.body import SmallBodies
@@ -48,15 +53,20 @@ _TAGS = [
 ]
 _ROUTERS = (
     routes_submit,
+    routes_estimates,
     routes_tokens,
     routes_jobs,
     routes_events,
     routes_artifacts,
+    routes_beginnings,
     routes_archive,
     routes_machines,
+    routes_control,
     routes_runs,
     routes_health,
+    routes_who,
     routes_root,
+    routes_page,
 )
 _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}
 
@@ -76,7 +86,7 @@ def make_app(services: Services) -> FastAPI:
             Middleware(Measured, metrics=services.metrics),
             Middleware(Guard, services=services),
             Middleware(Patient),
-            Middleware(SmallBodies, but=("POST", "/v1/jobs")),
+            Middleware(SmallBodies, but={("POST", "/v1/jobs"), ("POST", "/v1/estimates")}),
         ],
     )
     app.state.services = services

@@ -35,6 +35,7 @@ class Principal:
     scopes: frozenset[str]
     anonymous: bool = False
     id: str = ""
+    paired: bool = False
 
 
 ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}), anonymous=True, id="anonymous")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Collection
 
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
@@ -63,14 +63,14 @@ class Body:
 
 
 class SmallBodies:
-    """ASGI middleware: no body is longer than 64 kB, but those of one address, which counts for itself."""
+    """ASGI middleware: no body is longer than 64 kB, but those of some addresses, which count for themselves."""
 
-    def __init__(self, app: ASGIApp, *, but: tuple[str, str]) -> None:
+    def __init__(self, app: ASGIApp, *, but: Collection[tuple[str, str]]) -> None:
         self._app = app
         self._but = but
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or (scope["method"], scope["path"]) == self._but:
+        if scope["type"] != "http" or (scope["method"], scope["path"]) in self._but:
             await self._app(scope, receive, send)
             return
         taken = 0

@@ -75,6 +75,7 @@ RECOVERY_EXAMPLE: dict[str, Any] = {
 MACHINE_EXAMPLE: dict[str, Any] = {
     "name": "shop-mill",
     "remote": False,
+    "simulated": False,
     "problem": "",
     "profile": {
         "description": "the mill by the window",
@@ -96,13 +97,34 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "spindle_rpm": 0.0,
         "overrides": [100, 100, 100],
         "position_trusted": True,
+        "spindle_on": False,
+        "pins": "",
+        "controller": "Grbl 1.1h",
         "connected": True,
         "problem": "",
         "needs": [],
         "latched": "",
     },
-    "run": {"id": _RUN_ID, "state": "parked", "job": _JOB_ID, "program": "pass-2-rough.nc"},
-    "links": {"self": "/v1/machines/shop-mill", "runs": "/v1/runs?machine=shop-mill"},
+    "run": {
+        "id": _RUN_ID,
+        "state": "parked",
+        "job": _JOB_ID,
+        "program": "pass-2-rough.nc",
+        "words": "",
+        "share": 0.0,
+        "executed_line": 0,
+        "lines": 41210,
+        "time_s": 5400.0,
+        "time_left_s": 5400.0,
+        "operator": "",
+    },
+    "control": {"operator": "Ada", "since": "2026-11-21T08:00:00.000Z"},
+    "links": {
+        "self": "/v1/machines/shop-mill",
+        "events": "/v1/machines/shop-mill/events",
+        "control": "/v1/machines/shop-mill/control",
+        "runs": "/v1/runs?machine=shop-mill",
+    },
 }
 MACHINES_EXAMPLE: dict[str, Any] = {"machines": [MACHINE_EXAMPLE], "problems": []}
 TOKEN_EXAMPLE: dict[str, Any] = {
@@ -113,6 +135,30 @@ TOKEN_EXAMPLE: dict[str, Any] = {
     "expires_at": "2026-12-21T08:00:00.000Z",
     "last_used_at": None,
     "revoked_at": None,
+    "paired": False,
 }
 NEW_TOKEN_EXAMPLE: dict[str, Any] = TOKEN_EXAMPLE | {"token": "cm_" + "x" * 43}
 TOKENS_EXAMPLE: dict[str, Any] = {"tokens": [TOKEN_EXAMPLE]}
+CONTROL_EXAMPLE: dict[str, Any] = {
+    "operator": "Ada",
+    "since": "2026-11-21T08:00:00.000Z",
+    "control": "x" * 24,
+    "expires_s": 60.0,
+}
+ORDER_EXAMPLE: dict[str, Any] = {"machine": "shop-mill", "order": "jog", "mill": MACHINE_EXAMPLE["mill"]}
+MACHINE_EVENTS_EXAMPLE = (
+    'id: 5c1d-87\nevent: status\ndata: {"name":"shop-mill","mill":{"state":"jog"},"run":null,"control":null}\n\n'
+    'id: 5c1d-88\nevent: log\ndata: {"number":88,"at_s":1763712000.1,"kind":"state","words":"jog -> idle"}\n\n'
+)
+WHOAMI_EXAMPLE: dict[str, Any] = {
+    "name": "Ada",
+    "scopes": ["jobs:read", "jobs:write", "machine:run"],
+    "anonymous": False,
+    "paired": True,
+}
+PAIRING_EXAMPLE: dict[str, Any] = {
+    "token": "cm_" + "x" * 43,
+    "name": "Ada",
+    "scopes": ["jobs:read", "jobs:write", "machine:run"],
+    "expires_at": "2026-11-22T08:00:00.000Z",
+}

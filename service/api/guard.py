@@ -25,10 +25,23 @@ from service.web.hosts import is_loopback, is_own_host, own_names
 from service.web.problems import Problem, problem_response
 
 OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
-OPEN = frozenset({"/", "/openapi.json"})  # to everybody
+OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
+OPEN_BELOW = "/page/"  # files that hold no data
+
+_STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
-_SINGLE = frozenset({b"host", b"authorization", b"origin", b"content-type", b"idempotency-key", b"last-event-id"})
+_SINGLE = frozenset(
+    {
+        b"host",
+        b"authorization",
+        b"origin",
+        b"content-type",
+        b"idempotency-key",
+        b"last-event-id",
+        b"causticmill-control",
+    }
+)
 _FORWARDED = frozenset({b"forwarded", b"via", b"x-real-ip"})
 _MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
 _BURST_S = 10.0
@@ -79,7 +92,7 @@ class Guard:
         if here and scope["path"] in self._open_here:  # and stays so when the database is away
             note_open(scope)
             return
-        if scope["path"] in OPEN:
+        if scope["path"] in OPEN or scope["path"].startswith(OPEN_BELOW):
             self._charge(scope, None)
             return
         principal = await self._caller(headers, here)
@@ -107,7 +120,7 @@ class Guard:
     def _known(self, token: Token) -> Principal:
         """Its use is noted by another thread: a busy database must not hold a caller up who only reads."""
         self._notes.submit(self._note_use, token)
-        return Principal(name=token.name, scopes=token.scopes, id=token.id)
+        return Principal(name=token.name, scopes=token.scopes, id=token.id, paired=token.paired)
 
     def _note_use(self, token: Token) -> None:
         with contextlib.suppress(SQLAlchemyError):
@@ -118,7 +131,7 @@ class Guard:
         method, path, peer = scope["method"], scope["path"], scope.get("client")
         caller = f"peer {peer[0] if peer else '?'}"
         if principal is not None and not principal.anonymous:
-            if MACHINE_RUN in principal.scopes and method == "POST" and path.endswith((":hold", ":abort")):
+            if MACHINE_RUN in principal.scopes and method == "POST" and path.endswith(_STOPS):
                 return
             caller = f"token {principal.id}"
         wait_s = self._requests.wait_s(caller)

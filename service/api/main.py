@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import gc
 import logging
+import os
 import resource
 import socket
 import sys
@@ -22,6 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.api.app import make_app
 from service.api.auth import refuse_foreign_bind
+from service.api.estimating import Estimator
 from service.api.feed import Feed
 from service.api.form import sweep_uploads
 from service.api.metrics import Metrics
@@ -32,6 +34,7 @@ from service.fleet.fleet import Fleet
 from service.host import address, lifeline
 from service.jobs.book import JobBook
 from service.jobs.database import open_database
+from service.jobs.pairing import PairingBook
 from service.jobs.schema import await_schema
 from service.jobs.tokens import TokenBook
 from service.logs import configure_logs
@@ -53,12 +56,13 @@ _STUCK_S = 10.0
 def main() -> int:
     try:
         settings = ServerSettings.load()
+        offer = os.environ.pop(lifeline.PAIRING_OFFER, "")
         configure_logs(settings.log_level, process="api")
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
         _allow_files()
         listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
-        with contextlib.closing(listener), open_services(settings) as services:
+        with contextlib.closing(listener), open_services(settings, offer) as services:
             asyncio.run(_serve(services, listener))
     except JobError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
@@ -71,8 +75,11 @@ def main() -> int:
 
 
 @contextlib.contextmanager
-def open_services(settings: ServerSettings) -> Iterator[Services]:
-    """Everything the routes need, closed at the end. InputError where it would not be safe to serve."""
+def open_services(settings: ServerSettings, offer: str = "") -> Iterator[Services]:
+    """Everything the routes need, closed at the end. InputError where it would not be safe to serve.
+
+    offer : of a code with which pages can be paired
+    """
     with contextlib.ExitStack() as stack:
         settings.data.mkdir(parents=True, exist_ok=True)
         database = open_database(settings)
@@ -81,12 +88,17 @@ def open_services(settings: ServerSettings) -> Iterator[Services]:
         tokens = TokenBook(database)
         refuse_foreign_bind(settings, tokens)
         sweep_uploads(settings.data / "uploads")
+        pairings = PairingBook(database, tokens)
+        if offer:
+            pairings.offer(offer)
         store = open_store(settings)
         book = JobBook(database, store)
         engine = DbosEngine(settings)
         stack.callback(engine.close)
         pictures = PictureChecker()
         stack.callback(pictures.close)
+        estimates = Estimator()
+        stack.callback(estimates.close)
         fleet = Fleet(settings, database, store, book)
         yield Services(
             settings=settings,
@@ -95,8 +107,10 @@ def open_services(settings: ServerSettings) -> Iterator[Services]:
             store=store,
             engine=engine,
             tokens=tokens,
+            pairings=pairings,
             fleet=fleet,
             pictures=pictures,
+            estimates=estimates,
             feed=Feed(book),
             metrics=Metrics(database),
         )

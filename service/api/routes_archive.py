@@ -17,6 +17,7 @@ from service.api.conditions import matches
 from service.api.download import in_threads
 from service.api.routes_jobs import JobId
 from service.api.services import services_of
+from service.job_files import is_drawing
 from service.jobs.records import Artifact
 from service.store.store import Store
 
@@ -49,9 +50,13 @@ _ANSWERS: Responses = {
 async def archive(
     request: Request, _: Reader, job_id: JobId, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
-    """What the listing shows at this moment, as a zip; a job that still runs has more later."""
+    """What the listing shows at this moment, as a zip, but for what only the operator page draws (.path, .bin).
+
+    A job that still runs has more later.
+    """
     services = services_of(request)
-    files = await asyncio.to_thread(services.book.artifacts, str(job_id))
+    listed = await asyncio.to_thread(services.book.artifacts, str(job_id))
+    files = [file for file in listed if not is_drawing(file.name)]
     job = await asyncio.to_thread(services.book.get, str(job_id))
     stem = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in job.name.rpartition(".")[0])
     headers = {

@@ -13,6 +13,7 @@ from service.api.examples_runs import MACHINE_EXAMPLE, MACHINES_EXAMPLE, PREPARI
 from service.api.job_request import idempotency_key
 from service.api.schemas_runs import PLAIN, MachineList, MachineView, NewRunBody, RunView
 from service.api.services import services_of
+from service.fleet.orders import HEADER
 
 router = APIRouter(tags=["machines"])
 
@@ -23,6 +24,12 @@ _PARKED: Responses = {
 }
 MachineName = Annotated[
     str, Path(max_length=100, pattern=PLAIN, description="name of a machine", examples=["shop-mill"])
+]
+Shown = Annotated[
+    str,
+    Header(
+        alias=HEADER, max_length=100, pattern=r"^[!-~]*$", description="the `control` of who has control of the mill"
+    ),
 ]
 
 
@@ -63,12 +70,14 @@ async def park(
         str | None,
         Header(alias="Idempotency-Key", description="the same key with the same request gives the same run"),
     ] = None,
+    control: Shown = "",
 ) -> Response:
     """The program goes to the mill's agent, which reads it whole and holds it against the mill. Nothing moves.
 
     One run has a mill at a time: while another is open this is refused.
     """
     key = idempotency_key(idempotency_key_header)
-    run, parked = await services_of(request).fleet.park(machine, str(body.job), body.program, principal.name, key)
+    fleet = services_of(request).fleet
+    run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, control)
     headers = {"Location": f"/v1/runs/{run['id']}"} | ({} if parked else {"Retry-After": "1"})
     return JSONResponse(run, status_code=201 if parked else 202, headers=headers)

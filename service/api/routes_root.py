@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from html import escape
+import asyncio
 from importlib import metadata
 from typing import Any
 
 from fastapi import APIRouter, Request
-from starlette.responses import HTMLResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 
+from service.api import routes_page
 from service.api.answers import answers, example
 from service.api.schemas import Root
 
@@ -22,7 +23,6 @@ _LINKS = {
     "ready": "/readyz",
     "metrics": "/metrics",
 }
-_POLICY = "default-src 'none'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
 _PAGE: dict[str, Any] = {"text/html": {"schema": {"type": "string"}}}
 _EXAMPLE = example({"name": "causticmill", "version": "1.2.0", "links": _LINKS})
 _HEADERS = {"Vary": "Accept", "X-Content-Type-Options": "nosniff"}
@@ -35,17 +35,8 @@ _HEADERS = {"Vary": "Accept", "X-Content-Type-Options": "nosniff"}
     responses=answers({200: {"content": _EXAMPLE["content"] | _PAGE}}),
 )
 async def root(request: Request) -> Response:
-    """Name, version and addresses; a page for people where Accept has text/html."""
-    version = metadata.version("causticmill")
+    """Name, version and addresses; the operator page where Accept has text/html."""
     if "text/html" in request.headers.get("accept", ""):
-        return HTMLResponse(_page(version), headers=_HEADERS | {"Content-Security-Policy": _POLICY})
+        return await asyncio.to_thread(routes_page.index, request)
+    version = metadata.version("causticmill")
     return JSONResponse({"name": "causticmill", "version": version, "links": _LINKS}, headers=_HEADERS)
-
-
-def _page(version: str) -> str:
-    rows = "\n".join(f'<li><a href="{escape(path)}">{escape(name)}</a></li>' for name, path in _LINKS.items())
-    return (
-        '<!doctype html>\n<html lang="en"><meta charset="utf-8"><title>causticmill</title>\n'
-        f"<h1>causticmill {escape(version)}</h1>\n<p>A job server: pictures to caustic lenses. <code>causticmill "
-        f"submit</code>, or:</p>\n<ul>\n{rows}\n</ul>\n"
-    )

@@ -12,6 +12,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from service.api.answers import Responses, answers, example, refusals
 from service.api.auth import Operator, Reader
 from service.api.examples_runs import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
+from service.api.routes_machines import Shown
 from service.api.schemas import SSE_EVENT
 from service.api.schemas_runs import PLAIN, ConfirmationBody, RecoveryView, RunList, RunView
 from service.api.services import services_of
@@ -102,9 +103,9 @@ async def recovery(request: Request, _: Operator, run_id: RunId) -> Response:
 
 
 @router.post("/v1/runs/{id:uuid}:start", summary="Start a parked run", **_ORDER)
-async def start(request: Request, _: Operator, run_id: RunId, said: ConfirmationBody) -> Response:
+async def start(request: Request, _: Operator, run_id: RunId, said: ConfirmationBody, control: Shown = "") -> Response:
     """THE MILL MOVES. Needs the operator's name and every one of `required_checks`. Sent once, never repeated."""
-    run = await services_of(request).fleet.start(str(run_id), said.operator, frozenset(said.checks))
+    run = await services_of(request).fleet.start(str(run_id), said.operator, frozenset(said.checks), control)
     return JSONResponse(run, status_code=202)
 
 
@@ -115,9 +116,9 @@ async def hold(request: Request, _: Operator, run_id: RunId) -> Response:
 
 
 @router.post("/v1/runs/{id:uuid}:resume", summary="Resume a held run", **_ORDER)
-async def resume(request: Request, _: Operator, run_id: RunId) -> Response:
+async def resume(request: Request, _: Operator, run_id: RunId, control: Shown = "") -> Response:
     """THE MILL MOVES, from where it was held."""
-    return JSONResponse(await services_of(request).fleet.resume(str(run_id)), status_code=202)
+    return JSONResponse(await services_of(request).fleet.resume(str(run_id), control), status_code=202)
 
 
 @router.post("/v1/runs/{id:uuid}:abort", summary="Abort a run", **_ORDER)
@@ -127,7 +128,9 @@ async def abort(request: Request, _: Operator, run_id: RunId) -> Response:
 
 
 @router.post("/v1/runs/{id:uuid}:recover", summary="Go on with an interrupted run", **_ORDER)
-async def recover(request: Request, _: Operator, run_id: RunId, said: ConfirmationBody) -> Response:
+async def recover(
+    request: Request, _: Operator, run_id: RunId, said: ConfirmationBody, control: Shown = ""
+) -> Response:
     """THE MILL MOVES, as the plan of this moment says. Needs every one of `required_checks`, the position too."""
-    run = await services_of(request).fleet.recover(str(run_id), said.operator, frozenset(said.checks))
+    run = await services_of(request).fleet.recover(str(run_id), said.operator, frozenset(said.checks), control)
     return JSONResponse(run, status_code=202)

@@ -24,7 +24,7 @@ from service.worker.engine import Ticket
 router = APIRouter()
 _log = structlog.get_logger("api")
 
-_FORM: dict[str, Any] = {
+JOB_FORM: dict[str, Any] = {
     "requestBody": {
         "required": True,
         "content": {
@@ -69,7 +69,7 @@ _ACCEPTED = example(JOB_EXAMPLE | {"state": "queued", "stage": None, "progress":
     status_code=202,
     response_model=JobView,
     responses=answers({202: _ACCEPTED}, 408, 415, 507),
-    openapi_extra=_FORM,
+    openapi_extra=JOB_FORM,
 )
 async def submit(
     request: Request,

@@ -73,6 +73,6 @@ async def revoke(request: Request, _: Admin, token_id: TokenId) -> Response:
 
 def _view(token: Token) -> dict[str, Any]:
     times = ("created_at", "expires_at", "last_used_at", "revoked_at")
-    return {"id": token.id, "name": token.name, "scopes": sorted(token.scopes)} | {
+    return {"id": token.id, "name": token.name, "scopes": sorted(token.scopes), "paired": token.paired} | {
         name: iso_or_none(getattr(token, name)) for name in times
     }

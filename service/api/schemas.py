@@ -125,6 +125,27 @@ class ArtifactList(Body):
     artifacts: list[ArtifactView]
 
 
+class RequestView(Body):
+    """What a job was made from."""
+
+    name: str
+    spec: Annotated[dict[str, Any], Field(description="only what must be said; the rest follows from it")]
+    image: Annotated[str, Field(description="address of the picture")]
+
+
+class ProfileView(Body):
+    """A kind of mill that programs can be made for."""
+
+    name: str
+    description: str
+    dialect: str
+    travel_mm: Annotated[list[float], Field(description="X, Y, Z")]
+
+
+class ProfileList(Body):
+    profiles: list[ProfileView]
+
+
 class Root(Body):
     """What answers here, and addresses to begin with."""
 

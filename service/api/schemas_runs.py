@@ -108,20 +108,36 @@ class AgentView(Body):
 
 
 class OpenRun(Body):
+    """The part of a run that one wants to see beside the mill."""
+
     id: str
     state: RunWord
     job: str
     program: str
+    words: str
+    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
+    executed_line: int
+    lines: int | None
+    time_s: float | None
+    time_left_s: float | None
+    operator: str
+
+
+class Holder(Body):
+    operator: str
+    since: str
 
 
 class MachineView(Body):
     name: str
     remote: bool
+    simulated: Annotated[bool, Field(description="there is no mill, only a model of one")]
     problem: Annotated[str, Field(description="what is wrong with its profile")]
     profile: dict[str, Any] | None
     agent: AgentView
     mill: Annotated[dict[str, Any] | None, Field(description="state and position, as its agent has them now")]
     run: Annotated[OpenRun | None, Field(description="the run that has this mill")]
+    control: Annotated[Holder | None, Field(description="who may give orders to it at present; null: nobody")]
     links: dict[str, str]
 
 
@@ -144,6 +160,7 @@ class TokenView(Body):
     expires_at: str | None
     last_used_at: str | None
     revoked_at: str | None
+    paired: Annotated[bool, Field(description="made by a page, for a code")]
 
 
 class NewTokenView(TokenView):

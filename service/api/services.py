@@ -10,11 +10,13 @@ if TYPE_CHECKING:
     from sqlalchemy import Engine
     from starlette.requests import HTTPConnection
 
+    from service.api.estimating import Estimator
     from service.api.feed import Feed
     from service.api.metrics import Metrics
     from service.api.pictures import PictureChecker
     from service.fleet.fleet import Fleet
     from service.jobs.book import JobBook
+    from service.jobs.pairing import PairingBook
     from service.jobs.tokens import TokenBook
     from service.settings import ServerSettings
     from service.store.store import Store
@@ -29,8 +31,10 @@ class Services:
     store: Store
     engine: JobEngine
     tokens: TokenBook
+    pairings: PairingBook
     fleet: Fleet
     pictures: PictureChecker
+    estimates: Estimator
     feed: Feed
     metrics: Metrics
     # So many pictures are checked or wait for it at once: the others wait without a thread, which downloads need.

@@ -10,6 +10,7 @@ from service.job_files import is_program, run_order
 from service.jobs.priorities import priority_word
 from service.jobs.records import Artifact, Job, Progress, StageRun
 from service.jobs.states import JobState
+from service.passes import with_plan
 from service.spec import JobSpec
 from service.stages.plan import shares
 
@@ -106,7 +107,7 @@ def _progress(job: Job, progress: Progress | None) -> float:
 def _stages(job: Job, runs: Sequence[StageRun]) -> list[Json]:
     """Every stage of the job's plan, with what became of it in this attempt."""
     last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
-    planned = shares(JobSpec.model_validate(job.spec))
+    planned = shares(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
     return [_stage(name, share, last.get(name)) for name, share in planned.items()]
 
 

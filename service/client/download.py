@@ -20,6 +20,7 @@ import httpx
 
 from service.client.server import GoneError, Server, shown
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.job_files import is_drawing
 
 _READ_S = 30.0
 _PATIENCE_S = 120.0
@@ -52,14 +53,14 @@ class RemoteFile:
 
 
 def files_of(server: Server, job_id: str, only: Sequence[str] = ()) -> list[RemoteFile]:
-    """What the job offers, or those of it that were asked for by name."""
+    """What the job offers but for what only the operator page draws; or those that were asked for by name."""
     listing = server.get(f"/v1/jobs/{job_id}/artifacts")
     files = [RemoteFile.of(item) for item in listing["artifacts"]]
     known = {file.name for file in files}
     if missing := [name for name in only if name not in known]:
         names = ", ".join(sorted(known)) or "none yet"
         raise InputError(*(f"--only: job {job_id} has no file '{name}'; there are: {names}" for name in missing))
-    return [file for file in files if not only or file.name in only]
+    return [file for file in files if (file.name in only if only else not is_drawing(file.name))]
 
 
 def download(server: Server, file: RemoteFile, folder: Path, on_bytes: OnBytes) -> bool:

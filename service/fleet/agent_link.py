@@ -61,6 +61,10 @@ class AgentLink:
     async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
         return await self._told("POST", path, timeout_s=timeout_s, json=body or {})
 
+    async def once(self, path: str, body: Json, *, timeout_s: float) -> Json:
+        """As `post`, but not even one that certainly did not arrive is sent again: an order is for now or for never."""
+        return await self._asked("POST", path, timeout_s=timeout_s, json=body)
+
     async def urgent(self, path: str, *, within_s: float = URGENT_S) -> Json:
         """A hold or an abort: to do it twice is better than not at all, so one that failed is sent once more.
 

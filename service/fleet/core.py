@@ -70,13 +70,15 @@ class FleetCore:
             found = self._links[machine.name] = AgentLink(machine, self._client)
         return found
 
+    async def link_named(self, machine: str) -> AgentLink:
+        """The link to this machine's agent: the one used before, without a look at any file. Problem 404."""
+        found = self._links.get(machine)
+        return found if found is not None else self.link(await self.machine(machine))
+
     async def link_of(self, run: RunRow) -> AgentLink:
-        """The link to the agent that has this run: the one used before, without a look at any file."""
-        found = self._links.get(run.machine)
-        if found is not None:
-            return found
+        """The link to the agent that has this run."""
         try:
-            return self.link(await self.machine(run.machine))
+            return await self.link_named(run.machine)
         except Problem as gone:
             raise AgentAwayError(gone.detail) from None
 

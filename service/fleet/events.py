@@ -7,35 +7,22 @@ stream goes on; it ends with the run.
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
-import json
-import re
 import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from dataclasses import replace
 from math import inf
-from typing import Any
 
 from service.fleet.agent_feed import Message
 from service.fleet.agent_link import AgentAwayError
 from service.fleet.agent_words import json_object, run_view, table
 from service.fleet.core import FleetCore, Seen
+from service.fleet.following import AGAIN_S, FIRST, PING, Json, event_bytes, known_id, until
 from service.fleet.run_book import ENDED, RunRow
 from service.fleet.views import live_json
 from service.web.problems import Problem
 
-_EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")
-_AGAIN_S = (0.2, 0.5, 1.0, 2.0)
 _LOOK_S = 1.0
-_PING = b": still here\n\n"
-
-Json = dict[str, Any]
-
-
-def known_id(text: str) -> str:
-    """The id of an event as agents give them; nothing for any other text."""
-    return text if _EVENT_ID.fullmatch(text) else ""
 
 
 class RunEvents:
@@ -52,7 +39,7 @@ class RunEvents:
     async def stream(self) -> AsyncGenerator[bytes]:
         """Bytes of the event stream: `run` events hold how it stands, `log` events what happened."""
         core = self._core
-        yield b"retry: 1000\n\n" + _event("run", self._shown)
+        yield FIRST + event_bytes("run", self._shown)
         while self._shown["open"] and not core.ending.is_set():
             away = ""
             try:
@@ -62,25 +49,29 @@ class RunEvents:
                     return
             except (AgentAwayError, Problem) as error:
                 away = str(error)
-            await core.ended_within(_AGAIN_S[min(self._failures, len(_AGAIN_S) - 1)])
+            await core.ended_within(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
             self._failures += 1
             seen = self._seen = await self._now()
             now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else "")))
-            yield _event("run", now) if now != self._shown else _PING
+            yield event_bytes("run", now) if now != self._shown else PING
             self._shown = now
 
     async def _live(self) -> AsyncIterator[bytes]:
         """As long as the agent's stream goes on and the run has not ended."""
-        async for message in _until(self._core.ending, _of_agent(self._core, self._seen.run, self._last_id)):
+        async for message in until(self._core.ending, _of_agent(self._core, self._seen.run, self._last_id)):
+            if message is None:
+                continue
             self._failures, self._last_id = 0, known_id(message.get("id", "")) or self._last_id
             for kind, data in _told(self._seen.run, message):
-                if kind != "run":
-                    yield _event(kind, data, self._last_id)
+                if kind == "ping":
+                    yield PING
+                elif kind != "run":
+                    yield event_bytes(kind, data, self._last_id)
                 elif (now := data or await self._looked()) != self._shown:
                     self._shown = now
                     if not now["open"]:
                         await self._now()  # written down before the reader learns of it
-                    yield _event("run", now, self._last_id)
+                    yield event_bytes("run", now, self._last_id)
             if not self._shown["open"]:
                 return
 
@@ -93,26 +84,6 @@ class RunEvents:
 
     async def _now(self) -> Seen:
         return await self._core.seen(await self._core.do(self._core.runs.get, self._seen.run.id))
-
-
-async def _until(ending: asyncio.Event, messages: AsyncGenerator[Message]) -> AsyncIterator[Message]:
-    """The messages, as long as the server does not end."""
-    over = asyncio.ensure_future(ending.wait())
-    try:
-        while True:
-            step = asyncio.ensure_future(anext(messages, None))
-            try:
-                await asyncio.wait({step, over}, return_when=asyncio.FIRST_COMPLETED)
-            finally:
-                if not step.done():
-                    step.cancel()
-                    await asyncio.gather(step, return_exceptions=True)
-            if step.cancelled() or (message := step.result()) is None:
-                return
-            yield message
-    finally:
-        over.cancel()
-        await messages.aclose()
 
 
 async def _of_agent(core: FleetCore, run: RunRow, last_id: str) -> AsyncGenerator[Message]:
@@ -143,10 +114,3 @@ def _told(run: RunRow, message: Message) -> list[tuple[str, Json]]:
 def _time_of(entry: Json) -> float:
     at_s = entry.get("at_s")
     return at_s if isinstance(at_s, int | float) else inf
-
-
-def _event(kind: str, data: Json, event_id: str = "") -> bytes:
-    if kind == "ping":
-        return _PING
-    number = f"id: {event_id}\n" if event_id else ""
-    return f"{number}event: {kind}\ndata: {json.dumps(data, separators=(',', ':'))}\n\n".encode()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
 from typing import Any
 
 import sqlalchemy as sa
@@ -14,9 +14,13 @@ from service.errors import printable
 from service.fleet.agent_link import AgentAwayError
 from service.fleet.controls import Controls
 from service.fleet.core import FleetCore, Seen
-from service.fleet.events import RunEvents, known_id
+from service.fleet.events import RunEvents
+from service.fleet.following import known_id
 from service.fleet.handover import Handovers
+from service.fleet.lease_book import LeaseBook
+from service.fleet.machine_events import MachineEvents
 from service.fleet.machines import KnownMachine
+from service.fleet.orders import Orders
 from service.fleet.programs import programs_of
 from service.fleet.run_book import PREPARING, RunRow, UnknownRunError
 from service.fleet.views import Surroundings, machine_json, run_json
@@ -39,6 +43,7 @@ class Fleet:
         self._core = FleetCore(settings, database, store, book)
         self._handovers = Handovers(self._core)
         self._controls = Controls(self._core)
+        self.orders = Orders(self._core, LeaseBook(database))
         self._followers = 0
 
     def end_streams(self) -> None:
@@ -78,16 +83,23 @@ class Fleet:
             away = error.words
         except Problem as problem:
             away = problem.detail
-        return machine_json(machine, status, away, run if run is not None and run.open else None)
+        lease = await self.orders.holder(machine.name)
+        return machine_json(machine, status, away, run if run is not None and run.open else None, lease)
+
+    async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
+        """What a mill does and what happens at it, as server-sent events without an end."""
+        machine = await self._core.machine(name)
+        return self._followed(MachineEvents(self._core, self.orders, machine, known_id(last_id)).stream())
 
     # ------------------------------------------------------------------ runs
 
     async def park(
-        self, machine: str, job_id: str, program: int | str | None, by: str, key: str | None
+        self, machine: str, job_id: str, program: int | str | None, by: str, key: str | None, control: str = ""
     ) -> tuple[Json, bool]:
         """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
         known = await self._core.machine(machine)
-        run = await self._handovers.begin(known, job_id, program, by, key)
+        async with self.orders.turn(machine, control):
+            run = await self._handovers.begin(known, job_id, program, by, key)
         run = await self._handovers.finish(run, known)
         return await self._shown(Seen(run)), run.state != PREPARING
 
@@ -107,18 +119,27 @@ class Fleet:
     async def recovery(self, run_id: str) -> Json:
         return await self._controls.recovery(run_id)
 
-    async def start(self, run_id: str, operator: str, checks: frozenset[str]) -> Json:
-        around = await self._around(await self._controls.row(run_id))
-        return await self._shown(await self._controls.start(run_id, operator, checks, around))
+    async def start(self, run_id: str, operator: str, checks: frozenset[str], control: str = "") -> Json:
+        run = await self._controls.row(run_id)
+        around = await self._around(run)
+        async with self.orders.turn(run.machine, control):
+            seen = await self._controls.start(run_id, operator, checks, around)
+        return await self._shown(seen)
 
-    async def recover(self, run_id: str, operator: str, checks: frozenset[str]) -> Json:
-        return await self._shown(await self._controls.recover(run_id, operator, checks))
+    async def recover(self, run_id: str, operator: str, checks: frozenset[str], control: str = "") -> Json:
+        run = await self._controls.row(run_id)
+        async with self.orders.turn(run.machine, control):
+            seen = await self._controls.recover(run_id, operator, checks)
+        return await self._shown(seen)
 
     async def hold(self, run_id: str) -> Json:
         return await self._shown(await self._controls.hold(run_id))
 
-    async def resume(self, run_id: str) -> Json:
-        return await self._shown(await self._controls.resume(run_id))
+    async def resume(self, run_id: str, control: str = "") -> Json:
+        run = await self._controls.row(run_id)
+        async with self.orders.turn(run.machine, control):
+            seen = await self._controls.resume(run_id)
+        return await self._shown(seen)
 
     async def abort(self, run_id: str) -> Json:
         return await self._shown(await self._controls.abort(run_id))
@@ -128,9 +149,7 @@ class Fleet:
         seen = await self._now(await self._controls.row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
-        if self._followers >= _MOST_FOLLOWERS:
-            raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
-        return self._followed(RunEvents(self._core, seen, known_id(last_id)))
+        return self._followed(RunEvents(self._core, seen, known_id(last_id)).stream())
 
     def require_no_open_run(self, job_id: str) -> None:
         """Problem 409 where a program of this job is on a mill. For a thread, not for the event loop."""
@@ -139,10 +158,15 @@ class Fleet:
 
     # ------------------------------------------------------------------
 
-    async def _followed(self, events: RunEvents) -> AsyncIterator[bytes]:
+    def _followed(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+        if self._followers >= _MOST_FOLLOWERS:
+            raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
+        return self._counted(stream)
+
+    async def _counted(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
         self._followers += 1
         try:
-            async with contextlib.aclosing(events.stream()) as pieces:
+            async with contextlib.aclosing(stream) as pieces:
                 async for piece in pieces:
                     yield piece
         finally:

@@ -25,7 +25,8 @@ _LONGEST_LOG_BYTES = 5_000_000
 def start_agents(settings: ServerSettings) -> list[tuple[str, str]]:
     """Start what does not run yet; machine and what became of it, in words, one for each. Does not wait for them."""
     machines, _ = known_machines(settings)
-    return [(machine.name, _started(settings, machine)) for machine in machines.values() if not machine.remote]
+    own = [machine for machine in machines.values() if not machine.remote and not machine.simulated]
+    return [(machine.name, _started(settings, machine)) for machine in own]
 
 
 def _started(settings: ServerSettings, machine: KnownMachine) -> str:

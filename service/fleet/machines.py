@@ -1,4 +1,4 @@
-"""Which mills there are: the person's own profiles that name a port, and the agents on other computers.
+"""Which mills there are: the person's own profiles that name a port, agents on other computers, a simulated one.
 
 Read anew each time it is asked: a profile that is mended or added is there at once, and a broken one costs itself only.
 """
@@ -24,6 +24,7 @@ from service.agent.settings import state_home
 from service.errors import InputError, printable, sentence_of_os_error
 from service.settings import ServerSettings
 
+SIMULATED = "simulated"
 _FINDS_ITSELF = "roland-usb"
 
 
@@ -34,6 +35,7 @@ class KnownMachine:
     folders    : where a local agent's agent.json may lie, the one `serve` starts first; empty for a remote one
     url, token_file : of a remote agent
     problem    : why it cannot be used, in words
+    simulated  : there is no mill, only a model of one
     """
 
     name: str
@@ -42,6 +44,7 @@ class KnownMachine:
     url: str = ""
     token_file: Path | None = None
     problem: str = ""
+    simulated: bool = False
 
     @property
     def remote(self) -> bool:
@@ -52,6 +55,11 @@ def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], l
     """The machines by name, sorted, and what is wrong with the list of remote ones."""
     found = {machine.name: machine for machine in _local_machines(settings)}
     problems: list[str] = []
+    if settings.simulated_mill:
+        if SIMULATED in found:
+            problems.append(f"there is a mill of the name '{SIMULATED}', so no simulated one is offered")
+        else:
+            found[SIMULATED] = _simulated(settings)
     try:
         remote = remote_machines(settings.agents_file) if settings.agents_file is not None else []
     except InputError as error:
@@ -67,6 +75,21 @@ def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], l
 def local_folder(settings: ServerSettings, machine: str) -> Path:
     """Where the agent that `serve` starts keeps everything."""
     return (settings.agents_folder / machine).absolute()
+
+
+def simulated_folder(settings: ServerSettings) -> Path:
+    """Profile and port of the simulated mill, and its agent's folder `agent`."""
+    return (settings.data / "simulated").absolute()
+
+
+def _simulated(settings: ServerSettings) -> KnownMachine:
+    """The mill that `serve --with-simulated-mill` keeps."""
+    folders = (simulated_folder(settings) / "agent",)
+    try:
+        profile = load_profile(SIMULATED, (simulated_folder(settings),))
+    except (ProfileError, UnknownProfileError) as error:
+        return KnownMachine(name=SIMULATED, folders=folders, simulated=True, problem=printable(str(error)))
+    return KnownMachine(name=SIMULATED, profile=profile, folders=folders, simulated=True)
 
 
 def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:

@@ -11,6 +11,7 @@ from urllib.parse import quote
 from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.fleet.agent_words import table
 from service.fleet.core import Seen
+from service.fleet.lease_book import LEASE_S, Lease
 from service.fleet.machines import KnownMachine
 from service.fleet.programs import Program, set_up
 from service.fleet.run_book import ABORTED, INTERRUPTED, PARKED, RunRow
@@ -110,20 +111,36 @@ def live_json(seen: Seen) -> Json:
     }
 
 
-def machine_json(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> Json:
-    """A mill: what it is, whether its agent answers, what it does, and the run that is open on it."""
+def machine_json(
+    machine: KnownMachine, status: Json | None, away: str, run: RunRow | None, lease: Lease | None
+) -> Json:
+    """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
     profile = machine.profile
     name = quote(machine.name, safe="")
+    here = f"/v1/machines/{name}"
     return {
         "name": machine.name,
         "remote": machine.remote,
+        "simulated": machine.simulated,
         "problem": machine.problem,
         "profile": None if profile is None else _profile(dataclasses.asdict(profile)),
         "agent": {"reachable": status is not None, "words": away},
-        "mill": None if status is None else _mill(status),
-        "run": None if run is None else {"id": run.id, "state": run.state, "job": run.job_id, "program": run.program},
-        "links": {"self": f"/v1/machines/{name}", "runs": f"/v1/runs?machine={name}"},
+        "mill": None if status is None else mill_json(status),
+        "run": None if run is None else _open_run(run),
+        "control": None if lease is None else lease_json(lease),
+        "links": {
+            "self": here,
+            "events": f"{here}/events",
+            "control": f"{here}/control",
+            "runs": f"/v1/runs?machine={name}",
+        },
     }
+
+
+def lease_json(lease: Lease, secret: str = "") -> Json:
+    """Who has control and since when; for the holder, with the secret and how long it lasts without a sign."""
+    told: Json = {"operator": lease.operator, "since": moment(lease.since)}
+    return told | ({"control": secret, "expires_s": LEASE_S} if secret else {})
 
 
 def moment(at: float | None) -> str | None:
@@ -148,7 +165,26 @@ def _profile(values: Json) -> Json:
     return {name: values.get(name) for name in names}
 
 
-def _mill(status: Json) -> Json:
+def _open_run(run: RunRow) -> Json:
+    """How far the run is, for who looks at the mill; the rest is in the run itself."""
+    view = run.view or {}
+    return {
+        "id": run.id,
+        "state": run.state,
+        "job": run.job_id,
+        "program": run.program,
+        "words": run.words or "",
+        "share": view.get("share", 0.0),
+        "executed_line": view.get("executed_line", 0),
+        "lines": view.get("lines"),
+        "time_s": view.get("time_s"),
+        "time_left_s": view.get("time_left_s"),
+        "operator": view.get("operator", ""),
+    }
+
+
+def mill_json(status: Json) -> Json:
+    """What the mill does, out of its agent's status."""
     told = table(status, "status")
     names = (
         "state",
@@ -159,6 +195,9 @@ def _mill(status: Json) -> Json:
         "spindle_rpm",
         "overrides",
         "position_trusted",
+        "spindle_on",
+        "pins",
+        "controller",
     )
     return {name: told.get(name) for name in names} | {
         "connected": status.get("connected", False),

@@ -62,6 +62,9 @@ def serve(
         bool, typer.Option("--behind-proxy", help="A proxy with TLS and a guard of its own stands in front.")
     ] = False,
     no_agents: Annotated[bool, typer.Option("--no-agents", help="Start no agents of mills.")] = False,
+    with_simulated_mill: Annotated[
+        bool, typer.Option("--with-simulated-mill", help="Offer a simulated mill, too, to try everything on.")
+    ] = False,
     verbose: VerboseOption = False,
 ) -> None:
     """The job server: API, worker and page. Stops with Ctrl-C; every setting is an environment variable, too."""
@@ -76,6 +79,7 @@ def serve(
         store_is_shared=store_is_shared or None,
         behind_proxy=behind_proxy or None,
         start_agents=False if no_agents else None,
+        simulated_mill=with_simulated_mill or None,
         log_level=_log_level(verbose),
     )
     arguments = ["worker="] if no_worker else []

@@ -24,9 +24,11 @@ from service.errors import EXIT_FAILURE, EXIT_INPUT, JobError, printable
 from service.host import address, lifeline
 from service.host.locking import lock_folder
 from service.host.watched import Watched
+from service.jobs.codes import code_of, new_offer
 
 _PREFIX = "CAUSTICMILL_"
 _MODULES = {"worker": "service.worker.main", "API": "service.api.main", "agents": "service.host.agents"}
+_SIMULATED = {"simulated mill": "service.host.simulated_mill", "simulated agent": "service.host.simulated_agent"}
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _GRACE_S = 20.0
 _FIRST_FAILURES = 5
@@ -39,10 +41,14 @@ _TICK_S = 60.0
 
 
 class Supervisor:
-    """Worker and API of one data folder, from start to stop."""
+    """Worker and API of one data folder, and perhaps a simulated mill, from start to stop.
 
-    def __init__(self, listener: socket.socket, modules: Mapping[str, str], *, began: float) -> None:
+    offer : id and code with which a page may be paired
+    """
+
+    def __init__(self, listener: socket.socket, modules: Mapping[str, str], *, offer: str, began: float) -> None:
         self._listener = listener
+        self._offer = offer
         self._began = began
         self._ready = False
         self._announced = False
@@ -53,7 +59,8 @@ class Supervisor:
         self._starter: subprocess.Popen[bytes] | None = None
         self._starts = modules.get("agents")
         self._probe = "/readyz" if "worker" in modules else "/livez"
-        self._children = [_watched(name, modules[name], listener) for name in ("worker", "API") if name in modules]
+        names = [name for name in ("worker", "API", *_SIMULATED) if name in modules]
+        self._children = [_watched(name, modules[name], listener, offer) for name in names]
 
     def run(self) -> int:
         """Until told to stop, or until a child refuses its configuration; returns the exit code."""
@@ -123,6 +130,9 @@ class Supervisor:
         where, folder = address.url_of(self._listener), _setting("DATA", "")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
+            if self._ready:
+                code = code_of(self._offer)
+                print(f"open {where} in a browser; the code for running mills from there: {code}", flush=True)
         if not self._announced and self._starts is not None and _setting("START_AGENTS", "true") == "true":
             command = [sys.executable, "-P", "-m", self._starts]
             self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
@@ -148,13 +158,15 @@ class Supervisor:
 def main() -> int:
     """What `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=: nothing."""
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
-    modules = _MODULES | {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
+    modules = _MODULES | (_SIMULATED if _setting("SIMULATED_MILL", "false") == "true" else {})
+    modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
     try:
         with (
             lock_folder(Path(_setting("DATA", "causticmill-data"))),
             contextlib.closing(address.bound(_setting("HOST", "127.0.0.1"), int(_setting("PORT", "8000")))) as listener,
         ):
-            return Supervisor(listener, {name: module for name, module in modules.items() if module}, began=began).run()
+            wanted = {name: module for name, module in modules.items() if module}
+            return Supervisor(listener, wanted, offer=new_offer(), began=began).run()
     except JobError as error:
         _say(f"error: {error}")
         return error.exit_code
@@ -165,12 +177,12 @@ def _setting(name: str, default: str) -> str:
     return os.environ.get(f"{_PREFIX}{name}", default)
 
 
-def _watched(name: str, module: str, listener: socket.socket) -> Watched:
+def _watched(name: str, module: str, listener: socket.socket, offer: str) -> Watched:
     environment = os.environ | {f"{_PREFIX}PORT": str(listener.getsockname()[1])}
     passed: tuple[int, ...] = ()
     if name == "API":
         passed = (listener.fileno(),)
-        environment |= {lifeline.LISTEN_FD: str(listener.fileno())}
+        environment |= {lifeline.LISTEN_FD: str(listener.fileno()), lifeline.PAIRING_OFFER: offer}
     return Watched(name, module, environment, lease_s=float(_setting("LEASE_S", "30")), passed=passed, say=_say)
 
 

@@ -26,8 +26,9 @@ from service.jobs.records import (
     UnknownArtifactError,
     UnknownJobError,
 )
-from service.jobs.states import RETRYABLE, TRANSITIONS, JobOnMillError, JobState, JobStateError
-from service.jobs.tables import artifacts, idempotency_keys, jobs, progress, stage_runs
+from service.jobs.states import RETRYABLE, TRANSITIONS, JobOnMillError, JobState, JobStateError, StageState
+from service.jobs.tables import artifacts, idempotency_keys, jobs, progress, stage_results, stage_runs
+from service.stages.order import merge_reports
 from service.store.store import Store
 
 NAME_CHARS = 255
@@ -113,6 +114,18 @@ class JobBook:
         query = sa.select(stage_runs).where(stage_runs.c.job_id == job_id).order_by(stage_runs.c.id)
         with reading(self.database) as connection:
             return [StageRun.of(row) for row in connection.execute(query).mappings()]
+
+    def report_so_far(self, job: Job) -> dict[str, Any] | None:
+        """report.json of the stages that are done in this attempt; a job that has ended has it itself."""
+        done = stage_runs.c.state.in_([StageState.COMMITTED, StageState.REUSED])
+        query = (
+            sa.select(stage_results.c.report)
+            .join(stage_runs, stage_runs.c.key == stage_results.c.key)
+            .where(stage_runs.c.job_id == job.id, stage_runs.c.attempt == job.attempt, done)
+            .order_by(stage_runs.c.id)
+        )
+        with reading(self.database) as connection:
+            return merge_reports(connection.execute(query).scalars()) or None
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """The files that the job offers, by name; programs only once they have been checked."""

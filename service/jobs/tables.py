@@ -18,6 +18,7 @@ from sqlalchemy import (
     MetaData,
     String,
     Table,
+    false,
     text,
 )
 
@@ -153,7 +154,7 @@ executors = Table(
     Column("seen_at", Float, nullable=False),
 )
 
-# sha256 of a token, never the token. scopes is a list of words.
+# sha256 of a token, never the token. scopes is a list of words; paired: made with a code, by the operator page.
 tokens = Table(
     "tokens",
     metadata,
@@ -165,6 +166,31 @@ tokens = Table(
     Column("expires_at", Float),
     Column("last_used_at", Float),
     Column("revoked_at", Float),
+    Column("paired", Boolean, nullable=False, server_default=false()),
+)
+
+# Codes with which a page is paired, by digest. wrong counts the tries with another code since it was made.
+pairings = Table(
+    "pairings",
+    metadata,
+    Column("id", String(40), primary_key=True),
+    Column("salt", String(64), nullable=False),
+    Column("digest", String(64), nullable=False),
+    Column("wrong", Integer, nullable=False),
+    Column("created_at", Float, nullable=False),
+    Column("expires_at", Float, nullable=False),
+)
+
+# Who may give orders to a mill at present: digest is of the secret that the holder shows with each of them.
+controls = Table(
+    "controls",
+    metadata,
+    Column("machine", String(100), primary_key=True),
+    Column("digest", String(64), nullable=False),
+    Column("operator", String(100), nullable=False),
+    Column("principal", String(100), nullable=False),
+    Column("since", Float, nullable=False),
+    Column("renewed_at", Float, nullable=False),
 )
 
 # Programs given to mills. agent_run is the agent's own id of the run; view is what the agent said of it last.

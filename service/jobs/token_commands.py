@@ -53,17 +53,29 @@ def create(
     print(f"{secret}\nKeep it: it is not stored and not shown again.")
 
 
+@tokens_app.command()
+def pair(data: DataOption = None) -> None:
+    """Print a new code with which a page in a browser may run mills from this server, for a day."""
+    from service.jobs.codes import code_of, new_offer
+    from service.jobs.pairing import PairingBook
+
+    offer = new_offer()
+    with _token_book(data) as book:
+        PairingBook(book.engine, book).offer(offer)
+    print(code_of(offer))
+
+
 @tokens_app.command("list")
 def list_(data: DataOption = None) -> None:
     """List the tokens that were made, and what became of them. The tokens themselves are not known."""
     with _token_book(data) as book:
         found = book.listed()
-    if not found:
+    if all(token.paired for token in found):
         print("no token was ever made; on this computer, jobs need none")
     for token in found:
         print(
             f"{token.id}  {token.name}  {','.join(sorted(token.scopes))}  made {_date(token.created_at)}, "
-            f"{_until(token)}, {_used(token)}"
+            f"{_until(token)}, {_used(token)}{', by a page' if token.paired else ''}"
         )
 
 

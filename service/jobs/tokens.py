@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import hmac
+import itertools
 import re
 import secrets
 import time
@@ -16,7 +17,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import Engine, RowMapping, insert, select, update
+from sqlalchemy import Connection, Engine, RowMapping, delete, insert, select, update
 
 from service.errors import InputError
 from service.jobs.database import reading, writing
@@ -40,7 +41,7 @@ class TokenScope(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Token:
-    """What is known of a token; times are seconds since 1970, None = never."""
+    """What is known of a token; times are seconds since 1970, None = never. paired: made with a code, by a page."""
 
     id: str
     name: str
@@ -49,6 +50,7 @@ class Token:
     expires_at: float | None = None
     last_used_at: float | None = None
     revoked_at: float | None = None
+    paired: bool = False
 
     def live(self, now: float) -> bool:
         return self.revoked_at is None and (self.expires_at is None or now < self.expires_at)
@@ -58,7 +60,7 @@ class TokenBook:
     """The tokens of one database; may be used from any thread and any process."""
 
     def __init__(self, engine: Engine, *, clock: Callable[[], float] = time.time) -> None:
-        self._engine = engine
+        self.engine = engine
         self._clock = clock
         self._noted: dict[str, float] = {}
 
@@ -72,26 +74,34 @@ class TokenBook:
             )
         if expires_at is not None and not now < expires_at <= now + LONGEST_LIFE_S:
             raise InputError("expires: allowed: a time from now on, within a hundred years")
-        secret = PREFIX + secrets.token_urlsafe(32)
-        token = Token(id=uuid.uuid4().hex[:12], name=name, scopes=wanted, created_at=now, expires_at=expires_at)
-        with writing(self._engine) as connection:
-            if any(
-                found.name == name and found.live(now) for found in map(_token, connection.execute(_ALL).mappings())
-            ):
+        token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=expires_at)
+        with writing(self.engine) as connection:
+            if name in _live_names(connection, now):
                 raise InputError(f"name '{name}': there is a token of this name; revoke that one or take another name")
-            connection.execute(insert(tokens).values(
-                id=token.id, name=name, sha256=_hash(secret), scopes=sorted(wanted), created_at=now,
-                expires_at=expires_at))  # fmt: skip
-        return token, secret
+            return token, _inserted(connection, token)
+
+    def create_paired(self, person: str, scopes: Iterable[str], *, life_s: float) -> tuple[Token, str]:
+        """A token for the page of a person, under their name, or that and a number where it is taken.
+
+        Such tokens do not count in `any_ever`. Those that have ended are forgotten: a page makes one with each visit.
+        """
+        now, wanted = self._clock(), checked_scopes(scopes)
+        with writing(self.engine) as connection:
+            connection.execute(delete(tokens).where(tokens.c.paired, tokens.c.expires_at < now))
+            taken = _live_names(connection, now)
+            names = itertools.chain([person], (f"{person} {number}" for number in itertools.count(2)))
+            name = next(name for name in names if name not in taken)
+            token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=now + life_s, paired=True)
+            return token, _inserted(connection, token)
 
     def listed(self) -> list[Token]:
         """All that were ever made, oldest first."""
-        with reading(self._engine) as connection:
+        with reading(self.engine) as connection:
             return [_token(row) for row in connection.execute(_ALL).mappings()]
 
     def revoke(self, token_id: str) -> Token:
         """From now on it opens nothing. LookupError where there is none; revoking twice changes nothing."""
-        with writing(self._engine) as connection:
+        with writing(self.engine) as connection:
             mine = tokens.c.id == token_id
             connection.execute(
                 update(tokens).where(mine, tokens.c.revoked_at.is_(None)).values(revoked_at=self._clock())
@@ -106,7 +116,7 @@ class TokenBook:
         if not _SECRET.fullmatch(secret):
             return None
         now, digest = self._clock(), _hash(secret)
-        with reading(self._engine) as connection:
+        with reading(self.engine) as connection:
             row = connection.execute(select(tokens).where(tokens.c.sha256 == digest)).mappings().first()
         if row is None or not hmac.compare_digest(str(row["sha256"]), digest):
             return None
@@ -120,17 +130,21 @@ class TokenBook:
         if noted is not None and now < noted + _USE_NOTED_EVERY_S:
             return
         self._noted[token.id] = now
-        with writing(self._engine) as connection:
+        with writing(self.engine) as connection:
             connection.execute(update(tokens).where(tokens.c.id == token.id).values(last_used_at=now))
 
     def any_ever(self) -> bool:
-        """Was there ever a token? From then on nobody is anonymous: an expiry must not open what was closed."""
-        with reading(self._engine) as connection:
-            return connection.execute(select(tokens.c.id).limit(1)).first() is not None
+        """Was there ever a token? From then on nobody is anonymous: an expiry must not open what was closed.
+
+        Tokens of paired pages do not count: who runs mills from the page has not meant to close the jobs.
+        """
+        with reading(self.engine) as connection:
+            return connection.execute(select(tokens.c.id).where(~tokens.c.paired).limit(1)).first() is not None
 
     def any_live(self) -> bool:
+        """A token that an administrator has made and that opens something."""
         now = self._clock()
-        return any(token.live(now) for token in self.listed())
+        return any(token.live(now) and not token.paired for token in self.listed())
 
 
 _ALL = select(tokens).order_by(tokens.c.created_at, tokens.c.id)
@@ -145,6 +159,22 @@ def checked_scopes(scopes: Iterable[str]) -> frozenset[str]:
     if not wanted:
         raise InputError(f"scope: at least one is needed; allowed: {allowed}")
     return frozenset(str(TokenScope(word)) for word in wanted)
+
+
+def _live_names(connection: Connection, now: float) -> frozenset[str]:
+    return frozenset(found.name for found in map(_token, connection.execute(_ALL).mappings()) if found.live(now))
+
+
+def _inserted(connection: Connection, token: Token) -> str:
+    """The new token's secret."""
+    secret = PREFIX + secrets.token_urlsafe(32)
+    given = {name: getattr(token, name) for name in ("id", "name", "created_at", "expires_at", "paired")}
+    connection.execute(insert(tokens).values(**given, sha256=_hash(secret), scopes=sorted(token.scopes)))
+    return secret
+
+
+def _new_id() -> str:
+    return uuid.uuid4().hex[:12]
 
 
 def _hash(secret: str) -> str:

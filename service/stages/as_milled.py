@@ -140,7 +140,7 @@ def _tell(
             "gain_db_without": gains,
         }
     )
-    if lost := detail_lost(shop.report["as_milled"]):
+    if lost := detail_lost(shop.report["as_milled"], planned=shop.spec.preset == "recommended"):
         shop.note("passes", lost)
 
 

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.errors import ProgramRefusedError
 from machines.gcode.limits import MillLimits, limits_of
 from service.contour_sample import ContourSample
+from service.drawing.path import PathDrawing
 from service.errors import FailedError
-from service.job_files import TOOLPATH, files_of_pass, names_of_pass, read_chunks
+from service.job_files import TOOLPATH, files_of_pass, names_of_pass, path_name, read_chunks
 from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.path_sample import PathSample
 from service.preflight_worker import examine
+from service.stages.programs import kinematics_of
 from service.stages.workshop import Workshop
 
 
@@ -41,14 +44,16 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
 
 
 def _draw(shop: Workshop, programs: list[list[Path]]) -> None:
-    """toolpath.png, drawn from the text of the programs."""
+    """toolpath.png and, for the operator page, pass-N.path: drawn from the text of the programs."""
     from service import figures_paths  # what it stands on is slow to import
 
     stock = cam_stock_of(shop.spec)
     with shop.watch.stage("toolpath picture") as reached:
         samples = []
         for number, (paths, spec) in enumerate(zip(programs, cam_passes_of(shop.spec), strict=True), 1):
-            samples.append(_sample(paths, number, spec, stock, machine_of(shop.spec).dialect))
+            sample = _sample(number, spec, stock)
+            _follow(shop, paths, number, sample)
+            samples.append(sample)
             reached(number / (len(programs) + 1))
         picture = figures_paths.toolpath_png(
             samples,
@@ -60,9 +65,9 @@ def _draw(shop: Workshop, programs: list[list[Path]]) -> None:
         shop.save(TOOLPATH, picture)
 
 
-def _sample(paths: list[Path], number: int, spec: PassSpec, stock: Stock, dialect: str) -> PathSample:
+def _sample(number: int, spec: PassSpec, stock: Stock) -> PathSample:
     of_strategy = ContourSample if spec.strategy == "contour" else PathSample
-    sample = of_strategy(
+    return of_strategy(
         label=f"pass {number} {spec.name}",
         pitch_mm=spec.pitch_mm,
         radius_mm=spec.radius_mm,
@@ -71,9 +76,27 @@ def _sample(paths: list[Path], number: int, spec: PassSpec, stock: Stock, dialec
         along=spec.direction,
         everywhere=spec.where == "everywhere",
     )
-    for batch in read_parts(map(read_chunks, paths), LANGUAGES[dialect]):
-        sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
-    return sample
+
+
+def _follow(shop: Workshop, paths: list[Path], number: int, sample: PathSample) -> None:
+    """Read the programs of a pass once, for both drawings."""
+    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    side_mm = max(stock.width_mm, stock.height_mm)
+    with PathDrawing(shop.folder, kinematics=kinematics_of(machine), side_mm=side_mm) as drawing:
+        for batch in read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect]):
+            sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
+            if shop.is_shown:
+                drawing.add(batch)
+        if shop.is_shown:
+            drawing.write(shop.folder / path_name(number), _facts(shop, number))
+
+
+def _facts(shop: Workshop, number: int) -> dict[str, Any]:
+    """What stands at the beginning of pass-N.path."""
+    settings, row = shop.spec.passes[number - 1], shop.so_far["passes"][number - 1]
+    keys = {"name", "strategy", "direction", "pitch_mm", "radius_mm", "feed_mm_per_min", "stock_to_leave_mm"}
+    programs = [{"file": part["file"], "lines": part["lines"]} for part in row.get("parts") or [row]]
+    return {"pass": number, **settings.model_dump(mode="json", include=keys), "programs": programs}
 
 
 def _part(reached: Callable[[float], None], number: int, count: int) -> Callable[[float], None]:

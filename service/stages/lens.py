@@ -16,7 +16,8 @@ from optics.foreseen import sharpened
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.settings import LensSettings
-from service.job_files import HEIGHTFIELD, MAP, SOLID
+from service.drawing.surface import surface_bytes
+from service.job_files import HEIGHTFIELD, MAP, SOLID, SURFACE
 from service.lens_facts import LensFacts, measure_lens
 from service.picture import read_picture
 from service.spec import MIN_FLOOR_MM, JobSpec
@@ -85,12 +86,23 @@ def aim_of(spec: JobSpec, target: Array) -> Array:
 
 
 def heightfield(shop: Workshop) -> None:
-    """Heights -> heightfield.npz, what can be measured on it (report `optics`), and the solid block it lies in."""
+    """Heights -> heightfield.npz, what can be measured on it (report `optics`), the solid block it lies in, and
+    surface.bin for the operator page.
+    """
     lens = shop.receive(HEIGHTS, arrays.load_heightfield)
     with shop.watch.stage("facts"):
         shop.report["optics"] = _facts(measure_lens(lens))
         shop.hand_over(HEIGHTFIELD, lens, arrays.heightfield_bytes)
+        if shop.is_shown:
+            shop.save(SURFACE, _surface(shop.spec, lens))
     solid_block(shop, lens)
+
+
+def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
+    stock = spec.stock
+    return surface_bytes(
+        lens, thickness_mm=stock.thickness_mm, margin_mm=stock.margin_mm, outline_mm=spec.optics.outline_mm
+    )
 
 
 def solid_block(shop: Workshop, lens: Heightfield) -> None:

@@ -13,7 +13,7 @@ from optics.irradiance import picture_from_irradiance
 from optics.light import SUN_DEG
 from optics.metrics import CausticScore, score_caustic
 from optics.tolerance import FOCUS_SHARES, SOURCES_DEG, TILTS_DEG, Tolerances, lens_tolerances
-from service.job_files import HEIGHTFIELD, MAP
+from service.job_files import FOCUS, HEIGHTFIELD, MAP
 from service.spec import JobSpec
 from service.stages import arrays
 from service.stages.optical_task import bench_of
@@ -25,7 +25,9 @@ THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 
 def caustic(shop: Workshop) -> None:
-    """Simulated light: scores and tolerances into report `optics`; caustic.png, comparison.png, through-focus.png."""
+    """Simulated light: scores and tolerances into report `optics`; caustic.png, comparison.png, through-focus.png, and
+    focus.bin for the operator page.
+    """
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = shop.receive(MAP, arrays.load_target)
     bench = bench_of(shop.spec)
@@ -33,13 +35,15 @@ def caustic(shop: Workshop) -> None:
         seen = []
         for number, factor in enumerate(THROUGH_FOCUS, 1):
             seen.append(_at(factor, heightfield, bench, target))
-            reached(number / (len(THROUGH_FOCUS) + 1))
+            reached(number / (len(THROUGH_FOCUS) + 2))
         in_focus = seen[THROUGH_FOCUS.index(1.0)]
         _tell(shop, in_focus, score_caustic(in_focus.irradiance, target))
         if bench.light.extended:
             sharp = simulate_caustic(heightfield, bench, pixels=_shape(target), beams=1)
             _tell_without_size(shop, score_caustic(sharp.irradiance, target))
         _draw(shop, target, seen)
+        if shop.is_shown:
+            _through_focus(shop, heightfield, target)
     with shop.watch.stage("tolerances") as reached:
         found = lens_tolerances(heightfield, bench, target, on_progress=reached)
         shop.report["optics"]["tolerances"] = _figures(found)
@@ -52,6 +56,19 @@ def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) ->
     if factor == 1.0:
         return simulate_caustic(heightfield, moved, pixels=_shape(target))
     return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=2, beams=_BEAMS_OUT_OF_FOCUS)
+
+
+def _through_focus(shop: Workshop, heightfield: Heightfield, target: Array) -> None:
+    from service.drawing.focus import focus_bytes  # what it stands on is slow to import
+
+    frames = focus_bytes(
+        heightfield,
+        bench_of(shop.spec),
+        shape=_shape(target),
+        white=float(target.max()),
+        viewed_from=shop.spec.optics.viewed_from,
+    )
+    shop.save(FOCUS, frames)
 
 
 def _shape(target: Array) -> tuple[int, int]:

@@ -131,14 +131,14 @@ _AFTER = (
     Stage(
         name="check",
         function="service.stages.final_check:final_check",
-        reads=("pass-*",),
+        reads=("pass-*-*",),
         spec=("passes", "machine", "optics.outline", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(
         name="as-milled",
         function="service.stages.as_milled:as_milled",
-        reads=("heightfield.npz", "map.npz", "pass-*"),
+        reads=("heightfield.npz", "map.npz", "pass-*-*"),
         spec=(
             *_BENCH,
             "optics.viewed_from",
@@ -218,7 +218,7 @@ def shares(spec: JobSpec) -> dict[str, float]:
         finishes = row.stock_to_leave_mm == 0
         layers_s = 5.0 if number == 1 else 1.5  # the first one takes off most
         seconds[f"pass-{number}"] = layers_s + (0.035 if finishes else 0.01) * path_m
-        seconds["check"] += 0.008 * path_m if finishes else 0.0
+        seconds["check"] += 0.012 * path_m if finishes else 0.0
         seconds["as-milled"] += MILLED_S_PER_M * beams * path_m if finishes else 0.0
         seconds["as-milled"] += AS_MILLED_S_PER_M * path_m if finishes else 0.0
     whole = sum(seconds[name] for name in plan(spec))

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from service.job_files import HEIGHTFIELD, MAP, PLAN
 from service.planning import Planned, plan_for_lens, plan_for_picture
-from service.spec import PassRow
 from service.stages import arrays
 from service.stages.lens import TARGET
 from service.stages.workshop import Workshop
@@ -34,8 +33,7 @@ def passes_for_lens(shop: Workshop) -> None:
 def _tell(shop: Workshop, planned: Planned) -> None:
     from service import figures_plan  # what it stands on is slow to import
 
-    rows = [PassRow.model_validate(row).model_dump(mode="json") for row in planned.rows()]
-    shop.report["plan"] = {**planned.figures(), "passes": rows, "why": planned.why()}
+    shop.report["plan"] = planned.figures()
     for sentence in planned.warnings(milled_next=True):
         shop.note("passes", sentence)
     shop.save(PLAN, figures_plan.plan_png(planned, viewed_from=shop.spec.optics.viewed_from))

@@ -27,6 +27,7 @@ LATER = (
     "service.figures_lens",
     "service.figures_tolerances",
     "service.figures_paths",
+    "service.drawing.focus",
 )
 
 __all__ = ["LATER", "lens", "run"]

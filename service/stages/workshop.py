@@ -58,6 +58,11 @@ class Workshop:
     def note(self, part: Part, sentence: str) -> None:
         self.notes.setdefault(part, []).append(sentence)
 
+    @property
+    def is_shown(self) -> bool:
+        """Whether what the operator page draws is wanted: the folders of the command line do without."""
+        return self.desk is None
+
     def save(self, name: str, data: bytes) -> None:
         job_files.write_bytes(self.folder / name, data)
 

@@ -16,11 +16,15 @@ from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
+from cam.contour.path import contour_path
 from cam.moves import cut, rapid
 from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
 from cam.passes import PassSpec
 from cam.posts.dialects import POSTS
+from cam.program import SLOPE_ERROR_RAD
 from cam.rounding import Rounding, on_raster
+from cam.tool_surface import ToolSurface
+from cam.vertices import finish_rule
 from machines.profiles import MachineProfile
 from optics.design import design_lens
 from optics.foreseen import sharpened
@@ -28,6 +32,7 @@ from optics.heightfield import Heightfield
 from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
 from service.passes import cam_passes_of, machine_of
+from service.plan_words import finish_words
 from service.planning import Planned, plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
@@ -54,8 +59,7 @@ def _against_the_paper(name: str, goal: np.ndarray) -> Iterator[Figure]:
     lens = _lens(goal, 0.5, None)
     theirs = as_milled(lens, goal, cam_passes_of(paper)[-1], machine_of(paper))
     hours = _paper_hours(paper, lens, planned)
-    finish = chosen.finish
-    words = f"ball {finish.radius_mm:g} mm, pitch {finish.pitch_mm:g} mm, rows along {finish.direction}"
+    words = finish_words(chosen.finish)
     yield Figure(f"{name}, recommended, as milled", ours.psnr_db, "dB", f"SSIM {ours.ssim:.3f}; {words}")
     yield Figure(
         f"{name}, recommended, foretold", chosen.psnr_db, "dB", f"best possible {planned.plan.best.psnr_db:.2f}"
@@ -77,7 +81,7 @@ def _lens(goal: np.ndarray, ball_mm: float, planned: Planned | None) -> Heightfi
 
 def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: MachineProfile) -> CausticScore:
     """Of the light by way of every groove that the rows of a finishing pass leave on that mill."""
-    tracks = row_tracks(lens, radius_mm=finish.radius_mm, pitch_mm=finish.pitch_mm, direction=finish.direction)
+    tracks = _tracks(lens, finish)
     if mill.whole_steps:
         tracks = _on_whole_steps(tracks, mill, finish)
     tracks = tracks.made_by(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
@@ -85,6 +89,15 @@ def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: Machi
     surface = MilledSurface.of_tracks([tracks], lens, pitch_mm=finish.pitch_mm, error_mm=error_mm)
     light = simulate_milled(surface.part, surface.parts, lens, PAPER_SETTING.bench, pixels=goal.shape)
     return score_caustic(light.irradiance, goal)
+
+
+def _tracks(lens: Heightfield, finish: PassSpec) -> Tracks:
+    if finish.strategy == "raster":
+        return row_tracks(lens, radius_mm=finish.radius_mm, pitch_mm=finish.pitch_mm, direction=finish.direction)
+    rule = finish_rule(SLOPE_ERROR_RAD, min(lens.dx_mm, finish.radius_mm / 2))
+    surface = ToolSurface.over(lens, radius_mm=finish.radius_mm)
+    tips = np.concatenate(list(contour_path(lens, surface, finish, rule, on_progress=lambda share: None)))
+    return Tracks(radius_mm=finish.radius_mm, tips_mm=tips, joined=np.arange(len(tips)) > 0)
 
 
 def _on_whole_steps(tracks: Tracks, mill: MachineProfile, finish: PassSpec) -> Tracks:

@@ -88,3 +88,13 @@ def test_whole_steps_never_leave_more_than_heights_between_them(radius: float, p
     between, on_steps = (row_slopes(**common, whole_steps=whole) for whole in (False, True))
     assert on_steps.along.rms < between.along.rms
     assert 0.0005 < on_steps.off_mm < between.off_mm
+
+
+@given(RADII, PITCHES, st.floats(0.5, 2.0))
+@settings(max_examples=10, deadline=None)
+def test_a_steeper_lens_steepens_what_lies_across_the_rows_alone(radius: float, pitch: float, steep: float) -> None:
+    common = {"radius_mm": radius, "pitch_mm": pitch, "step_mm": 0.002, "noise_mm": 0.0005, "vertex_mm": 0.1}
+    flat, found = row_slopes(**common), row_slopes(**common, steepness=steep)
+    assert found.across.rms == pytest.approx(steep * flat.across.rms)
+    assert found.along.rms == flat.along.rms
+    assert found.off_mm == flat.off_mm

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from PIL import Image
 
 from optics.irradiance import target_irradiance
 from service.cli import run
-from service.passes import with_plan
+from service.passes import cam_passes_of, with_plan
 from service.planning import Planned, mill_of, plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
@@ -48,7 +49,7 @@ def planned(spec: JobSpec) -> Planned:
 
 
 def report(planned: Planned) -> dict[str, Any]:
-    return {"plan": {**planned.figures(), "passes": planned.rows()}}
+    return {"plan": planned.figures()}
 
 
 def test_blur_goes_where_the_picture_has_no_detail(planned: Planned) -> None:
@@ -68,6 +69,33 @@ def test_a_plan_makes_the_spec_whole_and_only_once(spec: JobSpec, planned: Plann
     assert with_plan(spec, {}) is spec
     again = resolve_spec(base=whole.plain())
     assert again == whole
+
+
+def test_any_row_of_the_trade_submitted_as_a_spec_is_that_plan(spec: JobSpec, planned: Planned) -> None:
+    """What the operator page does: the row's spec over the job's own; the chosen row is the job itself."""
+    told = json.loads(json.dumps(planned.figures()))
+    for row, one in zip(told["candidates"], planned.plan.front, strict=True):
+        laid = row["spec"]
+        posted = {
+            **spec.plain(),
+            "passes": laid["passes"],
+            **{name: {**spec.plain()[name], **laid[name]} for name in ("optics", "machine")},
+        }
+        whole = resolve_spec(base=posted)
+        assert cam_passes_of(whole) == one.passes
+        assert whole.optics.foreseen_blur_mm == planned.foreseen_blur_mm(one)
+        assert whole.lens_radius_mm == one.finish.radius_mm
+        assert row["hours"] == pytest.approx(sum(row["hours_by_pass"]))
+        assert (row["warning"] is None) == (row["blur_px"] <= 1.0)
+        if row is told["candidates"][told["chosen"]]:
+            assert whole == with_plan(spec, {"plan": told})
+
+
+def test_the_trade_is_a_curve(planned: Planned) -> None:
+    rows = planned.figures()["candidates"]
+    for before, after in pairwise(rows):
+        assert before["hours"] < after["hours"]
+        assert before["psnr_db"] < after["psnr_db"]
 
 
 def test_what_the_person_decided_stays(planned: Planned) -> None:

@@ -17,12 +17,21 @@ import pytest
 
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
+from service.fleet.orders import URGENT
 from service.jobs.database import writing
 from service.jobs.tables import tokens
 from tests.service.api.server import png
 from tests.service.fleet.shop import CHECKS, MACHINE, Shop, kill_agents, own_folders, shop, write_profile
 from tests.service.mills import AT_ZERO, Bench, ends
 
+ORDERS: dict[str, dict[str, Any]] = {
+    "jog": {"by_mm": [1.0, 0.0, 0.0]},
+    "probe": {"depth_mm": 5},
+    "zero": {},
+    "override": {"what": "feed", "percent": 90},
+    "check": {"on": True},
+    "block": {"text": "G0 X1"},
+} | {order: {} for order in ("home", "unlock", "reset", "resume", "trust-position", "settings", *URGENT)}
 OTHERS = ("jobs:read", "jobs:write", "admin")
 REFUSED = (400, 401, 403, 421)
 
@@ -54,9 +63,10 @@ class Guarded:
 
     def _address(self, path: str) -> str:
         whose = self.spare if "/tokens/" in path else self.run["id" if path.startswith("/v1/runs") else "job"]
-        for part, value in {"{id:uuid}": whose, "{id}": whose, "{machine}": MACHINE}.items():
+        parts = {"{id:uuid}": whose, "{id}": whose, "{machine}": MACHINE, "{path:path}": "index.html"}
+        parts |= {"{name}": "pass-1-rough.nc", "{n}": "1", "{n:int}": "1"}
+        for part, value in parts.items():
             path = path.replace(part, value)
-        path = path.replace("{name}", "pass-1-rough.nc").replace("{n}", "1").replace("{n:int}", "1")
         assert "{" not in path, f"{path}: say here what to put there"
         return path
 
@@ -71,7 +81,11 @@ class Guarded:
             return {"json": {"name": f"n{time.monotonic_ns()}", "scopes": ["machine:run"]}}
         if path.endswith((":start", ":recover")):
             return {"json": {"operator": "Mallory", "checks": [*CHECKS, "position", "order"]}}
-        return {}
+        if path == "/v1/pairings":
+            return {"json": {"code": "0000-0000", "name": "Mallory"}}
+        if path.endswith("/control"):
+            return {"json": {"operator": "Mallory", "take_over": True}}
+        return {"json": ORDERS.get(path.rpartition("/")[2], {})}
 
 
 def routes(floor: Shop) -> list[tuple[str, str]]:
@@ -141,7 +155,8 @@ def test_every_route_that_moves_a_mill_is_known_here(guarded: Guarded) -> None:
     found = {path for method, path in routes(guarded.floor) if moves_mills(method, path)}
     assert len(routes(guarded.floor)) > 30
     actions = {f"/v1/runs/{{id:uuid}}:{action}" for action in ("start", "hold", "resume", "abort", "recover")}
-    assert found == actions | {"/v1/machines/{machine}/runs"}
+    control = "/v1/machines/{machine}/control"
+    assert found == actions | {"/v1/machines/{machine}/runs", control} | {f"{control}/{order}" for order in ORDERS}
 
 
 def test_nobody(untouched: Guarded) -> None:

@@ -20,12 +20,6 @@ def test_the_root_tells_what_is_here_and_where_the_rest_is(server: ApiServer) ->
         assert server.client.get(path).status_code in (200, 401, 503), path
 
 
-def test_a_browser_gets_a_page_that_needs_nothing_from_elsewhere(server: ApiServer) -> None:
-    page = server.client.get("/", headers={"Accept": "text/html,application/xhtml+xml;q=0.9"})
-    assert page.headers["content-type"].startswith("text/html") and "/v1/jobs" in page.text
-    assert "//" not in page.text and "default-src 'none'" in page.headers["content-security-policy"]
-
-
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [("GET", "/livez", 200), ("GET", "/nowhere", 404), ("PUT", "/livez", 405), ("GET", "/v1/jobs?limit=x", 422)],

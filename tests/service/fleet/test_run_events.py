@@ -34,7 +34,7 @@ def test_a_run_is_followed_through_an_agents_restart_to_its_end(floor: Shop) -> 
 
 def test_more_followers_than_an_agent_has_room_for_miss_nothing(floor: Shop) -> None:
     """The agent takes 32 readers. One that leaves in the middle and comes back has every event once, to the end."""
-    run = floor.park(floor.job((120,)))
+    run = floor.park(floor.job((400,)))
     with concurrent.futures.ThreadPoolExecutor(42) as pool:
         followers = [pool.submit(_read_events, floor, run, leaves=number == 0) for number in range(42)]
         floor.start(run)

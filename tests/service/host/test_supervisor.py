@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import time
@@ -24,10 +25,13 @@ def children_of(serving: Serving) -> tuple[int, int]:
     return serving.child(API), serving.child(WORKER)
 
 
-def test_one_line_when_it_is_ready(tmp_path: Path) -> None:
+def test_two_lines_when_it_is_ready(tmp_path: Path) -> None:
+    """Where it is, and the code for running mills from the page."""
     with supervised(tmp_path) as serving:
         serving.until_ready()
-        assert len(serving.out) == 1 and str(tmp_path) in serving.out[0]
+        until(lambda: len(serving.out) == 2, what="the second line")
+        assert str(tmp_path) in serving.out[0]
+        assert serving.url in serving.out[1] and re.search(r"\d{4}-\d{4}$", serving.out[1])
         assert urllib.request.urlopen(serving.url).status == 200
 
 
@@ -112,7 +116,8 @@ def test_a_supervisor_that_was_frozen_itself_blames_nobody(tmp_path: Path) -> No
 def test_nothing_is_left_of_a_killed_supervisor_but_agents(tmp_path: Path) -> None:
     with supervised(tmp_path, CAUSTICMILL_START_AGENTS="true") as serving:
         serving.until_ready()
-        until(lambda: (tmp_path / "agent.pid").exists() and (tmp_path / "stage.pid").exists(), what="agent and stage")
+        pids = [tmp_path / "agent.pid", tmp_path / "stage.pid"]
+        until(lambda: all(pid.exists() and pid.read_text() for pid in pids), what="agent and stage")
         agent = int((tmp_path / "agent.pid").read_text())
         try:
             ours = [*children_of(serving), stage_of(tmp_path)]

@@ -241,3 +241,16 @@ def test_news_of_many_jobs_come_together(book: JobBook, work: WorkBook) -> None:
     assert {(event.job_id, event.seq) for event in news.events} == {(claim.job.id, 3), (other.id, 1)}
     assert (news.progress[claim.job.id].share, news.progress[claim.job.id].progress) == (0.5, 0.25)
     assert set(news.progress) == {claim.job.id}
+
+
+def test_the_report_grows_with_every_stage_of_this_attempt(book: JobBook, work: WorkBook) -> None:
+    """Long before a job has ended its figures are told; what was reused counts, what was interrupted does not."""
+    claim = claimed(book, work)
+    assert book.report_so_far(claim.job) is None
+    commit(work, claim, "image", "k1", replace(result(), report={"source": {"width": 8}}))
+    commit(work, claim, "pass-1", "k2", replace(result(), report={"passes": [{"lines": 3}]}))
+    work.begin_stage(claim, "pass-2", "k3")
+    assert book.report_so_far(claim.job) == {"source": {"width": 8}, "passes": [{"lines": 3}]}
+    other = claimed(book, work)
+    assert work.reuse_stage(other, "image", "k1", whole=0.1) is not None
+    assert book.report_so_far(other.job) == {"source": {"width": 8}}

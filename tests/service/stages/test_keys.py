@@ -74,7 +74,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("optics.vertices_per_pixel", {"map"}),
         ("optics.surface", {"map", "caustic", "as-milled"}),
         ("optics.screen_shift_x_mm", {"map", "caustic", "as-milled"}),
-        ("optics.outline", {"map", "heightfield", "caustic", "as-milled"}),
+        ("optics.outline", {"map", "heightfield", "caustic", "check", "as-milled"}),
         ("optics.light.profile", {"map", "caustic", "as-milled"}),
         ("optics.viewed_from", {"irradiance", "map", "caustic", "as-milled"}),
         ("image.tone", {"image"}),

@@ -1,0 +1,128 @@
+"""What a ball shows of itself between its rivals, the neighbouring chords: one interval of angles across its track.
+
+A point of the ball with centre c and radius R is c + R v, v a unit vector. It lies outside another ball of the path, d
+away, where 2 R v . d < |d|^2 (for equal radii): a half-space in v, so what a ball shows of itself is cut out by
+half-spaces, whatever the path is like: neighbours, crossings, deeper tracks that hide it altogether. While the tool
+moves along t only points with v . t = 0 stay: v = f b - n, one angle f across the track, with the frame t, b, n turned
+so that n is about the surface's normal. Each other chord bounds f from one side, or hides the place, in closed form:
+f < min X / D over its balls, X = d_n + |d|^2 / 2R and D = d_b (squares of f, some 1e-4, are left out).
+
+Balls of different radii are compared by their lowest points towards n: exact where they touch the same surface, off by
+d^2 / 2 (1/R1 - 1/R2) at a border between two programs.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+FACTS = 10  # of one rival, see `to_frame`
+WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
+_CROSSING = 0.3  # tangent of the angle at which tracks cross
+_TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
+
+
+@njit(cache=True, nogil=True)
+def set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
+    """frame (3, 3): t along chord k, b to its left, n as near to the given normal as may be; returns the length."""
+    tx, ty, tz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
+    length = math.sqrt(tx * tx + ty * ty + tz * tz)
+    tx, ty, tz = tx / length, ty / length, tz / length
+    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    size = math.sqrt(bx * bx + by * by + bz * bz)
+    bx, by, bz = bx / size, by / size, bz / size
+    frame[0, 0], frame[0, 1], frame[0, 2] = tx, ty, tz
+    frame[1, 0], frame[1, 1], frame[1, 2] = bx, by, bz
+    frame[2, 0], frame[2, 1], frame[2, 2] = ty * bz - tz * by, tz * bx - tx * bz, tx * by - ty * bx
+    return length
+
+
+@njit(cache=True, nogil=True)
+def are_crossed(count, rivals):  # type: ignore[no-untyped-def]
+    """Whether another track runs across this one: then what it shows changes from place to place."""
+    crossed = False
+    for m in range(count):
+        crossed = crossed or abs(rivals[m, 4]) > _CROSSING * abs(rivals[m, 3])
+    return crossed
+
+
+@njit(cache=True, nogil=True)
+def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyped-def]
+    """rivals (count, FACTS): the neighbours' beginnings (t, b, n) from that of chord k, ways, who wins a tie, names,
+    and the square term of X along them, as it is and as what leads to where X is least.
+    """
+    for m in range(count):
+        j = near[m]
+        more = c.radii[c.group[j]] - radius
+        for d in range(3):
+            ax, bx, cx = frame[d, 0], frame[d, 1], frame[d, 2]
+            px, py = c.tips[j - 1, 0] - c.tips[k - 1, 0], c.tips[j - 1, 1] - c.tips[k - 1, 1]
+            pz = c.tips[j - 1, 2] - c.tips[k - 1, 2] + more
+            rivals[m, d] = ax * px + bx * py + cx * pz
+            qx, qy = c.tips[j, 0] - c.tips[j - 1, 0], c.tips[j, 1] - c.tips[j - 1, 1]
+            qz = c.tips[j, 2] - c.tips[j - 1, 2]
+            rivals[m, 3 + d] = ax * qx + bx * qy + cx * qz
+        rivals[m, 2] -= more
+        rivals[m, 6] = _TIE_MM if j < k else -_TIE_MM
+        rivals[m, 7] = j
+        square = 0.5 / radius * (rivals[m, 3] * rivals[m, 3] + rivals[m, 4] * rivals[m, 4])
+        rivals[m, 8], rivals[m, 9] = square, -0.5 / square
+
+
+@njit(cache=True, nogil=True)
+def _first(rivals, m):  # type: ignore[no-untyped-def]
+    """Whoever hides one piece will hide the next: it is asked first from now on."""
+    for d in range(rivals.shape[1]):
+        rivals[0, d], rivals[m, d] = rivals[m, d], rivals[0, d]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def shown(count, rivals, skip, s, offset, radius, low, high):  # type: ignore[no-untyped-def]
+    """(low, high): the angles across that the ball at s shows within those; low >= high: none. `skip` does not count.
+
+    offset : of the ball's centre above the chord, towards n
+    """
+    for m in range(count):
+        t, b, dt, db, alpha = rivals[m, 0] - s, rivals[m, 1], rivals[m, 3], rivals[m, 4], rivals[m, 8]
+        beta = rivals[m, 5] + (t * dt + b * db) / radius
+        gamma = rivals[m, 2] + 0.5 * (t * t + b * b) / radius - offset - rivals[m, 6]
+        near = min(max(beta * rivals[m, 9], 0.0), 1.0)
+        least = gamma + near * (beta + alpha * near)
+        end = b + db
+        widest = max(high, 0.0) * max(b, end, 0.0) - min(low, 0.0) * max(-b, -end, 0.0)
+        if least > widest or rivals[m, 7] == skip:
+            continue
+        if b * end > 0.0 and abs(db) < 1e-3 * abs(b):  # as good as parallel
+            bound = least / (b + near * db)
+            if b > 0.0:
+                high = min(high, bound)
+            else:
+                low = max(low, bound)
+        elif abs(db) < 1e-12:  # straight ahead or behind
+            if least < 0.0:
+                _first(rivals, m)
+                return 0.0, -1.0
+        else:
+            curve = alpha / (db * db)
+            at = -b / db
+            level = gamma + at * (beta + alpha * at)  # X where D is 0; X / D is least at the root
+            first, last = min(b, end), max(b, end)
+            if first <= 0.0 <= last and level < 0.0:
+                _first(rivals, m)
+                return 0.0, -1.0
+            root = math.sqrt(max(level, 0.0) / curve)
+            if last > 0.0:
+                d = min(max(root, first), last)
+                if d > 0.0:
+                    way = (d - b) / db
+                    high = min(high, (gamma + way * (beta + alpha * way)) / d)
+            if first < 0.0:
+                d = max(min(-root, last), first)
+                if d < 0.0:
+                    way = (d - b) / db
+                    low = max(low, (gamma + way * (beta + alpha * way)) / d)
+        if low >= high:
+            _first(rivals, m)
+            break
+    return low, high

@@ -1,0 +1,150 @@
+"""Estimates are made in a process of their own, started when one is asked for and ended when none was for a minute.
+
+One after the other; of each caller only the newest: whoever turns a knob asks again before the last answer is there.
+One thread, the keeper, owns the process (`line_child`) and lives as long as this does.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import structlog
+
+from service.api.line_child import ChildDied, ChildLate, LineChild
+from service.errors import InputError, PictureError
+from service.web.problems import Problem
+
+_MODULE = "service.api.estimating_child"
+_MOST_WAITING = 8
+_START_S, _FIRST_S, _ANSWER_S = 60.0, 300.0, 30.0  # after an update the first one waits for kernels to be compiled
+_RETRY = {"Retry-After": "5"}
+_log = structlog.get_logger("api")
+
+Answer = dict[str, Any]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Ask:
+    caller: str
+    asked: dict[str, Any]
+    answer: Future[Answer] = field(default_factory=Future)
+
+    def end(self, problem: Exception) -> None:
+        with suppress(InvalidStateError):  # whoever waited for it has gone
+            self.answer.set_exception(problem)
+
+
+class Estimator:
+    """`ask` from any thread; `close` ends the process."""
+
+    def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE) -> None:
+        self._idle_s = idle_s
+        self._module = module
+        self._bell = threading.Condition()
+        self._waiting: list[_Ask] = []
+        self._running: _Ask | None = None
+        self._closed = False
+        self._keeper: threading.Thread | None = None
+        self._child: LineChild | None = None
+        self._warm = False
+
+    def ask(self, caller: str, asked: dict[str, Any]) -> Future[Answer]:
+        """What `estimating_child` answers. Ends the caller's earlier asks; Problem where too many others wait."""
+        ask = _Ask(caller=caller, asked=asked)
+        with self._bell:
+            if self._closed:
+                raise Problem(503, "the server is ending", headers=_RETRY)
+            for older in [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]:
+                older.end(Problem(409, "a newer estimate was asked for"))
+            self._waiting = [one for one in self._waiting if one.caller != caller]
+            if len(self._waiting) >= _MOST_WAITING:
+                raise Problem(503, "too many estimates are asked for; try again", headers=_RETRY)
+            self._waiting.append(ask)
+            if self._keeper is None:
+                self._keeper = threading.Thread(target=self._keep, name="estimates", daemon=True)
+                self._keeper.start()
+            self._bell.notify()
+        return ask.answer
+
+    @property
+    def child_pid(self) -> int | None:
+        """Of the process, while there is one."""
+        child = self._child
+        return None if child is None else child.pid
+
+    def close(self) -> None:
+        with self._bell:
+            self._closed = True
+            for ask in (*self._waiting, *([self._running] if self._running else [])):
+                ask.end(Problem(503, "the server is ending", headers=_RETRY))
+            self._waiting = []
+            self._bell.notify()
+            child = self._child
+        if child is not None:
+            child.kill()  # the keeper buries it
+        if self._keeper is not None:
+            self._keeper.join()
+
+    def _keep(self) -> None:
+        while (ask := self._next()) is not None:
+            self._finish(ask)
+        self._drop()
+
+    def _next(self) -> _Ask | None:
+        """The next one to be answered; meanwhile an idle process is ended. None: closed."""
+        with self._bell:
+            self._running = None
+            while not self._closed:
+                while self._waiting:
+                    self._running = self._waiting.pop(0)
+                    if not self._running.answer.done():
+                        return self._running
+                if not self._bell.wait(self._idle_s if self._child else None) and not self._waiting:
+                    self._drop()
+            return None
+
+    def _finish(self, ask: _Ask) -> None:
+        try:
+            found = self._answered(ask.asked)
+        except (ChildLate, ChildDied, OSError) as error:
+            self._drop()
+            late = isinstance(error, ChildLate)
+            _log.warning("no estimate", late=late, error=f"{type(error).__name__}: {error}"[:200])
+            words = "the estimate takes too long" if late else "the process that estimates has ended; try again"
+            ask.end(Problem(503, words, headers=_RETRY))
+            return
+        if (problem := _problem(found)) is not None:
+            ask.end(problem)
+            return
+        with suppress(InvalidStateError):
+            ask.answer.set_result(found["estimate"])
+
+    def _answered(self, asked: dict[str, Any]) -> dict[str, Any]:
+        if self._child is None:
+            self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
+        found = self._child.ask(asked, _ANSWER_S if self._warm else _FIRST_S)
+        self._warm = True
+        return found
+
+    def _is_closed(self) -> bool:
+        return self._closed
+
+    def _drop(self) -> None:
+        if self._child is not None:
+            self._child.end()
+            self._child = None
+
+
+def _problem(found: dict[str, Any]) -> Exception | None:
+    kinds: dict[str, Callable[..., Exception]] = {"picture": PictureError, "input": InputError}
+    if "refused" in found:
+        return kinds[found["kind"]](*found["refused"])
+    if "fault" in found:
+        _log.error("no estimate", error=found["fault"])
+        return Problem(500, "a fault inside the server; its log says which")
+    return None

@@ -1,0 +1,176 @@
+"""Control of a mill beside its runs: who has it, and what they order. What stops the mill is taken from everybody."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Header, Request
+from starlette.responses import JSONResponse, Response, StreamingResponse
+
+from service.api.answers import Responses, answers, example, refusals
+from service.api.auth import Operator, Reader
+from service.api.examples_runs import CONTROL_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
+from service.api.routes_machines import MachineName, Shown
+from service.api.schemas import SSE_EVENT, Body
+from service.api.schemas_control import (
+    BlockBody,
+    CheckBody,
+    ControlBody,
+    ControlView,
+    JogBody,
+    OrderView,
+    OverrideBody,
+    ProbeBody,
+    ZeroBody,
+)
+from service.api.services import services_of
+from service.fleet.orders import URGENT
+
+router = APIRouter(tags=["machines"])
+
+_GIVEN: Responses = {
+    201: example(CONTROL_EXAMPLE) | {"description": "control is yours"},
+    200: example(CONTROL_EXAMPLE) | {"description": "it was yours, and stays so", "model": ControlView},
+}
+_STREAM: Responses = {
+    200: {
+        "description": "the stream; it has no end",
+        "content": {"text/event-stream": {"schema": SSE_EVENT, "example": MACHINE_EVENTS_EXAMPLE}},
+    }
+}
+_ORDER: dict[str, Any] = {
+    "status_code": 202,
+    "response_model": OrderView,
+    "responses": {202: example(ORDER_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
+    | refusals(409, 502, 504, 507),
+}
+_PATH = "/v1/machines/{machine}/control"
+_PLAIN = {
+    "home": "THE MILL MOVES to its switches.",
+    "unlock": "Clear an alarm. The position may be wrong afterwards: look before you move.",
+    "reset": "Soft reset of a controller that stands.",
+    "resume": "THE MILL MOVES on from where it was held.",
+    "trust-position": "A person vouches for the position.",
+    "settings": "Read the controller's settings again.",
+}
+_STOPS = {
+    "hold": "Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine.",
+    "abort": "Hold, and clear what the controller has left.",
+    "jog-cancel": "End a jog; the place is kept.",
+}
+Endpoint = Callable[..., Awaitable[Response]]
+
+
+@router.post(
+    "/v1/machines/{machine}/control",
+    summary="Take or keep control of a mill",
+    status_code=201,
+    response_model=ControlView,
+    responses=_GIVEN | refusals(409),
+)
+async def take(
+    request: Request, principal: Operator, machine: MachineName, body: ControlBody, shown: Shown = ""
+) -> Response:
+    """One person at a time. It is kept by any order, or by asking again with the header, once a minute at least."""
+    orders = services_of(request).fleet.orders
+    told, new = await orders.take(machine, body.operator, principal.name, shown, take_over=body.take_over)
+    return JSONResponse(told, status_code=201 if new else 200, headers={"Cache-Control": "no-store"})
+
+
+@router.delete(
+    "/v1/machines/{machine}/control",
+    summary="Give control of a mill back",
+    status_code=204,
+    response_class=Response,
+    responses=refusals(409),
+)
+async def release(request: Request, _: Operator, machine: MachineName, shown: Shown = "") -> Response:
+    await services_of(request).fleet.orders.release(machine, shown)
+    return Response(status_code=204)
+
+
+@router.get(
+    "/v1/machines/{machine}/events",
+    summary="Follow a mill",
+    response_class=Response,
+    responses=answers(_STREAM),
+)
+async def events(
+    request: Request,
+    _: Reader,
+    machine: MachineName,
+    last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=100)] = None,
+) -> Response:
+    """`status` tells how the mill stands, as GET of the machine does, at once and at most five times a second; `log`
+    what happens at it. It goes on while the mill's agent is away. A reader who comes back with the id of the last event
+    misses nothing that the agent remembers; a new one is told the latest of it.
+    """
+    stream = await services_of(request).fleet.machine_events(machine, last_event_id or "")
+    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
+    return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
+
+
+async def _given(request: Request, machine: str, what: str, shown: str, body: Body | None = None) -> Response:
+    values = {} if body is None else body.model_dump()
+    told = await services_of(request).fleet.orders.give(machine, what, values, shown)
+    return JSONResponse(told, status_code=202)
+
+
+@router.post(f"{_PATH}/jog", summary="Jog a mill", **_ORDER)
+async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, shown: Shown = "") -> Response:
+    """THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events."""
+    return await _given(request, machine, "jog", shown, body)
+
+
+@router.post(f"{_PATH}/probe", summary="Probe Z", **_ORDER)
+async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, shown: Shown = "") -> Response:
+    """THE MILL MOVES down until it touches; work Z is set there, and it moves up again."""
+    return await _given(request, machine, "probe", shown, body)
+
+
+@router.post(f"{_PATH}/zero", summary="Set the work zero", **_ORDER)
+async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, shown: Shown = "") -> Response:
+    """From now on the tool stands at zero of these axes."""
+    return await _given(request, machine, "zero", shown, body)
+
+
+@router.post(f"{_PATH}/override", summary="Override feed, rapids or spindle", **_ORDER)
+async def override(
+    request: Request, _: Operator, machine: MachineName, body: OverrideBody, shown: Shown = ""
+) -> Response:
+    """At once, in the middle of a run too."""
+    return await _given(request, machine, "override", shown, body)
+
+
+@router.post(f"{_PATH}/check", summary="Switch check mode", **_ORDER)
+async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, shown: Shown = "") -> Response:
+    """In check mode ($C) the controller reads everything and moves nothing."""
+    return await _given(request, machine, "check", shown, body)
+
+
+@router.post(f"{_PATH}/block", summary="Send one line of G-code", **_ORDER)
+async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, shown: Shown = "") -> Response:
+    """THE MILL MAY MOVE."""
+    return await _given(request, machine, "block", shown, body)
+
+
+def _plain(what: str) -> Endpoint:
+    async def order(request: Request, _: Operator, machine: MachineName, shown: Shown = "") -> Response:
+        return await _given(request, machine, what, shown)
+
+    return order
+
+
+def _stop(what: str) -> Endpoint:
+    async def order(request: Request, _: Operator, machine: MachineName) -> Response:
+        told = await services_of(request).fleet.orders.stop(machine, what)
+        return JSONResponse(told, status_code=202)
+
+    return order
+
+
+for _what, _words in _PLAIN.items():
+    router.post(f"{_PATH}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_plain(_what))
+for _what in URGENT:
+    router.post(f"{_PATH}/{_what}", summary=f"Stop: {_what}", description=_STOPS[_what], **_ORDER)(_stop(_what))

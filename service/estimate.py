@@ -1,0 +1,257 @@
+"""What a job will come to, in a second: its lens from a coarse picture, hours and blur from that lens and its passes.
+
+Heights are set by the large forms of a picture, so relief and hours of a coarse lens are nearly those of the job;
+its slopes miss what only fine detail makes steeper.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import ceil, hypot, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
+from cam.passes import PassSpec
+from cam.posts.dialects import POSTS
+from cam.row_slopes import RowSlopes, row_slopes
+from optics.bench import Bench
+from optics.caustic import simulate_caustic
+from optics.closing import closed_to_radius
+from optics.design import LensDesign, design_lens
+from optics.heightfield import Array, Heightfield
+from optics.irradiance import target_irradiance
+from optics.tolerance import blur_mm, source_rad
+from service import fitting
+from service.errors import InputError
+from service.lens_facts import LensFacts, measure_lens
+from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
+from service.picture import read_picture
+from service.picture_limits import PictureLimits
+from service.planning import plan_for_picture
+from service.spec import MIN_FLOOR_MM, JobSpec
+from service.stages.light import blocked_by_the_screen
+from service.stages.optical_task import branch_of, lens_settings
+from service.stages.plan import REST_SHARE
+from service.stages.programs import kinematics_of
+from service.stages.words import in_the_services_words
+
+PIXELS = 96
+"""Along the longer side of the picture from which the lens is made."""
+
+_STEEP_DEG = 45.0
+_REFLECTED = 1e-6  # share of the light, from which on it is no rounding
+_WIDTH = 2.355  # of a blur at half its height, in standard deviations
+_TUBES, _BEAMS = 2, 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class QuickLens:
+    """A job's lens as a coarse picture gives it.
+
+    spec : with its passes, planned where they were not given
+    """
+
+    spec: JobSpec
+    planned: bool
+    bench: Bench
+    design: LensDesign
+    facts: LensFacts
+    form: LensForm
+    reflected_share: float
+
+    @property
+    def lens(self) -> Heightfield:
+        return self.design.heightfield
+
+
+def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> dict[str, Any]:
+    """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
+    width_mm, height_mm = spec.optics.screen_size_mm
+    coarse = coarse_spec(spec)
+    picture = read_picture(
+        path, coarse.image, rows=coarse.pixel_rows, aspect=width_mm / height_mm, limits=limits, name=name
+    )
+    with in_the_services_words():
+        quick = quick_lens(coarse, target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from))
+        passes = list(_hours(quick))
+        blur = _blur(quick)
+    own_px_mm = width_mm / spec.image.pixels
+    refusals = list(_refusals(quick))
+    warnings = [f"{name} {sentence}" for sentence in _of_picture(picture.width, picture.height, spec)]
+    return {
+        "relief_mm": quick.lens.relief_mm,
+        "max_slope_deg": quick.facts.max_slope_deg,
+        "thickness_ok": _floor_mm(quick) >= MIN_FLOOR_MM,
+        "throw_ok": quick.reflected_share <= _REFLECTED and quick.facts.max_slope_deg <= _STEEP_DEG,
+        "smallest_detail_mm": max(own_px_mm, blur.detail_mm),
+        "passes": passes,
+        "planned": quick.planned,
+        "hours": sum(row["hours"] for row in passes),
+        "blur_mm": blur.whole_mm,
+        "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
+        "refusals": refusals,
+        "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
+        "picture": {"width": picture.width, "height": picture.height},
+    }
+
+
+def coarse_spec(spec: JobSpec) -> JobSpec:
+    """The same job with a coarser picture."""
+    scale = min(1.0, PIXELS / max(spec.image.pixels, spec.pixel_rows))
+    pixels = max(16, round(scale * spec.image.pixels))
+    return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
+
+
+def quick_lens(spec: JobSpec, target: Array) -> QuickLens:
+    """The lens for a coarse target (ny, nx), work frame, mean 1; of the usual method, whatever the job says."""
+    planned = spec.to_be_planned
+    if planned:
+        spec = with_plan(spec, {"plan": _plan(spec, target)})
+    settings = lens_settings(spec, branch=branch_of(spec, target))
+    quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
+    design = design_lens(target, quick)
+    lens, shape = design.heightfield, (target.shape[0], target.shape[1])
+    seen = simulate_caustic(lens, quick.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
+    return QuickLens(
+        spec=spec,
+        planned=planned,
+        bench=quick.bench,
+        design=design,
+        facts=measure_lens(lens),
+        form=LensForm.of(lens),
+        reflected_share=seen.reflected_share,
+    )
+
+
+def _plan(spec: JobSpec, target: Array) -> dict[str, Any]:
+    """What `with_plan` takes of a plan, without its pictures and scores."""
+    planned = plan_for_picture(spec, target)
+    return {
+        "passes": planned.rows(),
+        "foreseen_blur_mm": planned.foreseen_blur_mm(),
+        "min_radius_mm": planned.chosen.finish.radius_mm,
+        "whole_steps": planned.machine.whole_steps,
+    }
+
+
+def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
+    """Of each pass, from the stock that the one before leaves."""
+    form, mill = quick.form, kinematics_of(machine_of(quick.spec))
+    stock_mm: Array | None = None
+    for spec in cam_passes_of(quick.spec):
+        made_mm = _left_by(quick.lens, spec)
+        if stock_mm is None:
+            seconds = layers_s(form, spec, mill)
+            if spec.finishes or spec.strategy == "contour" or form.deepest_mm <= spec.step_down_mm:
+                seconds += rows_s(form, spec, mill)
+        else:
+            share = REST_SHARE if spec.where == "rest" else 1.0
+            one_layer_s = finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)
+            seconds = share * rows_s(form, spec, mill) + one_layer_s * _layers(stock_mm - made_mm, spec)
+        stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
+        tool = f"ball {spec.radius_mm:g} mm"
+        yield {"name": spec.name, "tool": tool, "hours": seconds / 3600}
+
+
+def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
+    """Heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to leave."""
+    spline_z = lens.z_mm
+    filled = closed_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+    slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
+    normal_mm = spec.stock_to_leave_mm + spec.pitch_mm**2 / (8 * spec.radius_mm)
+    return np.asarray(filled + normal_mm * np.sqrt(1.0 + slope**2))
+
+
+def _layers(depth_mm: Array, spec: PassSpec) -> float:
+    """How many times the lens's area is gone over before the exact rows."""
+    deepest = ceil(float(depth_mm.max()) / spec.step_down_mm - 1e-9)
+    return sum(float((depth_mm > number * spec.step_down_mm).mean()) for number in range(1, deepest))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blur:
+    """Root mean squares on the screen, both directions together; detail_mm: how wide the worse one blurs a point."""
+
+    milling_mm: float
+    light_mm: float
+    detail_mm: float
+
+    @property
+    def whole_mm(self) -> float:
+        return hypot(self.milling_mm, self.light_mm)
+
+    def words(self, pixel_mm: float) -> Iterator[str]:
+        if self.detail_mm > pixel_mm:
+            cause = "the light's own size" if self.light_mm > self.milling_mm else "the tool's marks"
+            yield f"details under {self.detail_mm:.2g} mm will blur: {cause}"
+
+
+def _blur(quick: QuickLens) -> Blur:
+    disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
+    slopes = _slopes(quick)
+    drop_mm = quick.bench.throw_mm - float(quick.lens.z_mm.mean())
+    reach_mm = drop_mm * (2.0 if quick.bench.mirror else quick.bench.refractive_index - 1.0)
+    across_mm, along_mm = (reach_mm * spread.rms for spread in (slopes.across, slopes.along)) if slopes else (0.0, 0.0)
+    return Blur(
+        milling_mm=hypot(across_mm, along_mm),
+        light_mm=disc_mm / 4 * sqrt(2),
+        detail_mm=_WIDTH * hypot(max(across_mm, along_mm), disc_mm / 4),
+    )
+
+
+def _slopes(quick: QuickLens) -> RowSlopes | None:
+    """What the last finishing pass leaves; None where none finishes."""
+    machine = machine_of(quick.spec)
+    finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
+    if not finishes:
+        return None
+    digit_mm, finish = POSTS[machine.dialect].digits.z_mm, finishes[-1]
+    return row_slopes(
+        radius_mm=finish.radius_mm,
+        pitch_mm=finish.pitch_mm,
+        step_mm=max(machine.step_mm, digit_mm),
+        noise_mm=machine.z_noise_mm,
+        vertex_mm=quick.form.usual_chord_mm(finish),
+        whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
+    )
+
+
+def _floor_mm(quick: QuickLens) -> float:
+    return quick.spec.stock.thickness_mm - quick.form.deepest_mm
+
+
+def _refusals(quick: QuickLens) -> Iterator[str]:
+    """Why the job would fail before it has a program."""
+    spec, passes = quick.spec, cam_passes_of(quick.spec)
+    if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
+        need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
+        yield (
+            f"the lens is {quick.form.deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of "
+            f"{need_mm} mm, a longer throw or a smaller lens"
+        )
+    try:
+        fitting.require_travel(quick.lens, cam_stock_of(spec), passes, machine_of(spec))
+        fitting.require_flutes(quick.lens, passes)
+        fitting.unfit_ball(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
+    except InputError as error:
+        yield str(error)
+
+
+def _warnings(quick: QuickLens) -> Iterator[str]:
+    yield from quick.design.warnings
+    if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
+        share = 100 * quick.reflected_share
+        yield f"{share:.2g} % of the light is totally reflected inside the lens; a longer throw helps"
+    if quick.facts.max_slope_deg > _STEEP_DEG:
+        yield f"slopes of {quick.facts.max_slope_deg:.0f}° are hard to mill; a longer throw makes them gentler"
+    if blocked := blocked_by_the_screen(quick.spec):
+        yield blocked
+
+
+def _of_picture(width: int, height: int, spec: JobSpec) -> Iterator[str]:
+    if width < spec.image.pixels // 2 or height < spec.pixel_rows // 2:
+        yield f"has {width} x {height} pixels, enlarged to {spec.image.pixels} x {spec.pixel_rows}"

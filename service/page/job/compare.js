@@ -1,0 +1,138 @@
+/** Two jobs beside each other: their milled pictures under one wipe, and all in which they differ. */
+import { api } from "../lib/api.js";
+import { h, replace, sheet } from "../lib/dom.js";
+import { toast } from "../lib/dialog.js";
+import { shape } from "../lib/state.js";
+import { hours, mm } from "../lib/words.js";
+import { KINDS, pictureShelf } from "./pictures.js";
+import { millSeconds, passesOf, smallestDetail } from "./figures.js";
+import { wipe } from "./wipe.js";
+
+export default async function view(root, params, app) {
+  const ids = [params.id, params.id2];
+  const [sides] = await Promise.all([Promise.all(ids.map(load)), sheet("/page/job/job.css")]);
+  const shelf = pictureShelf(), names = tellApart(sides.map(({ job }) => job.name));
+  app.title(`${names[0]} and ${names[1]}`);
+  const links = ids.map((id, k) => h("a", { class: "button", href: `#/jobs/${id}` }, names[k]));
+  const turn = h("a", { class: "button quiet", href: `#/compare/${ids[1]}/${ids[0]}` }, "Change sides");
+  replace(
+    root,
+    h(
+      "div", { class: "job" },
+      h("header", { class: "job-head" }, h("h1", {}, "Compare"), h("p", { class: "row" }, links, turn)),
+      h("div", { class: "job-columns" }, pictures(sides, names, shelf), figures(sides, names)),
+      settings(sides, names),
+    ),
+  );
+  return { leave: shelf.free };
+}
+
+async function load(id) {
+  const address = `/v1/jobs/${encodeURIComponent(id)}`;
+  const [job, files] = await Promise.all([api.get(address), api.get(`${address}/artifacts`)]);
+  return { job, artifacts: new Map(files.artifacts.map((file) => [file.name, file])) };
+}
+
+/** Names without the kind of file, which is long and no help. */
+function tellApart(files) {
+  const [a, b] = files.map((name) => name.replace(/\.[a-z0-9]{2,4}$/i, ""));
+  return a === b ? [`${a} (first)`, `${b} (second)`] : [a, b];
+}
+
+function pictures(sides, names, shelf) {
+  const both = wipe();
+  const kinds = KINDS.filter(({ name }) => sides.every(({ artifacts }) => artifacts.has(name))).reverse();
+  const title = h("h2", { id: "compare-pictures" }, "Pictures");
+  const part = (...inner) => h("section", { class: "card stack", "aria-labelledby": "compare-pictures" }, title, inner);
+  if (!kinds.length) return part(h("p", {}, "One of these jobs has no pictures yet."));
+  const show = async (kind) => {
+    try {
+      const urls = await Promise.all(sides.map(({ artifacts }) => shelf.get(artifacts.get(kind.name))));
+      both.show(...urls.map((url, k) => ({ words: names[k], url, alt: `${names[k]}, ${kind.words}: ${kind.note}` })));
+    } catch (error) {
+      toast(`The pictures could not be loaded. ${error.detail ?? error.message}`, { kind: "bad" });
+    }
+  };
+  const choice = h(
+    "div", { class: "choice", role: "radiogroup", "aria-label": "Which picture" },
+    kinds.map((kind, k) => {
+      const input = h("input", { type: "radio", name: "kind", checked: k === 0, onchange: () => show(kind) });
+      return h("label", {}, input, h("span", {}, kind.words));
+    }),
+  );
+  show(kinds[0]);
+  return part(choice, both.node);
+}
+
+/** [what, how it is said, which is better: 1 more, -1 less, 0 neither, the value of a job] */
+const FIGURES = [
+  ["Time on the mill", hours, -1, ({ job }) => millSeconds(job.report)],
+  ["Smallest detail", mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
+  ["As milled", db, 1, ({ job }) => job.report?.as_milled?.psnr_db],
+  ["Likeness of structure (SSIM)", (value) => value.toFixed(3), 1, ({ job }) => job.report?.as_milled?.ssim],
+  ["The lens itself", db, 1, ({ job }) => job.report?.optics?.psnr_db],
+  ["Relief", mm, 0, ({ job }) => job.report?.optics?.relief_mm],
+  ["Steepest slope", (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
+  ["Lines of all programs", String, 0, ({ job }) => linesOf(job.report)],
+];
+
+function linesOf(report) {
+  return report?.passes?.reduce((sum, row) => sum + (row.lines ?? 0), 0);
+}
+
+function db(value) {
+  return `${value.toFixed(1)} dB`;
+}
+
+function figures(sides, names) {
+  const title = h("h2", { id: "compare-figures" }, "Figures"), rows = FIGURES.map((figure) => figureRow(figure, sides));
+  return h("section", { class: "card", "aria-labelledby": "compare-figures" }, title, table(names, rows, { numbers: true }));
+}
+
+function figureRow([what, say, better, value], sides) {
+  const found = sides.map((side) => value(side) ?? null);
+  if (found.every((each) => each === null)) return null;
+  const told = found.map((each) => (each === null ? "–" : say(each)));
+  const known = better !== 0 && told[0] !== told[1] && !found.includes(null);
+  const cells = told.map((text, k) => {
+    const wins = known && (found[k] - found[1 - k]) * better > 0;
+    return h("td", { class: wins ? "number wins" : "number" }, wins ? winner(text) : text);
+  });
+  return h("tr", {}, h("th", { scope: "row" }, what), cells);
+}
+
+function winner(text) {
+  return h("strong", {}, shape("good"), h("span", { class: "hidden-words" }, "better: "), text);
+}
+
+function settings(sides, names) {
+  const cell = (value) => h("td", {}, value === undefined ? "–" : said(value));
+  const rows = differences(...sides.map(({ job }) => specOf(job))).map(([key, ...values]) =>
+    h("tr", {}, h("th", { scope: "row" }, h("code", {}, key)), values.map(cell)),
+  );
+  const title = h("h2", { id: "compare-settings" }, "Settings that differ");
+  const told = rows.length ? table(names, rows) : h("p", {}, "None: both were made with the same settings.");
+  return h("section", { class: "card", "aria-labelledby": "compare-settings" }, title, told);
+}
+
+/** numbers: its columns are figures. */
+function table(names, rows, { numbers = false } = {}) {
+  const heads = names.map((name) => h("th", { scope: "col", class: numbers ? "number" : null }, name));
+  return h("table", { class: "compare-table" }, h("thead", {}, h("tr", {}, h("td"), heads)), h("tbody", {}, rows));
+}
+
+function specOf(job) {
+  return { picture: job.image.sha256.slice(0, 12), ...job.spec, passes: passesOf(job) };
+}
+
+/** [dotted key, value here, value there] of all that is not the same in two values of JSON. */
+export function differences(a, b, key = "") {
+  const nested = (value) => value !== null && typeof value === "object";
+  if (!nested(a) || !nested(b)) return JSON.stringify(a) === JSON.stringify(b) ? [] : [[key, a, b]];
+  const keys = [...new Set([...Object.keys(a), ...Object.keys(b)])];
+  return keys.flatMap((each) => differences(a[each], b[each], key ? `${key}.${each}` : each));
+}
+
+function said(value) {
+  return typeof value === "string" ? value : JSON.stringify(value);
+}

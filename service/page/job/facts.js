@@ -1,0 +1,55 @@
+/** The figures of a job in words, and what to look out for. */
+import { h, replace } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
+import { headlines, mainCause } from "./figures.js";
+
+/** {node, update(job)} */
+export function factsPart() {
+  const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
+  const wait = h("p", { class: "dim" }, "Figures come as the steps are done.");
+  const title = h("h2", { id: "facts-title" }, "What to expect");
+  const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, cause);
+  let shown = "";
+
+  function update(job) {
+    const rows = headlines(job.spec, job.report), key = JSON.stringify(rows);
+    if (key === shown) return;
+    shown = key;
+    wait.hidden = rows.length > 0;
+    replace(list, rows.map(row));
+    replace(cause, mainCause(job.report));
+  }
+  return { node, update };
+}
+
+function row([what, figure, words]) {
+  const told = h("dd", {}, h("strong", {}, figure), words && h("span", { class: "dim" }, words));
+  return h("div", {}, h("dt", {}, what), told);
+}
+
+/** {node, update(job)}: the report's warnings; nothing where there are none. */
+export function warningsPart() {
+  const list = h("div", { class: "stack" });
+  const title = h("h2", { id: "warnings-title" }, "Look out for");
+  const node = h("section", { class: "card warnings", "aria-labelledby": "warnings-title", hidden: true }, title, list);
+  let shown = "";
+
+  function update(job) {
+    const told = job.report?.warnings ?? [], key = told.join("\n");
+    node.hidden = told.length === 0;
+    if (key === shown) return;
+    shown = key;
+    const words = (text) => h("span", {}, withCode(capital(text)));
+    replace(list, told.map((text) => h("p", { class: "notice warn" }, shape("warn"), words(text))));
+  }
+  return { node, update };
+}
+
+function capital(text) {
+  return text.charAt(0).toUpperCase() + text.slice(1);
+}
+
+/** What stands between backticks as code. */
+function withCode(text) {
+  return text.split("`").map((part, k) => (k % 2 ? h("code", {}, part) : part));
+}

@@ -1,0 +1,146 @@
+/** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
+import { count, hours, mm } from "../lib/words.js";
+
+const WORTH_DB = 0.3;
+const CAUSES = {
+  scallops: "the grooves between rows; a finer pitch or a bigger ball would leave less",
+  steps: "the machine's steps; a machine with finer ones would leave less",
+  noise: "height errors of the machine; a stiffer set-up would leave less",
+  rounding: "the decimals of the program",
+};
+const EYE = [
+  [60, "no eye can tell it from the target"],
+  [40, "very close to the target"],
+  [33, "small differences, seen only side by side"],
+  [27, "plainly the picture; fine detail or tones are off"],
+  [21, "recognisable, visibly soft or uneven"],
+  [-Infinity, "hard to recognise"],
+];
+
+/** Width and height of the picture on the wall in mm. */
+export function screenOf(spec) {
+  const { width_mm: wide, height_mm: high, screen_width_mm: sw, screen_height_mm: sh } = spec.optics;
+  const width = sw ?? (sh ? (sh * wide) / high : wide);
+  return { width, height: sh ?? (width * high) / wide };
+}
+
+/** Size of one pixel of the job's picture on the wall, in mm. */
+export function pixelMm(spec) {
+  return screenOf(spec).width / spec.image.pixels;
+}
+
+/** What PSNR means to an eye. */
+export function eyeWords(psnrDb) {
+  return EYE.find(([least]) => psnrDb >= least)[1];
+}
+
+/**
+ * Size of the smallest detail on the wall that still shows, in mm; null before it is known. Twice the rms blur that
+ * the tool's marks make, with the disc that the lamp makes of a point, and never less than a pixel.
+ */
+export function smallestDetail(spec, report) {
+  const milled = report?.as_milled, pixel = pixelMm(spec), known = milled?.blur_x_px !== undefined;
+  const marks = known ? Math.hypot(milled.blur_x_px, milled.blur_y_px) * pixel : report?.plan?.blur_mm;
+  if (marks === undefined) return null;
+  return Math.max(pixel, Math.hypot(2 * marks, report.optics?.tolerances?.blur_mm ?? 0));
+}
+
+/** The same for a plan of which only the rms blur is known. */
+export function detailOfPlan(spec, row) {
+  return Math.max(pixelMm(spec), 2 * row.blur_mm);
+}
+
+/** Seconds on the mill of all passes; null before they are known. */
+export function millSeconds(report) {
+  const passes = report?.passes ?? [];
+  return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
+}
+
+/** The first things to know of a job: [[what, figure, words]], as many as are known. */
+export function headlines(spec, report) {
+  const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
+  if (seconds !== null) found.push(["On the mill", hours(seconds), count(report.passes.length, "pass", "passes")]);
+  else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
+  if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
+  if (milled?.psnr_db !== undefined) {
+    found.push(["As milled", `${milled.psnr_db.toFixed(1)} dB`, eyeWords(milled.psnr_db)]);
+  }
+  if (report?.optics?.psnr_db !== undefined) {
+    found.push(["The lens itself", `${report.optics.psnr_db.toFixed(1)} dB`, eyeWords(report.optics.psnr_db)]);
+  }
+  if (report?.optics?.relief_mm !== undefined) {
+    found.push(["Relief", mm(report.optics.relief_mm), `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`]);
+  }
+  return found;
+}
+
+function sharpnessWords(spec, detail) {
+  const { width } = screenOf(spec);
+  return `of a picture ${mm(width)} wide: about ${Math.max(1, Math.round(width / detail))} details across`;
+}
+
+/** What costs the milled picture most, as a sentence; null where nothing stands out. */
+export function mainCause(report) {
+  const gains = Object.entries(report?.as_milled?.gain_db_without ?? {}).sort((a, b) => b[1] - a[1]);
+  const [cause, gain] = gains[0] ?? [];
+  if (!(gain >= WORTH_DB) || !(cause in CAUSES)) return null;
+  return `What costs most is ${CAUSES[cause]} (${gain.toFixed(1)} dB would be won without it).`;
+}
+
+/** How exactly the wall must stand, as a sentence; null where it was not simulated. */
+export function focusSentence(report) {
+  const range = report?.optics?.tolerances?.focus_range_mm;
+  if (!range) return null;
+  return `The picture stays sharp (3 dB) from ${mm(-range[0])} too near to ${mm(range[1])} too far.`;
+}
+
+/** The passes of a job; those that were planned are in its report. */
+export function passesOf(job) {
+  return job.spec.passes?.length ? job.spec.passes : (job.report?.plan?.passes ?? []);
+}
+
+/** One pass of a spec in words: "finish: ball of 3 mm, rows along X every 0.14 mm, at 1500 mm/min". */
+export function passWords(row) {
+  const tool = `ball of ${mm(row.radius_mm)} radius`;
+  const rows = `rows along ${String(row.direction ?? "x").toUpperCase()}`;
+  const ways = row.strategy === "contour" ? "one path along contour lines" : rows;
+  const only = row.where === "rest" ? ", only where stock is left" : "";
+  const leave = row.stock_to_leave_mm ? `, leaves ${mm(row.stock_to_leave_mm)}` : "";
+  return `${tool}, ${ways} every ${mm(row.pitch_mm)} at ${row.feed_mm_per_min} mm/min${only}${leave}`;
+}
+
+/** The lens and its set-up in one line. */
+export function setUpWords(spec) {
+  const { optics } = spec, screen = screenOf(spec);
+  const kind = optics.surface === "mirror" ? "mirror" : "lens";
+  const block = `${round(optics.width_mm)} × ${round(optics.height_mm)} mm ${kind}`;
+  const wall = `wall at ${mm(optics.throw_mm)}`;
+  const size = `, picture ${round(screen.width)} × ${round(screen.height)} mm`;
+  const enlarged = Math.abs(screen.width - optics.width_mm) > 0.5 ? size : "";
+  const lights = { collimated: "parallel light", point: `lamp at ${mm(optics.light.distance_mm)}`, sun: "sunlight" };
+  return `${block}, ${wall}${enlarged}, ${lights[optics.light.kind] ?? optics.light.kind}`;
+}
+
+function round(length) {
+  return +length.toFixed(1);
+}
+
+const STAGES = {
+  image: "Read the picture",
+  irradiance: "Set the light it needs",
+  passes: "Plan the passes",
+  map: "Shape the lens",
+  heightfield: "Check its surface",
+  caustic: "Simulate its light",
+  check: "Check the programs as the mill reads them",
+  "as-milled": "Simulate the milled lens",
+  report: "Write the setup sheet",
+};
+
+/** What a stage does, for people. */
+export function stageWords(name, spec) {
+  const pass = /^pass-(\d+)$/.exec(name);
+  if (!pass) return STAGES[name] ?? name;
+  const row = spec.passes?.[pass[1] - 1];
+  return `Make and check pass ${pass[1]}${row ? ` (${row.name})` : ""}`;
+}

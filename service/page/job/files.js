@@ -1,0 +1,111 @@
+/** Programs, with the way to the mill, and every other file of a job. */
+import { api } from "../lib/api.js";
+import { h, replace } from "../lib/dom.js";
+import { bytes, hours } from "../lib/words.js";
+import { passWords, passesOf } from "./figures.js";
+import { saveLink, sheetLink } from "./save.js";
+
+const SHEET = "report.html";
+const OFFERED = [
+  [SHEET, "Setup sheet", "to print and take to the mill"],
+  ["lens.stl", "Solid of the lens (STL)", "to look at in other programs"],
+  ["report.json", "All figures (JSON)", ""],
+  ["spec.json", "Settings (JSON)", "the job again from a terminal"],
+];
+
+/** {node, update(job)}: each program with what it does, and the mills it may go to. */
+export function programsPart() {
+  const list = h("ol", { class: "programs" });
+  const wait = h("p", { class: "dim" }, "The programs are offered here once all of them have been checked.");
+  const setUp = h("a", { href: "#/machines" }, "set one up");
+  const noMill = h("p", { hidden: true }, "No mill is known here yet: ", setUp, ", or save the programs.");
+  const title = h("h2", { id: "programs-title" }, "Programs");
+  const node = h("section", { class: "card", "aria-labelledby": "programs-title" }, title, wait, list, noMill);
+  let shown = "", mills = null;
+
+  async function update(job) {
+    wait.hidden = job.programs.length > 0;
+    const key = JSON.stringify([job.programs, job.report?.passes?.map((row) => row.time_s)]);
+    if (key === shown) return;
+    shown = key;
+    if (job.programs.length && !mills) mills = await machines();
+    noMill.hidden = !job.programs.length || mills.length > 0;
+    replace(list, job.programs.map((program) => row(job, program, mills ?? [])));
+  }
+  return { node, update };
+}
+
+async function machines() {
+  try {
+    return (await api.get("/v1/machines")).machines ?? [];
+  } catch {
+    return []; // the files are of use without a mill, too
+  }
+}
+
+function row(job, program, mills) {
+  const checked = job.report?.passes?.find(({ file }) => file === program.name);
+  const pass = checked?.settings ?? passOf(program.name, job);
+  const { time_s: seconds, lines } = checked ?? {};
+  const facts = [seconds && hours(seconds), lines && `${spaced(lines)} lines`, bytes(program.bytes)];
+  const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: "Save" });
+  return h(
+    "li", {},
+    h(
+      "div", { class: "program-what" }, h("strong", {}, program.name),
+      h("span", { class: "dim" }, facts.filter(Boolean).join(", ")), pass && h("span", {}, passWords(pass)),
+    ),
+    h("div", { class: "row" }, mills.map((mill) => sendLink(job, program, mill, mills.length)), save),
+  );
+}
+
+/** The pass that a program belongs to, by its name: "pass-2-finish.nc". */
+function passOf(name, job) {
+  const number = Number(/^pass-(\d+)/.exec(name)?.[1]);
+  return passesOf(job)[number - 1];
+}
+
+function spaced(whole) {
+  return String(whole).replace(/\B(?=(\d{3})+$)/g, "\u202f");
+}
+
+function sendLink(job, program, mill, count) {
+  const address = `#/machines/${encodeURIComponent(mill.name)}?job=${job.id}&program=${program.number}`;
+  const words = count === 1 ? "Send to mill" : `Send to ${mill.name}`;
+  return h("a", { class: "button primary", href: address, "aria-label": `${words}: ${program.name}` }, words);
+}
+
+/** {node, update(job, artifacts)}: what else there is to keep. */
+export function filesPart() {
+  const list = h("ul", { class: "files" });
+  const every = h("ul", { class: "files" });
+  const all = h("details", {}, h("summary", {}, "Every file"), every);
+  const archive = h("p", {});
+  const title = h("h2", { id: "files-title" }, "Files");
+  const node = h("section", { class: "card", "aria-labelledby": "files-title", hidden: true }, title, list, archive, all);
+  let shown = "";
+
+  function update(job, artifacts) {
+    const files = [...artifacts.values()], key = files.map(({ name, sha256 }) => name + sha256).join();
+    node.hidden = !files.length;
+    if (key === shown) return;
+    shown = key;
+    const offered = OFFERED.filter(([name]) => artifacts.has(name));
+    replace(list, offered.map(([name, words, why]) => fileRow(artifacts.get(name), words, why, name === SHEET)));
+    replace(every, files.map((file) => fileRow(file, file.name, "")));
+    const total = files.reduce((sum, file) => sum + file.bytes, 0);
+    const zip = { url: `/v1/jobs/${job.id}/archive.zip`, name: `${stem(job.name)}.zip`, size: total };
+    replace(archive, saveLink({ ...zip, words: `All files (zip, ${bytes(total)})` }));
+  }
+  return { node, update };
+}
+
+function fileRow(file, words, why, isSheet = false) {
+  const plain = { url: file.url, name: file.name, size: file.bytes, words, plain: true };
+  const link = isSheet ? sheetLink(file, words) : saveLink(plain);
+  return h("li", {}, link, h("span", { class: "dim" }, [why, bytes(file.bytes)].filter(Boolean).join(", ")));
+}
+
+function stem(name) {
+  return name.replace(/\.[^.]*$/, "") || "job";
+}

@@ -1,0 +1,108 @@
+/** The lens as a body of acrylic, drawn by WebGL2. No events, no clock: what it looks like from one direction. */
+import { programOf, release } from "./gl.js";
+import { extremes, triangles, vertices, walls } from "./surface.js";
+
+const VERTEX = `#version 300 es
+uniform mat4 u_view; uniform float u_stretch; uniform float u_middle;
+layout(location = 0) in vec3 a_point; layout(location = 1) in vec3 a_slope;
+out vec3 v_point; out vec2 v_slope; out float v_bulge;
+void main() {
+  v_point = vec3(a_point.xy, (a_point.z - u_middle) * u_stretch);
+  v_slope = a_slope.xy * u_stretch;
+  v_bulge = a_slope.z;
+  gl_Position = u_view * vec4(v_point, 1.0);
+}`;
+
+const FRAGMENT = `#version 300 es
+precision highp float;
+uniform vec3 u_eye; uniform bool u_wall;
+in vec3 v_point; in vec2 v_slope; in float v_bulge; out vec4 colour;
+void main() {
+  vec3 normal = u_wall ? normalize(cross(dFdx(v_point), dFdy(v_point))) : normalize(vec3(-v_slope, 1.0));
+  vec3 to_eye = normalize(u_eye - v_point);
+  vec3 lamp = normalize(vec3(-0.5, -0.35, 0.8)), fill = normalize(vec3(0.8, 0.5, 0.3));
+  vec3 base = u_wall ? vec3(0.30, 0.44, 0.55) : mix(vec3(0.25, 0.45, 0.62), vec3(0.78, 0.90, 0.96), v_bulge);
+  float lit = 0.30 + 0.62 * max(dot(normal, lamp), 0.0) + 0.16 * max(dot(normal, fill), 0.0);
+  float shine = u_wall ? 0.0 : pow(max(dot(reflect(-lamp, normal), to_eye), 0.0), 40.0);
+  float rim = pow(1.0 - abs(dot(normal, to_eye)), 3.0);
+  colour = vec4(base * lit + 0.45 * shine + 0.12 * rim, 1.0);
+}`;
+
+/** A picture of the lens on this canvas: {draw(eye), free()}; null where the browser has no WebGL2. */
+export function lensPicture(canvas, grid) {
+  const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, powerPreference: "low-power" });
+  if (!gl) return null;
+  const program = programOf(gl, VERTEX, FRAGMENT);
+  const { low, high } = extremes(grid);
+  const size = Math.hypot((grid.nx - 1) * grid.dx, (grid.ny - 1) * grid.dy);
+  const relief = Math.max(high - low, 1e-6);
+  const corners = triangles(grid.nx, grid.ny), block = walls(grid, low - Math.max(relief * 0.5, size * 0.04));
+  const surface = array(gl, vertices(grid), 6), sides = array(gl, block, 3);
+  gl.bindVertexArray(surface);
+  gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, corners, gl.STATIC_DRAW);
+  const at = (name) => gl.getUniformLocation(program, name);
+  const [view, eye, stretch, wall] = ["u_view", "u_eye", "u_stretch", "u_wall"].map(at);
+  gl.useProgram(program);
+  gl.uniform1f(at("u_middle"), (low + high) / 2);
+  gl.enable(gl.DEPTH_TEST);
+
+  function draw(look) {
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clearColor(0, 0, 0, 0);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    const from = eyeOf(look, size);
+    gl.uniformMatrix4fv(view, false, viewOf(from, canvas.width / canvas.height, size));
+    gl.uniform3fv(eye, from);
+    gl.uniform1f(stretch, look.stretch);
+    gl.bindVertexArray(surface);
+    gl.uniform1i(wall, 0);
+    gl.drawElements(gl.TRIANGLES, corners.length, gl.UNSIGNED_INT, 0);
+    gl.bindVertexArray(sides);
+    gl.uniform1i(wall, 1);
+    gl.drawArrays(gl.TRIANGLES, 0, block.length / 3);
+  }
+
+  return { draw, free: () => release(gl) };
+}
+
+/** Vertices of so many floats each: a point, and where there are 6 slope and bulge after it. */
+function array(gl, data, floats) {
+  const made = gl.createVertexArray();
+  gl.bindVertexArray(made);
+  gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+  gl.bufferData(gl.ARRAY_BUFFER, data, gl.STATIC_DRAW);
+  gl.enableVertexAttribArray(0);
+  gl.vertexAttribPointer(0, 3, gl.FLOAT, false, 4 * floats, 0);
+  if (floats === 6) {
+    gl.enableVertexAttribArray(1);
+    gl.vertexAttribPointer(1, 3, gl.FLOAT, false, 24, 12);
+  }
+  return made;
+}
+
+/** Where the eye is: turned about Z by `yaw`, lifted by `pitch`, at `distance` times the lens's diagonal. */
+function eyeOf({ yaw, pitch, distance }, size) {
+  const r = distance * size;
+  return [r * Math.cos(pitch) * Math.sin(yaw), -r * Math.cos(pitch) * Math.cos(yaw), r * Math.sin(pitch)];
+}
+
+/** Column-major matrix: from `eye` to the middle, Z up, 30 degrees of view at the narrower side. */
+function viewOf(eye, aspect, size) {
+  const length = Math.hypot(...eye), back = eye.map((each) => each / length);
+  const side = Math.hypot(back[0], back[1]) || 1, right = [-back[1] / side, back[0] / side, 0];
+  const up = [
+    back[1] * right[2] - back[2] * right[1], back[2] * right[0] - back[0] * right[2],
+    back[0] * right[1] - back[1] * right[0],
+  ];
+  const near = Math.max(length - size, 0.02 * size), far = length + size;
+  const f = 1 / Math.tan(Math.PI / 12) * Math.min(1, aspect), depth = near - far;
+  const rows = [
+    right.map((each) => (each * f) / aspect), up.map((each) => each * f),
+    back.map((each) => (each * (near + far)) / depth), back.map((each) => -each),
+  ];
+  const last = [0, 0, (2 * near * far - length * (near + far)) / depth, length];
+  const matrix = new Float32Array(16);
+  rows.forEach((row, k) => [...row, last[k]].forEach((value, column) => (matrix[column * 4 + k] = value)));
+  return matrix;
+}

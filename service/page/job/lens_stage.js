@@ -1,0 +1,94 @@
+/** The lens on a turntable: turns by itself until somebody takes hold of it, or wishes for no motion at all. */
+import { h } from "../lib/dom.js";
+import { gestures } from "./gestures.js";
+
+const START = { yaw: -0.6, pitch: 0.62, distance: 2.15, stretch: 1 };
+const TURN_PER_S = 0.25;
+const PER_PIXEL = 0.008;
+const STRETCHES = [1, 2, 4];
+const FRAME_MS = 33;
+const SLOW_MS = 120;
+const SLOW_FRAMES = 12; // in a row, after which a browser that has to draw by itself is spared
+
+/** {node, seen(on), free()}, drawn by `make(canvas, grid)`; null where that gives nothing. */
+export function lensStage(grid, make) {
+  const label = "The lens in three dimensions. Arrow keys turn it, plus and minus zoom.";
+  const canvas = h("canvas", { class: "lens-canvas", tabindex: 0, role: "img", "aria-label": label });
+  let picture = make(canvas, grid);
+  if (!picture) return null;
+  const still = matchMedia("(prefers-reduced-motion: reduce)");
+  const look = { ...START };
+  let turns = !still.matches, seen = false, frame = 0, last = 0, slow = 0, freed = false;
+
+  const spin = h("button", { type: "button", onclick: () => setTurning(!turns) });
+  const stretch = h(
+    "select", { "aria-label": "Height", onchange: () => ((look.stretch = Number(stretch.value)), ask()) },
+    STRETCHES.map((by) => h("option", { value: by }, by === 1 ? "true height" : `height × ${by}`)),
+  );
+  const front = () => (Object.assign(look, START, { stretch: look.stretch }), ask());
+  const reset = h("button", { type: "button", onclick: front }, "Front");
+  const node = h("div", { class: "lens-stage" }, canvas, h("div", { class: "row lens-tools" }, spin, reset, stretch));
+
+  function setTurning(on) {
+    turns = on;
+    spin.textContent = on ? "Stop turning" : "Turn";
+    ask();
+  }
+  function ask() {
+    if (!frame && seen && !freed) frame = requestAnimationFrame(draw);
+  }
+  function draw(time) {
+    frame = 0;
+    if (turns && time - last < FRAME_MS - 4) return ask();
+    if (turns) look.yaw += TURN_PER_S * (Math.min(100, time - last) / 1000);
+    slow = turns && time - last > SLOW_MS ? slow + 1 : 0;
+    last = time;
+    if (slow > SLOW_FRAMES) setTurning(false);
+    const ratio = Math.min(2, devicePixelRatio || 1);
+    const wide = Math.round(canvas.clientWidth * ratio), high = Math.round(canvas.clientHeight * ratio);
+    if (wide && high) {
+      if (canvas.width !== wide || canvas.height !== high) Object.assign(canvas, { width: wide, height: high });
+      picture.draw(look);
+    }
+    if (turns) ask();
+  }
+  gestures(canvas, {
+    start: () => setTurning(false),
+    drag(dx, dy) {
+      look.yaw -= dx * PER_PIXEL;
+      look.pitch = Math.min(1.55, Math.max(-0.2, look.pitch + dy * PER_PIXEL));
+      if (turns) setTurning(false);
+      ask();
+    },
+    zoom(factor) {
+      look.distance = Math.min(5, Math.max(0.7, look.distance / factor));
+      ask();
+    },
+    reset: front,
+  });
+  const onStill = () => still.matches && setTurning(false);
+  still.addEventListener("change", onStill);
+  const watch = new ResizeObserver(ask);
+  watch.observe(canvas);
+  canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
+  canvas.addEventListener("webglcontextrestored", () => {
+    picture = make(canvas, grid);
+    ask();
+  });
+  setTurning(turns);
+
+  return {
+    node,
+    seen(on) {
+      seen = on;
+      ask();
+    },
+    free() {
+      freed = true;
+      cancelAnimationFrame(frame);
+      still.removeEventListener("change", onStill);
+      watch.disconnect();
+      picture.free();
+    },
+  };
+}

@@ -1,0 +1,76 @@
+/** How far a job is, stage by stage. */
+import { h, replace, write } from "../lib/dom.js";
+import { mark } from "../lib/state.js";
+import { hours, percent } from "../lib/words.js";
+import { stageWords } from "./figures.js";
+
+const LOOKS = {
+  waiting: ["wait", "waiting"],
+  running: ["busy", "working"],
+  committed: ["good", "done"],
+  reused: ["good", "done before"],
+  interrupted: ["warn", "begins again"],
+  failed: ["bad", "failed"],
+  cancelled: ["off", "cancelled"],
+};
+
+/** {node, update(job, live)}; live: {stage, share, progress} of the last event, or null. */
+export function progressPart() {
+  const bar = h("progress", { max: 1, "aria-label": "Progress of the job" });
+  const words = h("span", { class: "progress-words" });
+  const list = h("ol", { class: "stages" });
+  const details = h("details", {}, h("summary", {}, words), list);
+  const node = h("section", { class: "card job-progress", "aria-label": "Progress" }, bar, details);
+  let shown = null, before = null;
+
+  function update(job, live, link) {
+    const busy = job.state === "running" || job.state === "queued";
+    const share = busy && live ? Math.max(job.progress, live.progress) : job.progress;
+    bar.hidden = job.state === "succeeded" || job.state === "queued";
+    bar.value = share;
+    write(words, sentence(job, share, live, link));
+    if (before !== job.state) details.open = busy || job.state === "failed";
+    before = job.state;
+    const key = JSON.stringify([job.stages, job.state]);
+    if (key !== shown) replace(list, job.stages.map((stage) => row(stage, job)));
+    shown = key;
+    const running = list.querySelector("[data-state=running] .stage-share");
+    if (running && live && live.stage === running.dataset.stage) write(running, percent(live.share));
+  }
+  return { node, update };
+}
+
+function row(stage, job) {
+  const [kind, word] = LOOKS[stage.state] ?? ["off", stage.state];
+  const time = stage.state === "reused" || stage.seconds === null ? "" : hours(stage.seconds);
+  return h(
+    "li",
+    { dataset: { state: stage.state } },
+    h("span", { class: "stage-name" }, stageWords(stage.name, job.spec)),
+    h("span", { class: "stage-share dim", dataset: { stage: stage.name } }, time),
+    mark(kind, word),
+  );
+}
+
+function sentence(job, share, live, link) {
+  if (job.state === "queued") {
+    const place = job.queue_position;
+    return place > 1 ? `Waits: ${place - 1} ${place === 2 ? "job" : "jobs"} before this one.` : "Waits: it is the next one.";
+  }
+  if (job.state === "running") {
+    const stage = live?.stage ?? job.stage, tail = link === "away" ? " Not live at the moment: trying again." : "";
+    const left = remaining(job, share);
+    const doing = job.cancel_requested ? "Being cancelled" : stage ? stageWords(stage, job.spec) : "Begins";
+    return `${percent(share)}: ${doing}.${left}${tail}`;
+  }
+  const took = job.started_at && job.ended_at ? hours((new Date(job.ended_at) - new Date(job.started_at)) / 1000) : "";
+  if (job.state === "succeeded") return took ? `Made in ${took}.` : "Made.";
+  return `Stopped at ${percent(share)}${took ? ` after ${took}` : ""}.`;
+}
+
+/** Time left by what the job has taken up to now; nothing while that says little. */
+function remaining(job, share) {
+  const spent = (Date.now() - new Date(job.started_at)) / 1000;
+  if (!(share > 0.05) || !(spent > 5) || job.cancel_requested) return "";
+  return ` About ${hours((spent * (1 - share)) / share)} left.`;
+}

@@ -1,0 +1,131 @@
+/**
+ * One job: how far it is, what its light will be, its lens, its paths, its programs.
+ *
+ * The events say that something changed; what it is now is asked for, and every part shows what it has been given. So a
+ * page that was away, a server that was restarted, and a job that was tried again are all the same case.
+ */
+import { api } from "../lib/api.js";
+import { h, replace, sheet } from "../lib/dom.js";
+import { follow } from "../lib/sse.js";
+import { factsPart, warningsPart } from "./facts.js";
+import { passesOf, screenOf } from "./figures.js";
+import { filesPart, programsPart } from "./files.js";
+import { focusPart } from "./focus.js";
+import { headPart } from "./head.js";
+import { lensPart } from "./lens.js";
+import { pathPart } from "./path.js";
+import { picturesPart } from "./pictures.js";
+import { planPart } from "./plan.js";
+import { progressPart } from "./progress.js";
+
+const GATHER_MS = 120;
+const POSITION_MS = 4000; // a queue moves on without events of this job
+
+export default async function view(root, params, app) {
+  const address = `/v1/jobs/${encodeURIComponent(params.id)}`;
+  const [first] = await Promise.all([api.get(address), sheet("/page/job/job.css")]);
+  const watched = { job: first, artifacts: new Map(), live: null, link: "open", left: false };
+  const parts = made(app, (job) => {
+    watched.job = job;
+    show();
+    if (going(job)) listen();
+  });
+  let stream = null, timer = 0, asking = null;
+
+  function show() {
+    const { job, artifacts, live, link } = watched;
+    parts.head.update(job);
+    parts.progress.update(job, live, link);
+    parts.facts.update(job);
+    parts.warnings.update(job);
+    parts.pictures.update(artifacts);
+    parts.programs.update(job);
+    parts.focus.update(artifacts, job.report);
+    parts.lens.update(artifacts);
+    parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
+    parts.plan.update(job);
+    parts.files.update(job, artifacts);
+  }
+  /** Asks for the job as it is now; several wishes at once are one. */
+  function refresh() {
+    asking ??= new Promise((done) => setTimeout(done, GATHER_MS)).then(load).finally(() => (asking = null));
+    return asking;
+  }
+  async function load() {
+    if (watched.left) return;
+    try {
+      const [job, files] = await Promise.all([api.get(address), api.get(`${address}/artifacts`)]);
+      if (watched.left) return;
+      watched.job = job;
+      watched.artifacts = new Map(files.artifacts.map((file) => [file.name, file]));
+      show();
+      if (going(job)) listen();
+      clearTimeout(timer);
+      if (job.state === "queued") timer = setTimeout(refresh, POSITION_MS);
+    } catch (error) {
+      if (error.status === 404) gone(root, parts);
+    }
+  }
+  function listen() {
+    if (stream || watched.left) return;
+    stream = follow(`${address}/events`, {
+      onEvent(name, data) {
+        if (name === "progress") {
+          watched.live = data;
+          parts.progress.update(watched.job, watched.live, watched.link);
+        } else refresh();
+      },
+      onState(state) {
+        watched.link = state;
+        if (state === "ended") stream = null;
+        parts.progress.update(watched.job, watched.live, watched.link);
+        if (state !== "away") refresh();
+      },
+    });
+  }
+  const back = api.onAway((away) => !away && refresh());
+
+  replace(root, layout(parts, first.spec));
+  show();
+  if (going(first)) listen();
+  await load();
+  return {
+    leave() {
+      watched.left = true;
+      clearTimeout(timer);
+      back();
+      stream?.close();
+      for (const part of Object.values(parts)) part.free?.();
+    },
+  };
+}
+
+function made(app, changed) {
+  return {
+    head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
+    programs: programsPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), files: filesPart(),
+  };
+}
+
+/** The parts in their places; pictures that come later find theirs kept free, so that nothing jumps. */
+function layout(parts, spec) {
+  const screen = screenOf(spec), { width_mm: width, height_mm: height } = spec.optics;
+  const column = (...names) => h("div", { class: "stack" }, names.map((name) => parts[name].node));
+  return h(
+    "div", { class: "job", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
+    parts.head.node, parts.progress.node,
+    h("div", { class: "job-columns" }, column("pictures", "warnings"), column("facts", "programs")),
+    parts.plan.node,
+    h("div", { class: "job-columns lens-columns" }, parts.lens.node, parts.focus.node),
+    parts.path.node, parts.files.node,
+  );
+}
+
+function going(job) {
+  return job.state === "queued" || job.state === "running";
+}
+
+function gone(root, parts) {
+  for (const part of Object.values(parts)) part.free?.();
+  replace(root, h("h1", {}, "This job is gone"), h("p", {}, "Somebody has deleted it."), h("p", {}, h("a", { class: "button", href: "#/" }, "All jobs")));
+}

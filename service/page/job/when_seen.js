@@ -1,0 +1,13 @@
+/** Work that waits until somebody can see what it is for. */
+
+/** Calls `work` when the node comes into view, and by `again()` once more if it is; {again(), seen(), end()}. */
+export function whenSeen(node, work, onChange = () => {}) {
+  let seen = false;
+  const watch = new IntersectionObserver((entries) => {
+    seen = entries.at(-1).isIntersecting;
+    onChange(seen);
+    if (seen) work();
+  }, { rootMargin: "200px" });
+  watch.observe(node);
+  return { again: () => seen && work(), seen: () => seen, end: () => watch.disconnect() };
+}

@@ -1,0 +1,53 @@
+/** A job as one card of the list, kept up to date in place so that nothing flickers or loses the focus. */
+
+import { h, replace, write } from "../lib/dom.js";
+import { stateMark } from "../lib/state.js";
+import { ago, percent } from "../lib/words.js";
+
+/** {element, image, update(job)} */
+export function jobCard(first) {
+  const image = h("img", { class: "thumb", alt: "", width: 96, height: 96 });
+  const name = h("span", { class: "name" });
+  const state = h("span", { class: "state" });
+  const bar = h("progress", { max: 1, "aria-label": "Done" });
+  const note = h("span", { class: "note dim" });
+  const link = h(
+    "a",
+    { class: "card job" },
+    h("span", { class: "frame" }, image),
+    h("span", { class: "facts" }, name, state, bar, note),
+  );
+  const element = h("li", {}, link);
+  let said = "";
+
+  function update(job) {
+    link.href = `#/jobs/${job.id}`;
+    write(name, job.name);
+    name.title = job.name;
+    const words = stateWords(job);
+    if (words !== said) replace(state, stateMark(job.state, words));
+    said = words;
+    bar.hidden = job.state !== "running";
+    bar.value = job.progress;
+    write(note, noteOf(job));
+    element.dataset.state = job.state;
+  }
+
+  update(first);
+  return { element, image, update };
+}
+
+function stateWords(job) {
+  if (job.cancel_requested && job.state === "running") return "being cancelled";
+  if (job.state === "running") return `working, ${percent(job.progress)}`;
+  if (job.state === "queued")
+    return job.queue_position
+      ? `waiting, ${job.queue_position === 1 ? "next" : `place ${job.queue_position}`}`
+      : "waiting";
+  return undefined;
+}
+
+function noteOf(job) {
+  if (job.state === "failed" && job.error) return job.error.detail;
+  return ago(job.ended_at ?? job.started_at ?? job.created_at);
+}

@@ -1,0 +1,268 @@
+/**
+ * The server's HTTP interface: one place for the token, for refusals, and for whether the server is there at all.
+ *
+ * The token lives in this module's memory and nowhere else: a reload forgets it. What fails because nobody answers is
+ * a ProblemError of status 0; from then on the server is asked once in a while whether it is back, and who listens
+ * with `onAway` is told both.
+ */
+
+const PATIENCE_MS = 20_000;
+const DECLINED_MS = 60_000;
+const PROBE_MS = [500, 1000, 2000, 3000];
+const AWAY_STATUS = new Set([502, 504]);
+const NOBODY = { name: "", scopes: [], anonymous: true, paired: false };
+
+/** A refusal: `detail` in words, `field` and `problems` [{field, detail}] where it belongs. Status 0: no answer. */
+export class ProblemError extends Error {
+  constructor(status, detail, { field = "", problems = [] } = {}) {
+    super(detail);
+    this.name = "ProblemError";
+    this.status = status;
+    this.detail = detail;
+    this.field = field;
+    this.problems = problems.length ? problems : field ? [{ field, detail }] : [];
+  }
+}
+
+let token = "";
+let who = NOBODY;
+let away = false;
+let declined = -Infinity;
+let settled = Promise.resolve();
+let askForKey = async () => false;
+const awayListeners = new Set();
+const whoListeners = new Set();
+const pictures = new Map();
+
+export const api = {
+  get token() {
+    return token;
+  },
+  /** Takes a token as it is; `useToken` also says whether the server knows it. */
+  set token(secret) {
+    token = secret;
+    api.hello().catch(() => {});
+  },
+  get who() {
+    return who;
+  },
+  get away() {
+    return away;
+  },
+
+  /** Asks who we are to the server; before that nobody has any scope. */
+  hello() {
+    const asked = askWho();
+    settled = asked.catch(() => {});
+    return asked;
+  },
+
+  async get(path, options = {}) {
+    return readJson(await request("GET", path, options));
+  },
+  async post(path, body, options = {}) {
+    const json = body === undefined ? {} : { body: JSON.stringify(body), type: "application/json" };
+    return readJson(await request("POST", path, { ...options, ...json }));
+  },
+  async delete(path, options = {}) {
+    return readJson(await request("DELETE", path, options));
+  },
+  /** Sends a FormData; large pictures over a slow link may take their time. */
+  async upload(path, form, options = {}) {
+    return readJson(await request("POST", path, { patience_ms: 0, ...options, body: form }));
+  },
+
+  /** An object URL of a file, the same one as long as the file is the same. Give it back with `release(path)`. */
+  async blob(path, options = {}) {
+    const response = await request("GET", path, { patience_ms: 0, ...options, cache: "no-cache" });
+    const etag = response.headers.get("etag");
+    const known = pictures.get(path);
+    if (known && etag && known.etag === etag) {
+      known.users += 1;
+      response.body?.cancel();
+      return known.url;
+    }
+    const url = URL.createObjectURL(await response.blob());
+    if (known) URL.revokeObjectURL(known.url);
+    pictures.set(path, { etag, url, users: 1 + (known?.users ?? 0) });
+    return url;
+  },
+  /** A picture got by `blob(path)` is not shown there any more. */
+  release(path) {
+    const known = pictures.get(path);
+    if (!known) return;
+    known.users -= 1;
+    if (known.users > 0) return;
+    URL.revokeObjectURL(known.url);
+    pictures.delete(path);
+  },
+
+  /** Bytes `from` up to, without, `to` of a file; all of it without them. */
+  async bytes(path, { from = 0, to, signal } = {}) {
+    const part = from > 0 || to !== undefined;
+    const headers = part ? { Range: `bytes=${from}-${to === undefined ? "" : to - 1}` } : {};
+    const response = await request("GET", path, { headers, signal, patience_ms: 0 });
+    const found = await response.arrayBuffer();
+    return part && response.status === 200 ? found.slice(from, to) : found;
+  },
+
+  /** Whether the caller may do that; where not, a person is asked for the key first. */
+  async need(scope) {
+    await settled;
+    if (who.scopes.includes(scope)) return true;
+    return (await askForKey(scope)) && who.scopes.includes(scope);
+  },
+  /** How a person is asked for the key: async (scope) -> boolean. The shell sets it. */
+  setKeyDialog(ask) {
+    askForKey = once(ask);
+  },
+  /** Exchanges a code that the server printed for a token. */
+  async pair(code, name) {
+    const made = await readJson(
+      await request("POST", "/v1/pairings", {
+        body: JSON.stringify({ code, name }),
+        type: "application/json",
+        quiet: true,
+      }),
+    );
+    return api.useToken(made.token);
+  },
+  /** From now on every request carries this token; who that is. ProblemError where the server does not know it. */
+  async useToken(secret) {
+    const before = token;
+    token = secret;
+    const found = await api.hello();
+    if (!found.name) {
+      token = before;
+      await api.hello();
+      throw new ProblemError(401, "The server does not know this key: it is mistyped, ended or revoked.");
+    }
+    return found;
+  },
+  async forget() {
+    token = "";
+    return api.hello();
+  },
+
+  /** fn(true) when the server stops answering, fn(false) when it is back. Returns how to stop listening. */
+  onAway: (fn) => listen(awayListeners, fn),
+  /** fn(who) whenever that changes. */
+  onWho: (fn) => listen(whoListeners, fn),
+  /** A raw answer, refusals as ProblemError; for streams. */
+  request,
+};
+
+async function askWho() {
+  try {
+    const told = await readJson(await request("GET", "/v1/whoami", { quiet: true }));
+    setWho(told);
+  } catch (error) {
+    if (error.status !== 401) throw error;
+    setWho(NOBODY);
+  }
+  return who;
+}
+
+function listen(listeners, fn) {
+  listeners.add(fn);
+  return () => listeners.delete(fn);
+}
+
+/** options: headers, body, type, signal, cache, patience_ms (0: none), quiet (a 401 asks nobody for a key). */
+async function request(method, path, options = {}) {
+  const response = await answer(method, path, options);
+  if (response.ok) return response;
+  const problem = await problemOf(response);
+  if (response.status === 401 && !options.quiet && (await getsKey())) {
+    return request(method, path, { ...options, quiet: true });
+  }
+  throw problem;
+}
+
+/** Asks for the key; not again soon after a person has declined, however many views go on asking the server. */
+async function getsKey() {
+  if (Date.now() - declined < DECLINED_MS) return false;
+  const given = await askForKey("jobs:read");
+  if (!given) declined = Date.now();
+  return given;
+}
+
+async function answer(method, path, { headers = {}, body, type, signal, cache, patience_ms = PATIENCE_MS }) {
+  const own = { Accept: "application/json", ...headers };
+  if (type) own["Content-Type"] = type;
+  if (token) own.Authorization = `Bearer ${token}`;
+  const signals = [signal, patience_ms ? AbortSignal.timeout(patience_ms) : null].filter(Boolean);
+  try {
+    const response = await fetch(path, {
+      method,
+      headers: own,
+      body,
+      cache,
+      credentials: "omit",
+      signal: signals.length ? AbortSignal.any(signals) : undefined,
+    });
+    setAway(AWAY_STATUS.has(response.status));
+    return response;
+  } catch (error) {
+    if (signal?.aborted) throw error;
+    setAway(true);
+    throw new ProblemError(0, "The server does not answer. Is it running, and is the cable in?");
+  }
+}
+
+async function problemOf(response) {
+  let told = {};
+  try {
+    told = await response.json();
+  } catch {
+    // a proxy's page, or nothing: the status must do
+  }
+  const detail = told.detail ?? `The server answered ${response.status}; its log says why.`;
+  return new ProblemError(response.status, detail, { field: told.field, problems: told.problems });
+}
+
+async function readJson(response) {
+  if (response.status === 204) return null;
+  const text = await response.text();
+  return text ? JSON.parse(text) : null;
+}
+
+function setWho(found) {
+  who = found;
+  for (const tell of whoListeners) tell(found);
+}
+
+function setAway(now) {
+  if (now === away) return;
+  away = now;
+  for (const tell of awayListeners) tell(now);
+  if (now) probe(0);
+}
+
+/** Asks the server's root, which is open to everybody, until it answers. */
+async function probe(tries) {
+  await new Promise((done) => setTimeout(done, PROBE_MS[Math.min(tries, PROBE_MS.length - 1)]));
+  if (!away) return;
+  try {
+    const response = await fetch("/", {
+      headers: { Accept: "application/json" },
+      cache: "no-store",
+      signal: AbortSignal.timeout(4000),
+    });
+    if (!AWAY_STATUS.has(response.status)) return setAway(false);
+  } catch {
+    // still away
+  }
+  probe(tries + 1);
+}
+
+/** While one call is under way, others get its promise. */
+function once(ask) {
+  let running = null;
+  return (...given) => {
+    running ??= ask(...given).finally(() => {
+      running = null;
+    });
+    return running;
+  };
+}

@@ -1,0 +1,65 @@
+/** Questions that wait for an answer, and words that pass by. */
+
+import { freshId, h } from "./dom.js";
+
+const TOAST_MS = 6000;
+
+/**
+ * A modal dialog; resolves with what `close(value)` was given, null where it was dismissed (Escape).
+ * body: nodes, or (close) => nodes. actions: [{words, value, kind: "primary"|"danger"|""}], in the order shown.
+ */
+export function open({ title, body, actions = [], wide = false }) {
+  return new Promise((answered) => {
+    const id = freshId("dialog");
+    const close = (value) => {
+      answered(value);
+      dialog.close();
+    };
+    const dialog = h(
+      "dialog",
+      { class: wide ? "wide" : "", "aria-labelledby": id, onclose: () => (answered(null), dialog.remove()) },
+      h("h2", { id }, title),
+      typeof body === "function" ? body(close) : body,
+      actions.length > 0 &&
+        h(
+          "div",
+          { class: "actions" },
+          actions.map((action) => button(action, close)),
+        ),
+    );
+    document.body.append(dialog);
+    dialog.showModal();
+  });
+}
+
+function button({ words, value, kind = "" }, close) {
+  return h("button", { type: "button", class: kind, onclick: () => close(value) }, words);
+}
+
+/** Asks before something that cannot be undone, or that moves a mill; the harmless answer has the focus. */
+export async function confirm({ title, words, yes, no = "Cancel", danger = false }) {
+  const paragraphs = [words].flat().map((text) => (typeof text === "string" ? h("p", {}, text) : text));
+  const actions = [
+    { words: no, value: false },
+    { words: yes, value: true, kind: danger ? "danger" : "primary" },
+  ];
+  return (await open({ title, body: paragraphs, actions })) === true;
+}
+
+/** A sentence at the edge of the page, read out by screen readers. kind: "", "good", "bad". */
+export function toast(words, { kind = "", action } = {}) {
+  const shown = h(
+    "div",
+    { class: `toast ${kind}` },
+    h("span", {}, words),
+    action && h("button", { type: "button", onclick: () => (shown.remove(), action.run()) }, action.words),
+    h("button", { type: "button", class: "quiet", "aria-label": "Close", onclick: () => shown.remove() }, "×"),
+  );
+  shelf().append(shown);
+  const leave = () => setTimeout(() => (shown.matches(":hover, :focus-within") ? leave() : shown.remove()), TOAST_MS);
+  leave();
+}
+
+function shelf() {
+  return document.getElementById("toasts");
+}

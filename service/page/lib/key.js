@@ -1,0 +1,89 @@
+/** The key: a code that the server printed where it runs, exchanged for a token that this page's memory holds. */
+
+import { api } from "./api.js";
+import { open } from "./dialog.js";
+import { freshId, h, replace } from "./dom.js";
+
+const CODE = /^\s*(\d{4})[\s-]?(\d{4})\s*$/;
+const WHAT = {
+  "machine:run": "Running a mill needs the key.",
+  "jobs:write": "Making or changing jobs needs the key.",
+  "jobs:read": "This server asks for a key.",
+};
+
+/** Asks for the key; resolves whether one was given that the server knows. */
+export async function askForKey(scope) {
+  return (await open({ title: "Enter the key", body: (close) => form(scope, close) })) === true;
+}
+
+function form(scope, close) {
+  const [hint, fault] = [freshId("hint"), freshId("fault")];
+  const key = h("input", {
+    type: "text",
+    required: true,
+    autocomplete: "off",
+    spellcheck: false,
+    placeholder: "4831-2207",
+    "aria-describedby": `${hint} ${fault}`,
+  });
+  const name = h("input", {
+    type: "text",
+    required: true,
+    maxLength: 40,
+    autocomplete: "name",
+    value: api.who.anonymous ? "" : api.who.name,
+  });
+  const wrong = h("p", { class: "fault", id: fault, role: "alert" });
+  const submit = h("button", { type: "submit", class: "primary" }, "Use this key");
+  const send = async (event) => {
+    event.preventDefault();
+    submit.disabled = true;
+    try {
+      await exchange(key.value, name.value.trim());
+      close(true);
+    } catch (error) {
+      replace(wrong, error.detail ?? error.message);
+      key.focus();
+    } finally {
+      submit.disabled = false;
+    }
+  };
+  return h(
+    "form",
+    { class: "stack", onsubmit: send },
+    h("p", {}, WHAT[scope] ?? WHAT["jobs:read"]),
+    h(
+      "label",
+      { class: "field" },
+      h("span", {}, "Code or token"),
+      key,
+      h(
+        "small",
+        { id: hint },
+        "The code stands in the terminal where the server runs. A new one: causticmill token pair",
+      ),
+      wrong,
+    ),
+    h("label", { class: "field" }, h("span", {}, "Your name, as others see it"), name),
+    h("div", { class: "actions" }, h("button", { type: "button", onclick: () => close(false) }, "Cancel"), submit),
+  );
+}
+
+async function exchange(text, name) {
+  const code = CODE.exec(text);
+  if (code) return api.pair(`${code[1]}-${code[2]}`, name);
+  if (text.trim().startsWith("cm_")) return api.useToken(text.trim());
+  throw new Error("A code is eight digits like 4831-2207; a token begins with cm_.");
+}
+
+/** Keeps a button up to date that says who is here, and takes a key or gives it back. */
+export function showWho(button) {
+  const show = (who) => {
+    const known = api.token !== "" && who.name;
+    button.textContent = known ? who.name : "Enter key";
+    button.title = known ? "Give the key back" : "A key is needed to run a mill";
+  };
+  button.addEventListener("click", () => (api.token ? api.forget() : api.need("machine:run")));
+  api.onWho(show);
+  show(api.who);
+}

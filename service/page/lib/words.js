@@ -1,0 +1,75 @@
+/** Figures and times as a person says them. */
+
+/** Seconds as "1 h 45 min", "12 min", "40 s"; from a day on "2 d 3 h". */
+export function hours(seconds) {
+  if (!Number.isFinite(seconds)) return "unknown";
+  const whole = Math.max(0, Math.round(seconds));
+  if (whole < 60) return `${whole} s`;
+  const minutes = Math.round(whole / 60);
+  if (minutes < 60) return `${minutes} min`;
+  if (minutes < 24 * 60) return pair(Math.floor(minutes / 60), "h", minutes % 60, "min");
+  const inHours = Math.round(minutes / 60);
+  return pair(Math.floor(inHours / 24), "d", inHours % 24, "h");
+}
+
+function pair(big, bigUnit, small, smallUnit) {
+  return small ? `${big} ${bigUnit} ${small} ${smallUnit}` : `${big} ${bigUnit}`;
+}
+
+/** A length: "0.62 mm", "12.4 mm", "100 mm"; below 0.1 mm in µm. */
+export function mm(length) {
+  if (!Number.isFinite(length)) return "unknown";
+  const size = Math.abs(length);
+  if (size > 0 && size < 0.0995) return `${figures(length * 1000, 2)} µm`;
+  return `${figures(length, size < 10 ? 2 : 3)} mm`;
+}
+
+/** At least so many significant figures, without zeros at the end: figures(12.34, 2) = "12". */
+export function figures(value, count) {
+  if (!Number.isFinite(value)) return "unknown";
+  if (value === 0) return "0";
+  const places = Math.max(0, count - 1 - Math.floor(Math.log10(Math.abs(value))));
+  return String(Number(value.toFixed(Math.min(places, 12))));
+}
+
+/** "812 B", "13 kB", "2.4 MB". */
+export function bytes(count) {
+  if (!Number.isFinite(count)) return "unknown";
+  const units = ["B", "kB", "MB", "GB", "TB"];
+  let value = count;
+  let unit = 0;
+  while (value >= 999.5 && unit < units.length - 1) {
+    value /= 1000;
+    unit += 1;
+  }
+  return `${figures(value, 2)} ${units[unit]}`;
+}
+
+/** How long ago a moment (ISO text) was: "just now", "5 min ago", "yesterday 14:05", "3 Nov 14:05". */
+export function ago(iso, now = Date.now()) {
+  const then = new Date(iso);
+  const seconds = (now - then.getTime()) / 1000;
+  if (!Number.isFinite(seconds)) return "";
+  if (seconds < 45) return "just now";
+  if (seconds < 3600) return `${Math.max(1, Math.round(seconds / 60))} min ago`;
+  const clock = then.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  const days = Math.round((startOfDay(now) - startOfDay(then.getTime())) / 86_400_000);
+  if (days === 0) return `today ${clock}`;
+  if (days === 1) return `yesterday ${clock}`;
+  return `${then.toLocaleDateString([], { day: "numeric", month: "short" })} ${clock}`;
+}
+
+function startOfDay(time) {
+  return new Date(time).setHours(0, 0, 0, 0);
+}
+
+/** A share of 1 as "42 %"; less than all is never called 100 %. */
+export function percent(share) {
+  if (!Number.isFinite(share)) return "";
+  return `${share >= 1 ? 100 : Math.min(99, Math.max(0, Math.floor(share * 100 + 1e-9)))} %`;
+}
+
+/** count(1, "job") = "1 job", count(3, "job") = "3 jobs". */
+export function count(number, word, several = `${word}s`) {
+  return `${number} ${number === 1 ? word : several}`;
+}

@@ -1,0 +1,105 @@
+/**
+ * Jogging: one press is one step, never more. The keyboard steps only while it is armed, and it is armed only as long
+ * as the focus stays in the pad; a key that is held down does nothing further.
+ */
+
+import { h, write } from "../lib/dom.js";
+import { enable, said } from "./said.js";
+import { whyNot } from "./words.js";
+
+const STEPS_MM = [0.01, 0.1, 1, 10];
+const KEYS = {
+  ArrowRight: [1, 0, 0],
+  ArrowLeft: [-1, 0, 0],
+  ArrowUp: [0, 1, 0],
+  ArrowDown: [0, -1, 0],
+  PageUp: [0, 0, 1],
+  PageDown: [0, 0, -1],
+};
+/** [place in the grid, label, arrow, direction] */
+const PAD = [
+  ["y-plus", "Y plus", "↑ Y", [0, 1, 0]],
+  ["x-minus", "X minus", "← X", [-1, 0, 0]],
+  ["x-plus", "X plus", "X →", [1, 0, 0]],
+  ["y-minus", "Y minus", "↓ Y", [0, -1, 0]],
+  ["z-plus", "Z up", "↑ Z", [0, 0, 1]],
+  ["z-minus", "Z down", "↓ Z", [0, 0, -1]],
+];
+
+export function jog(link) {
+  const words = said();
+  const steps = stepChoice();
+  const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });
+  const step = (direction) => words.during(() => link.order("jog", { by_mm: direction.map((one) => one * steps.value()), feed_mm_per_min: feed.valueAsNumber }));
+  const buttons = PAD.map(([place, label, arrow, direction]) => h("button", { type: "button", class: `big ${place}`, "aria-label": label, onclick: () => step(direction) }, arrow));
+  const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.urgent("jog-cancel") }, "End jog");
+  const arm = armed(step);
+  const pad = h("div", { class: "pad", role: "group", "aria-label": "Jog" }, buttons, cancel);
+  const node = h(
+    "section",
+    { class: "card jog", "aria-labelledby": "jog-title" },
+    h("h2", { id: "jog-title" }, "Jog"),
+    h("div", { class: "jog-keys", onkeydown: arm.onKey, onfocusout: (event) => arm.left(event) }, pad, arm.node),
+    steps.node,
+    h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))),
+    words.node,
+  );
+  let fitted = false;
+  return {
+    node,
+    update() {
+      const why = whyNot(link);
+      const able = why === "" && !link.busy;
+      // A step takes a moment; buttons that flicker off and on lose the finger.
+      if (able || !isStep(link)) enable(buttons, able);
+      enable([arm.button], why === "" || isStep(link));
+      if (why && !isStep(link)) arm.off();
+      cancel.disabled = link.machine?.mill?.state !== "jog";
+      words.why(isStep(link) ? "" : why);
+      if (!fitted && link.machine?.profile) fitted = fit(feed, link.machine.profile);
+    },
+  };
+}
+
+/** Whether all that is in the way is a step, or an order on its way. */
+function isStep(link) {
+  if (link.machine?.mill?.state !== "jog" && !link.busy) return false;
+  return whyNot(link, ["idle", "jog"]) === "";
+}
+
+function fit(feed, profile) {
+  const fastest = Math.min(...(profile.max_rate_mm_per_min ?? [500]));
+  feed.max = Math.round(Math.max(...(profile.max_rate_mm_per_min ?? [20000])));
+  feed.value = Math.round(Math.min(500, fastest));
+  return true;
+}
+
+function stepChoice() {
+  const inputs = STEPS_MM.map((mm) => h("input", { type: "radio", name: "jog-step", value: String(mm), checked: mm === 1 }));
+  const node = h("fieldset", { class: "steps" }, h("legend", {}, "Step, mm"), h("div", { class: "choice" }, inputs.map((input) => h("label", {}, input, input.value))));
+  return { node, value: () => Number(inputs.find((input) => input.checked).value) };
+}
+
+/** Arrow keys, once a person has armed them. */
+function armed(step) {
+  const words = h("span", {});
+  const button = h("button", { type: "button", class: "arm", "aria-pressed": "false", onclick: () => set(!isOn()) }, words);
+  const isOn = () => button.getAttribute("aria-pressed") === "true";
+  const set = (on) => {
+    button.setAttribute("aria-pressed", String(on));
+    write(words, on ? "Keys move the mill: arrows, Page Up, Page Down" : "Use the keyboard");
+  };
+  set(false);
+  return {
+    node: button,
+    button,
+    off: () => isOn() && set(false),
+    left: (event) => event.currentTarget.contains(event.relatedTarget) || set(false),
+    onKey(event) {
+      const direction = KEYS[event.key];
+      if (!direction || !isOn()) return;
+      event.preventDefault();
+      if (!event.repeat) step(direction);
+    },
+  };
+}

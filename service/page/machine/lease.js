@@ -1,0 +1,86 @@
+/** Control of one mill: one person at a time. Kept by a sign of life, given back when the page is left. */
+
+import { api } from "../lib/api.js";
+import { toast } from "../lib/dialog.js";
+
+const RENEW_MS = 20_000;
+const STALE_MS = 3000;
+const HEADER = "Causticmill-Control";
+
+export class Lease {
+  constructor(link) {
+    this.link = link;
+    this.path = `${link.path}/control`;
+    this.secret = "";
+    this.operator = "";
+    this.since = "";
+    this.freshUntil = 0;
+    this.timer = setInterval(() => this.held && this.renew(), RENEW_MS);
+    this.onHide = () => this.held && this.release({ keepalive: true });
+    addEventListener("pagehide", this.onHide);
+  }
+
+  get held() {
+    return this.secret !== "";
+  }
+
+  headers() {
+    return this.held ? { [HEADER]: this.secret } : {};
+  }
+
+  /** ProblemError 409 where somebody else has it and it was not to be taken over. */
+  async take({ takeOver = false } = {}) {
+    if (!(await api.need("machine:run"))) return;
+    this.keep(await api.post(this.path, { operator: api.who.name, take_over: takeOver }));
+    this.link.changed();
+  }
+
+  async release(options = {}) {
+    const headers = this.headers();
+    this.forget();
+    this.link.changed();
+    await api.delete(this.path, { headers, ...options }).catch(() => {}); // it ends by itself
+  }
+
+  async renew() {
+    try {
+      this.keep(await api.post(this.path, { operator: this.operator }, { headers: this.headers() }));
+    } catch (error) {
+      if (error.status === 409) this.lost(error.detail);
+    }
+  }
+
+  /** What the server says of who has control. What it said before it knew of us may still be on its way. */
+  seen(control) {
+    if (!this.held || Date.now() < this.freshUntil || control?.since === this.since) return;
+    this.lost(control ? `${control.operator} has taken control.` : "Control has ended: this page was not heard of for a minute.");
+  }
+
+  lost(words) {
+    this.forget();
+    toast(words, { kind: "bad" });
+    this.link.changed();
+  }
+
+  close() {
+    clearInterval(this.timer);
+    removeEventListener("pagehide", this.onHide);
+    if (this.held) this.release();
+  }
+
+  keep({ control, operator, since }) {
+    this.secret = control;
+    this.operator = operator;
+    if (this.since !== since) {
+      this.freshUntil = Date.now() + STALE_MS;
+      setTimeout(() => this.seen(this.link.machine?.control ?? null), STALE_MS + 50); // what was passed over until then
+    }
+    this.since = since;
+  }
+
+  forget() {
+    this.secret = "";
+    this.operator = "";
+    this.since = "";
+  }
+}

@@ -1,0 +1,78 @@
+/** A program from a job onto the mill, where it waits for a person. Nothing moves by that. */
+
+import { api } from "../lib/api.js";
+import { h, replace, write } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
+import { ago, percent } from "../lib/words.js";
+import { enable, said } from "./said.js";
+import { whyNot } from "./words.js";
+
+const AGAIN_MS = 3000;
+const STANDS = ["idle", "alarm", "held", "check", "sleep", "door", "jog", "homing", "tool"];
+
+/** chosen: {job, program} from the address of the page; a program by its name or number. */
+export function loading(link, chosen) {
+  const words = said();
+  const jobs = h("select", { onchange: () => choose(jobs.value) });
+  const passes = h("select", {});
+  const load = h("button", { type: "button", class: "primary", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
+  const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load);
+  const none = h("p", { class: "dim" }, "No job is done yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
+  const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, "Load a program"), none, form, words.node);
+  const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
+  node.insertBefore(later, form);
+  none.hidden = form.hidden = true;
+  let timer = 0;
+
+  const again = () => words.during(list);
+
+  async function list() {
+    const found = (await api.get("/v1/jobs?state=succeeded&limit=50")).jobs;
+    replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${job.name}, ${ago(job.created_at)}`)));
+    const meant = chosen.job && !found.some((job) => job.id === chosen.job) ? await api.get(`/v1/jobs/${chosen.job}`) : null;
+    waitFor(meant);
+    none.hidden = found.length > 0 || !later.hidden;
+    form.hidden = found.length === 0;
+    if (found.length) await choose(jobs.value);
+  }
+
+  /** A job that is still being worked on is looked at again until it is done. */
+  function waitFor(job) {
+    clearTimeout(timer);
+    later.hidden = !job || !["queued", "running"].includes(job.state);
+    if (later.hidden) return;
+    write(later.lastChild, `${job.name} is still being worked on (${percent(job.progress)}). Its programs can be loaded when all of it is done.`);
+    timer = setTimeout(again, AGAIN_MS);
+  }
+
+  async function choose(id) {
+    const [job, done] = await Promise.all([api.get(`/v1/jobs/${id}`), finished(id)]);
+    if (jobs.value !== id) return;
+    const meant = id === chosen.job && job.programs.find((one) => [one.name, String(one.number)].includes(chosen.program));
+    const first = meant || (job.programs.find((one) => !done.has(one.sha256)) ?? job.programs[0]);
+    replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? `${one.name} (done on this mill)` : one.name)));
+    link.changed();
+  }
+
+  async function finished(id) {
+    const { runs } = await api.get(`/v1/runs?machine=${encodeURIComponent(link.name)}&job=${id}&limit=100`);
+    return new Set(runs.filter((run) => run.state === "finished").map((run) => run.program.sha256));
+  }
+
+  again();
+  return {
+    node,
+    /** The jobs are looked at anew when a program has left the mill. */
+    again,
+    close: () => clearTimeout(timer),
+    update() {
+      const why = whyNot(link, STANDS, { besideRun: true });
+      enable([load], why === "" && !link.busy && passes.value !== "");
+      words.why(form.hidden ? "" : why);
+    },
+  };
+}
+
+function field(label, control) {
+  return h("label", { class: "field" }, h("span", {}, label), control);
+}

@@ -1,0 +1,46 @@
+/** Faster or slower than the program says, while it runs. */
+
+import { h, write } from "../lib/dom.js";
+import { enable, said } from "./said.js";
+import { whyNot } from "./words.js";
+
+const STATES = ["idle", "run", "holding", "held", "jog", "door", "check", "alarm", "tool"];
+const ROWS = [
+  ["feed", "Feed", 0, { step: 10, low: 10, high: 200 }],
+  ["spindle", "Spindle", 2, { step: 10, low: 10, high: 200 }],
+  ["rapid", "Rapids", 1, { choices: [25, 50, 100] }],
+];
+
+export function overrides(link) {
+  const words = said();
+  const set = (what, percent) => words.during(() => link.order("override", { what, percent }));
+  const rows = ROWS.map(([what, label, place, range]) => row(what, label, range, set, () => link.machine?.mill?.overrides?.[place] ?? 100));
+  const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, "Overrides"), rows.map((one) => one.node), words.node);
+  return {
+    node,
+    update() {
+      const why = whyNot(link, STATES, { besideRun: true });
+      for (const one of rows) one.update(why === "" && !link.busy);
+      words.why(why);
+    },
+  };
+}
+
+function row(what, label, range, set, now) {
+  const value = h("output", {});
+  const buttons = range.choices
+    ? range.choices.map((percent) => h("button", { type: "button", "aria-label": `${label} ${percent} percent`, onclick: () => set(what, percent) }, `${percent}`))
+    : [-1, 0, 1].map((sign) => {
+        const to = () => (sign ? Math.min(range.high, Math.max(range.low, now() + sign * range.step)) : 100);
+        const name = sign ? `${label} ${sign < 0 ? "slower" : "faster"}` : `${label} 100 percent`;
+        return h("button", { type: "button", "aria-label": name, onclick: () => set(what, to()) }, sign ? `${sign < 0 ? "−" : "+"}${range.step}` : "100");
+      });
+  const node = h("div", { class: "override" }, h("span", {}, label), value, h("div", { class: "row" }, buttons));
+  return {
+    node,
+    update(able) {
+      write(value, `${now()} %`);
+      enable(buttons, able);
+    },
+  };
+}

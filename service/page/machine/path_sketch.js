@@ -1,0 +1,134 @@
+/**
+ * The coarse level of a pass's path, drawn once faintly and then, as lines are cut, over it; what was drawn is kept in
+ * a picture of its own, so that a new position costs no more than the lines since the last one.
+ */
+
+const POINT = 4; // numbers of a point in the file: shares of x, y, z and time with two bits
+const GAP = 2; // bit of the last one: no line leads here
+const RAPID = 1;
+
+export class PathSketch {
+  constructor() {
+    this.layer = document.createElement("canvas");
+    this.clear();
+  }
+
+  clear() {
+    this.points = null;
+    this.drawn = "";
+  }
+
+  /** path : a PathFile whose coarsest level is there; name: of the program of it that runs. */
+  take(path, name) {
+    this.points = pointsOf(path);
+    this.firstLine = linesBefore(path.head.programs, name);
+    this.drawn = "";
+  }
+
+  /** Everything under the tool. done: {line, whole}, the last line of this program that is cut, or all of it. */
+  draw(canvas, scale, scene, done) {
+    const colours = coloursOf(canvas);
+    const now = [canvas.width, canvas.height, scale.k, colours.cut, Boolean(this.points)].join();
+    if (now !== this.drawn) this.begin(canvas, scale, scene, colours);
+    this.drawn = now;
+    this.cutUpTo(done, scale, colours);
+    const ink = canvas.getContext("2d");
+    ink.clearRect(0, 0, canvas.width, canvas.height);
+    ink.drawImage(this.layer, 0, 0);
+    ink.strokeStyle = colours.ink;
+    ink.lineWidth = scale.dense;
+    outline(ink, scale, scene.lens);
+    ink.stroke();
+  }
+
+  begin(canvas, scale, { block, lens }, colours) {
+    Object.assign(this.layer, { width: canvas.width, height: canvas.height });
+    this.cut = 0;
+    const ink = this.layer.getContext("2d");
+    ink.lineWidth = scale.dense;
+    ink.fillStyle = colours.block;
+    ink.strokeStyle = colours.edge;
+    box(ink, scale, block);
+    ink.fill();
+    ink.stroke();
+    outline(ink, scale, lens);
+    ink.fillStyle = colours.lens;
+    ink.fill();
+    if (this.points) stroke(ink, scale, this.points, 0, this.points.count, colours.edge);
+  }
+
+  cutUpTo({ line, whole }, scale, colours) {
+    if (!this.points) return;
+    const to = whole ? this.points.count : firstAfter(this.points.lines, line + this.firstLine);
+    if (to < this.cut) this.cut = 0; // taken back after a fault; a full redraw is not worth it
+    if (to > this.cut) stroke(this.layer.getContext("2d"), scale, this.points, Math.max(0, this.cut - 1), to, colours.cut, 1.5);
+    this.cut = to;
+  }
+}
+
+function linesBefore(programs, name) {
+  let lines = 0;
+  for (const program of programs) {
+    if (program.file === name) break;
+    lines += program.lines;
+  }
+  return lines;
+}
+
+/** All points of the coarsest level: {count, x, y, skip, lines}, mm; skip: no cut leads there. */
+function pointsOf(path) {
+  const { rows, data } = path.levels[0];
+  const count = rows.reduce((sum, row) => sum + row.count, 0);
+  const found = { count, x: new Float32Array(count), y: new Float32Array(count), skip: new Uint8Array(count), lines: new Float64Array(count) };
+  let at = 0;
+  rows.forEach((row, number) => {
+    const shares = data.get(number);
+    for (let k = 0; k < row.count; k += 1, at += 1) {
+      const along = (axis) => row.low[axis] + (shares[POINT * k + axis] / 65535) * (row.high[axis] - row.low[axis]);
+      found.x[at] = along(0);
+      found.y[at] = along(1);
+      found.skip[at] = shares[POINT * k + 3] & (GAP | RAPID);
+      found.lines[at] = row.line0 + (k / Math.max(1, row.count - 1)) * (row.line1 - row.line0);
+    }
+  });
+  return found;
+}
+
+function firstAfter(lines, line) {
+  let [low, high] = [0, lines.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (lines[middle] <= line) low = middle + 1;
+    else high = middle;
+  }
+  return low;
+}
+
+function stroke(ink, { x, y, dense }, points, from, to, style, width = 1) {
+  ink.strokeStyle = style;
+  ink.lineWidth = width * dense;
+  ink.beginPath();
+  for (let k = from; k < to; k += 1) {
+    if (k === from || points.skip[k]) ink.moveTo(x(points.x[k]), y(points.y[k]));
+    else ink.lineTo(x(points.x[k]), y(points.y[k]));
+  }
+  ink.stroke();
+}
+
+function outline(ink, scale, lens) {
+  if (!lens.round) return box(ink, scale, lens);
+  const [cx, cy] = [(lens.x0 + lens.x1) / 2, (lens.y0 + lens.y1) / 2];
+  ink.beginPath();
+  ink.ellipse(scale.x(cx), scale.y(cy), (scale.k * (lens.x1 - lens.x0)) / 2, (scale.k * (lens.y1 - lens.y0)) / 2, 0, 0, 2 * Math.PI);
+}
+
+function box(ink, { k, x, y }, { x0, y0, x1, y1 }) {
+  ink.beginPath();
+  ink.rect(x(x0), y(y1), k * (x1 - x0), k * (y1 - y0));
+}
+
+function coloursOf(element) {
+  const style = getComputedStyle(element);
+  const [block, lens, edge, ink, cut] = ["--sunken", "--raised", "--edge", "--ink", "--accent"].map((name) => style.getPropertyValue(name));
+  return { block, lens, edge, ink, cut };
+}

@@ -1,0 +1,114 @@
+/**
+ * Going on with an interrupted or stopped program: what happened, what must be done first, what would happen, and a
+ * person's word. The plan is asked for anew whenever the mill has changed; asking moves nothing.
+ */
+
+import { api } from "../lib/api.js";
+import { h, replace } from "../lib/dom.js";
+import { mark } from "../lib/state.js";
+import { count } from "../lib/words.js";
+import { guarded } from "./ask.js";
+import { checklist } from "./checklist.js";
+import { enable, said } from "./said.js";
+import { coordinate, sentence, whyNot } from "./words.js";
+
+const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
+
+export function recover(link) {
+  const words = said();
+  const steps = h("ol", { class: "wizard" });
+  const node = h("section", { class: "card recover", "aria-labelledby": "recover-title" }, h("h2", { id: "recover-title" }, "Go on with this program"), steps, words.node);
+  let seen = "";
+  let shown = "";
+  let list = null;
+
+  const ask = () =>
+    words.during(async () => {
+      const run = link.run;
+      const plan = await api.get(`/v1/runs/${run.id}/recovery`);
+      const now = JSON.stringify(plan);
+      if (link.run?.id === run.id && now !== shown) show(run, plan); // the same plan leaves the ticks as they are
+      shown = now;
+      link.changed();
+    });
+
+  function show(run, plan) {
+    list = plan.ready ? checklist(run, { label: `Go on from line ${plan.overlap_line.toLocaleString()}`, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
+    replace(
+      steps,
+      step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${plan.executed_line.toLocaleString()} are cut for certain.`)),
+      step("First", plan.ready, needs(link, plan, words), plan.ready ? null : h("button", { type: "button", onclick: ask }, "Look again")),
+      step("What will happen", plan.ready, whatHappens(plan)),
+      step("Your word", false, list?.node ?? h("p", { class: "dim" }, "When everything above is done.")),
+      h("li", { class: "give-up" }, giveUp(link, run, words)),
+    );
+    list?.update(whyNot(link));
+  }
+
+  function forget() {
+    if (shown) replace(steps);
+    list = null;
+    seen = shown = "";
+  }
+
+  return {
+    node,
+    update() {
+      const { run, machine } = link;
+      const due = Boolean(run?.required_checks?.includes("position") && machine?.agent.reachable);
+      node.hidden = !due;
+      if (!due) return void forget();
+      const { state, position_trusted: trusted, connected } = machine.mill;
+      const mayAsk = api.who.scopes.includes("machine:run");
+      const now = [run.id, run.state, state, trusted, connected, link.commands, mayAsk].join(" ");
+      if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
+      seen = now;
+      list?.update(whyNot(link));
+      const why = whyNot(link, STANDS, { besideRun: true });
+      enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
+      words.why(why);
+    },
+  };
+}
+
+function step(title, done, ...content) {
+  return h("li", { class: done ? "done" : "" }, h("h3", {}, title, " ", done && mark("good", "done")), content);
+}
+
+/** What must be done before it can go on, each with the button that does it, where there is one. */
+function needs(link, plan, words) {
+  const rows = [...plan.refusals.map((text) => [text, null]), ...plan.needs.map((need) => [need.words, remedy(link, need.code ?? need.kind, words)])];
+  if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is trusted, its work zero is the same.");
+  return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, sentence(text)), act)));
+}
+
+function remedy(link, code, words) {
+  const order = (what, body) => words.during(() => link.order(what, body));
+  const home = () => link.machine.profile?.homing !== false && h("button", { type: "button", onclick: () => order("home") }, "Home");
+  if (code === "unlock") return h("div", { class: "row" }, home(), guarded("Unlock", { words: "Is the tool free?", yes: "Unlock it", act: () => order("unlock") }).node);
+  if (code === "stand still") return h("div", { class: "row" }, guarded("Reset", { words: "The controller forgets what it still holds. From standstill it keeps its position.", yes: "Reset it", act: () => order("reset") }).node);
+  if (code !== "position") return null;
+  const trust = guarded("The position is right", {
+    words: () => `The readout says X ${coordinate(link.machine.mill?.work_mm?.[0])}, Y ${coordinate(link.machine.mill?.work_mm?.[1])}, Z ${coordinate(link.machine.mill?.work_mm?.[2])} in work coordinates. Have you measured that it is so?`,
+    yes: "Yes, I have measured it",
+    act: () => order("trust-position"),
+  });
+  return h("div", { class: "row" }, home(), trust.node);
+}
+
+function whatHappens(plan) {
+  const place = plan.position_mm && plan.position_mm.map((value, k) => `${"XYZ"[k]} ${coordinate(value)}`).join(", ");
+  const way = place ? `The tool rises, travels above the stock, the spindle starts, and the tool goes down slowly at ${place}.` : "The program starts from its top.";
+  const again = plan.recut_lines ? `${count(plan.recut_lines, "line")} before the break ${plan.recut_lines === 1 ? "is" : "are"} cut again, so that no mark is left.` : "";
+  return [
+    h("p", {}, `${way} ${again}`),
+    plan.differences.length > 0 && h("ul", {}, plan.differences.map((text) => h("li", {}, text))),
+    h("details", {}, h("summary", {}, "Everything the plan says"), h("ul", {}, plan.words.map((text) => h("li", {}, text))), h("pre", { tabIndex: 0 }, plan.blocks.join("\n"))),
+  ];
+}
+
+function giveUp(link, run, words) {
+  if (!run.open) return h("p", { class: "dim" }, "Or load another program: this one can still be gone on with later, as long as the block stays clamped.");
+  const act = () => words.during(() => link.toRun("abort"));
+  return guarded("Give it up", { words: "The mill is free for another program. What was cut stays known.", yes: "Give it up", act }).node;
+}

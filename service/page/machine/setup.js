@@ -1,0 +1,86 @@
+/** Before a program: home, the work zero by hand or by probe, unlock and reset. */
+
+import { h, write } from "../lib/dom.js";
+import { guarded } from "./ask.js";
+import { enable, said } from "./said.js";
+import { sentence, whyNot } from "./words.js";
+
+const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
+
+export function setup(link) {
+  const words = said();
+  const order = (what, body) => words.during(() => link.order(what, body));
+  const home = h("button", { type: "button", onclick: () => order("home") }, "Home");
+  const unlock = guarded("Unlock", {
+    words: "Unlocking does not tell the mill where it is. Is the tool free, and is the position shown right? If not, home the mill instead.",
+    yes: "Unlock it",
+    act: () => order("unlock"),
+  });
+  const reset = guarded("Reset", {
+    words: "A reset ends whatever the mill still holds. From standstill it keeps its position.",
+    yes: "Reset it",
+    act: () => order("reset"),
+  });
+  const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, `${[...axes].join(" and ")} = 0 here`));
+  const probe = probing(order);
+  const hint = h("p", { class: "dim" });
+  const needs = h("p", { class: "notice warn", role: "status", hidden: true });
+  const node = h(
+    "section",
+    { class: "card setup", "aria-labelledby": "setup-title" },
+    h("h2", { id: "setup-title" }, "Zero and home"),
+    needs,
+    h("div", { class: "row" }, home, unlock.node, reset.node),
+    hint,
+    h("h3", {}, "Work zero"),
+    h("div", { class: "row zeros" }, zeros),
+    probe.node,
+    words.node,
+  );
+  return {
+    node,
+    update() {
+      const idle = whyNot(link);
+      const locked = whyNot(link, ["idle", "alarm"]);
+      const homing = link.machine?.profile?.homing;
+      write(hint, homing === false ? "This mill has no homing switches: jog to the corner of the block and set the zero there." : "");
+      needs.hidden = !link.machine?.mill?.needs?.length;
+      write(needs, (link.machine?.mill?.needs ?? []).map(sentence).join(" "));
+      enable([home], locked === "" && homing !== false && !link.busy);
+      enable([unlock.button], locked === "" && !link.busy);
+      enable([reset.button], whyNot(link, STANDS) === "" && !link.busy);
+      enable([...zeros, probe.button], idle === "" && !link.busy);
+      if (idle) probe.close();
+      if (locked) unlock.close();
+      words.why(idle);
+    },
+  };
+}
+
+/** Touching off Z: down until the plate is felt, which is then as high as it is thick. */
+function probing(order) {
+  const plate = number(0, { min: -100, max: 100, step: "any" });
+  const depth = number(10, { min: 0.1, max: 200, step: "any" });
+  const feed = number(50, { min: 1, max: 1000, step: 1 });
+  const start = () => order("probe", { plate_mm: plate.valueAsNumber, depth_mm: depth.valueAsNumber, feed_mm_per_min: feed.valueAsNumber, retract_mm: 2 });
+  const ask = guarded("Probe Z", {
+    words: () => `The tool goes down by up to ${depth.value} mm until it touches. Is the plate under it, and the clip on the tool?`,
+    yes: "Probe",
+    act: start,
+  });
+  const node = h(
+    "details",
+    { class: "probe" },
+    h("summary", {}, "Probe Z with a plate"),
+    h("div", { class: "probe-form" }, field("Plate thickness", plate, "mm"), field("Down at most", depth, "mm"), field("Feed", feed, "mm/min"), ask.node),
+  );
+  return { node, button: ask.button, close: ask.close };
+}
+
+function number(value, { min, max, step }) {
+  return h("input", { type: "number", min, max, step, value, inputMode: "decimal" });
+}
+
+function field(label, input, unit) {
+  return h("label", { class: "field" }, h("span", {}, label), h("span", { class: "with-unit" }, input, h("span", {}, unit)));
+}

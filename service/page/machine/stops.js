@@ -1,0 +1,60 @@
+/**
+ * HOLD and STOP: always in sight, taken from everybody, without control and whatever else is on its way.
+ *
+ * Keys: while something moves Space holds wherever the focus is, but in a field one writes in; Escape stops. A mill that
+ * stands leaves both keys to the controls. A mill of which nothing is known may move.
+ */
+
+import { h, write } from "../lib/dom.js";
+import { said } from "./said.js";
+import { hasLiveRun, isConnected, mayMove, whyNot } from "./words.js";
+
+const HELD = ["held", "door", "tool"];
+const WRITING = "input:not([type=checkbox], [type=radio], [type=button]), textarea, select";
+
+export function stops(link) {
+  const words = said();
+  const hold = big("hold", "HOLD", "Space", () => link.urgent("hold"));
+  const stop = big("stop", "STOP", "Escape", () => link.urgent("abort"));
+  const resume = h("button", { type: "button", class: "big primary resume", onclick: () => words.during(() => resumed(link)) }, "Resume");
+  const alarm = h("p", { class: "arrived", role: "alert" });
+  const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, h("div", { class: "stop-row" }, hold, resume, stop), words.node);
+  const keys = (event) => onKey(event, link);
+  addEventListener("keydown", keys, { capture: true });
+  return {
+    node,
+    update() {
+      const state = link.machine?.mill?.state;
+      const why = whyNot(link, HELD, { besideRun: true });
+      resume.hidden = !HELD.includes(state);
+      resume.disabled = link.busy || why !== "";
+      words.why(resume.hidden || !why ? "" : `To resume: ${why}`);
+      write(alarm, link.urgentWords || unheard(link));
+    },
+    close: () => removeEventListener("keydown", keys, { capture: true }),
+  };
+}
+
+/** Why HOLD and STOP may not reach the mill; "" where they do. */
+function unheard({ away, machine }) {
+  if (away) return "The server does not answer. To stop, use the button on the mill itself.";
+  return machine && !isConnected(machine) ? "The mill does not hear this page. To stop, use the button on the mill itself." : "";
+}
+
+function big(kind, label, key, act) {
+  return h("button", { type: "button", class: `big ${kind}`, "aria-keyshortcuts": key, onclick: act }, h("span", {}, label), h("kbd", {}, key));
+}
+
+function resumed(link) {
+  return hasLiveRun(link.machine) ? link.toRun("resume") : link.order("resume");
+}
+
+function onKey(event, link) {
+  if (event.repeat || event.ctrlKey || event.altKey || event.metaKey || !mayMove(link.machine)) return;
+  if (event.key === "Escape") {
+    link.urgent("abort");
+  } else if (event.key === " " && !event.target.closest?.(WRITING)) {
+    link.urgent("hold");
+    event.preventDefault();
+  }
+}

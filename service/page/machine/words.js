@@ -1,0 +1,111 @@
+/** What a mill does, in words for the person beside it, and what that allows. */
+
+const STATES = {
+  disconnected: ["bad", "not connected"],
+  connecting: ["busy", "connecting"],
+  idle: ["good", "idle"],
+  run: ["busy", "running"],
+  holding: ["warn", "stopping"],
+  held: ["warn", "held"],
+  jog: ["busy", "jogging"],
+  homing: ["busy", "homing"],
+  door: ["warn", "door open"],
+  check: ["warn", "check mode, nothing moves"],
+  alarm: ["bad", "locked"],
+  sleep: ["off", "asleep"],
+  tool: ["warn", "waits for a tool change"],
+};
+
+const MOVING = new Set(["run", "holding", "jog", "homing"]);
+const LIVE = new Set(["running", "holding", "held", "stopping", "recovering"]);
+
+export const RUN_WORDS = {
+  preparing: ["busy", "being handed to the mill"],
+  refused: ["bad", "refused"],
+  lost: ["bad", "lost"],
+  parked: ["wait", "waits for your start"],
+  running: ["busy", "running"],
+  holding: ["warn", "stopping"],
+  held: ["warn", "held"],
+  stopping: ["warn", "being stopped"],
+  interrupted: ["bad", "interrupted"],
+  recovering: ["busy", "going back to its place"],
+  finished: ["good", "finished"],
+  aborted: ["off", "stopped"],
+};
+
+/** How a machine stands: {kind, word, words}; words say more where there is more to say. */
+export function standing(machine) {
+  if (machine.problem) return { kind: "bad", word: "cannot be used", words: machine.problem };
+  if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: machine.agent.words };
+  const { mill } = machine;
+  const [kind, word] = STATES[mill.state] ?? ["off", mill.state];
+  return { kind, word, words: mill.connected ? mill.detail : mill.problem };
+}
+
+/** Whether the mill is known to hear us. */
+export function isConnected(machine) {
+  return Boolean(machine?.mill?.connected);
+}
+
+/** Whether something moves, or may: what is not known may. */
+export function mayMove(machine) {
+  if (!machine?.mill) return true;
+  return MOVING.has(machine.mill.state) || hasLiveRun(machine);
+}
+
+export function hasLiveRun(machine) {
+  return LIVE.has(machine?.run?.state);
+}
+
+/**
+ * Why an order that moves the mill cannot be given now, in words; "" where it can.
+ * states: in which the mill takes it; besideRun: it takes it while a program is on it, too.
+ */
+export function whyNot({ machine, away, mine }, states = ["idle"], { besideRun = false } = {}) {
+  if (away) return "The server does not answer.";
+  if (!machine) return "Nothing is known of this mill yet.";
+  if (machine.problem || !machine.agent.reachable) return "The mill is out of reach.";
+  if (!machine.mill.connected) return "The mill is not connected.";
+  if (!mine) return machine.control ? `${machine.control.operator} has control.` : "Take control first.";
+  if (hasLiveRun(machine) && !besideRun) return "A program is on the mill.";
+  if (states.includes(machine.mill.state)) return "";
+  if (machine.mill.state === "alarm") return "The mill is locked: home it, or unlock it.";
+  return `The mill is ${STATES[machine.mill.state]?.[1] ?? machine.mill.state}.`;
+}
+
+/** A position as on the readout of a control: fixed places, a true minus sign. */
+export function coordinate(value, places = 3) {
+  if (!Number.isFinite(value)) return "–";
+  const text = Math.abs(value).toFixed(places);
+  return value < 0 && Number(text) !== 0 ? `−${text}` : text;
+}
+
+/** What a person looked at before the mill moves; `setup` of the run says what is right. */
+export function checkWords(check, run) {
+  const { tool, stock, zero } = run.setup ?? {};
+  switch (check) {
+    case "tool":
+      return ["The tool is in and tight", tool ? `${tool.shape}, radius ${tool.radius_mm} mm` : ""];
+    case "zero":
+      return ["The work zero is set for this tool", zero ?? ""];
+    case "stock":
+      return ["The block is clamped", stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material}` : ""];
+    case "clear":
+      return ["Nothing is in the way of the tool", "hands, clamps, wrenches, the probe's cable; goggles on"];
+    case "position":
+      return ["The position shown is where the tool really is", "compare the readout with the block"];
+    case "order":
+      return ["Passes may be left out", `not finished on this mill: ${run.left_out.map((one) => one.name).join(", ")}`];
+    default:
+      return [check, ""];
+  }
+}
+
+/** The server's or the agent's words as a sentence, without the codes of the controller in them. */
+export function sentence(words) {
+  if (!words) return "";
+  const plain = words.replaceAll(/ \(\$\w+\)/g, "");
+  const first = plain[0].toUpperCase() + plain.slice(1);
+  return /[.!?]$/.test(first) ? first : `${first}.`;
+}

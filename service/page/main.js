@@ -1,0 +1,133 @@
+/** The shell: which view an address means, who is here, and whether the server is. */
+
+import { api } from "./lib/api.js";
+import { h, replace } from "./lib/dom.js";
+import { askForKey, showWho } from "./lib/key.js";
+import { shape } from "./lib/state.js";
+
+/** [address, place in the navigation, how the view is loaded] */
+const ROUTES = [
+  [/^\/$/, "jobs", () => import("./jobs/list.js")],
+  [/^\/new$/, "new", () => import("./new/view.js")],
+  [/^\/jobs\/(?<id>[^/]+)$/, "jobs", () => import("./job/view.js")],
+  [/^\/compare\/(?<id>[^/]+)\/(?<id2>[^/]+)$/, "jobs", () => import("./job/compare.js")],
+  [/^\/machines$/, "machines", () => import("./machine/list.js")],
+  [/^\/machines\/(?<name>[^/]+)$/, "machines", () => import("./machine/view.js")],
+];
+
+const root = document.getElementById("view");
+let current = { leave() {} };
+let shows = 0;
+
+/** What a view is given of the shell; one that comes too late changes nothing any more. */
+function appFor(isCurrent) {
+  return {
+    /** Words before the name of the program in the title of the window. */
+    title(text) {
+      if (isCurrent()) document.title = text ? `${text} · causticmill` : "causticmill";
+    },
+    /** Goes to an address of this page, like "#/jobs/ID". `instead`: Back does not return here. */
+    go(hash, { instead = false } = {}) {
+      if (instead) location.replace(hash);
+      else location.hash = hash;
+    },
+  };
+}
+
+/** Each view gets a place of its own: one that is still loading when a person goes on writes where nobody looks. */
+async function show({ focus = true } = {}) {
+  shows += 1;
+  const mine = shows;
+  const isCurrent = () => mine === shows;
+  const app = appFor(isCurrent);
+  const { path, query } = address();
+  const route = ROUTES.map(([pattern, place, load]) => ({ found: pattern.exec(path), place, load })).find(
+    (one) => one.found,
+  );
+  const place = h("div");
+  leaveCurrent();
+  markPlace(route?.place);
+  replace(root, place);
+  scrollTo(0, 0);
+  app.title("");
+  try {
+    if (!route) throw new Error("There is no such page here.");
+    const { default: view } = await route.load();
+    if (!isCurrent()) return;
+    const made = await view(place, { ...decoded(route.found.groups), ...query }, app);
+    if (isCurrent()) current = made ?? current;
+    else made?.leave?.();
+  } catch (error) {
+    if (isCurrent()) showFault(error, place, app);
+  }
+  if (focus && isCurrent()) root.focus({ preventScroll: true });
+}
+
+function leaveCurrent() {
+  const leaving = current;
+  current = { leave() {} };
+  leaving.leave?.();
+}
+
+function address() {
+  const [path, query = ""] = (location.hash.slice(1) || "/").split("?");
+  return { path, query: Object.fromEntries(new URLSearchParams(query)) };
+}
+
+function decoded(groups = {}) {
+  return Object.fromEntries(Object.entries(groups).map(([key, text]) => [key, decodeURIComponent(text)]));
+}
+
+/** Only what the server said, or nobody, is known to be no fault of the page. */
+function showFault(error, place, app) {
+  const expected = error.name === "ProblemError";
+  if (!expected) console.error(error);
+  const words = expected ? error.detail : `This view cannot be shown (${error.message}). Load the page again.`;
+  app.title("Not shown");
+  replace(
+    place,
+    h("h1", {}, "Not shown"),
+    h("p", { class: "notice bad", role: "alert" }, shape("bad"), h("span", {}, words)),
+    h(
+      "p",
+      { class: "row" },
+      h("button", { type: "button", class: "primary", onclick: () => show() }, "Try again"),
+      h("a", { class: "button", href: "#/" }, "All jobs"),
+    ),
+  );
+  const mended = [api.onAway((away) => !away && show()), api.onWho(() => show())];
+  current = { leave: () => mended.forEach((stop) => stop()) };
+}
+
+function markPlace(place) {
+  for (const link of document.querySelectorAll(".bar nav a")) {
+    if (link.dataset.place === place) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+}
+
+function showAway(away) {
+  const words = "The server does not answer. This page goes on by itself when it is back.";
+  replace(
+    document.getElementById("away"),
+    away && h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words)),
+  );
+  document.body.classList.toggle("away", away);
+}
+
+/** A file dropped beside a drop place must not take the page away. */
+function keepDropsHere() {
+  for (const kind of ["dragover", "drop"]) addEventListener(kind, (event) => event.preventDefault());
+}
+
+api.onAway(showAway);
+api.setKeyDialog(askForKey);
+showWho(document.getElementById("who"));
+keepDropsHere();
+addEventListener("hashchange", () => show());
+document.querySelector(".skip").addEventListener("click", (event) => {
+  event.preventDefault();
+  root.focus();
+});
+api.hello().catch(() => {});
+show({ focus: false });

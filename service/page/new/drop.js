@@ -1,0 +1,73 @@
+/** The place where a picture is dropped, pasted, chosen or photographed. */
+
+import { h } from "../lib/dom.js";
+import { toast } from "../lib/dialog.js";
+
+const KINDS = "image/png,image/jpeg,image/webp,image/tiff,image/bmp,image/gif,.tif,.tiff";
+
+/** An element that calls onFile(File). `words`: what to do, in one sentence. */
+export function dropPlace({ words, onFile, compact = false }) {
+  const take = (files) => {
+    const file = [...files].find(isPicture);
+    if (file) onFile(file);
+    else if (files.length)
+      toast("This is no picture. Take a PNG, JPEG, TIFF, WebP, BMP or GIF file.", { kind: "bad" });
+  };
+  const chosen = pick({ accept: KINDS }, take);
+  const photographed = pick({ accept: "image/*", capture: "environment" }, take);
+  const place = h(
+    "div",
+    { class: compact ? "drop compact" : "drop" },
+    h("p", {}, words),
+    h(
+      "div",
+      { class: "row" },
+      h(
+        "button",
+        { type: "button", class: compact ? "" : "primary big", onclick: () => chosen.click() },
+        "Choose a picture",
+      ),
+      h(
+        "button",
+        { type: "button", class: compact ? "photo" : "photo big", onclick: () => photographed.click() },
+        "Take a photo",
+      ),
+    ),
+    chosen,
+    photographed,
+  );
+  receive(place, take);
+  return place;
+}
+
+/** Takes what is pasted, or dropped anywhere on the page, while the place is shown. */
+function receive(place, take) {
+  let depth = 0;
+  const over = (change) => {
+    depth = Math.max(0, depth + change);
+    place.classList.toggle("over", depth > 0);
+  };
+  const heard = {
+    dragenter: () => over(1),
+    dragleave: () => over(-1),
+    drop: (event) => (over(-depth), take(event.dataTransfer.files)),
+    paste: (event) => event.clipboardData?.files.length && take(event.clipboardData.files),
+  };
+  const hear = (event) => {
+    if (place.isConnected) heard[event.type](event);
+    else for (const kind of Object.keys(heard)) removeEventListener(kind, hear);
+  };
+  for (const kind of Object.keys(heard)) addEventListener(kind, hear);
+}
+
+function pick(props, take) {
+  const changed = (event) => {
+    take(event.target.files);
+    event.target.value = "";
+  };
+  return h("input", { type: "file", hidden: true, onchange: changed, ...props });
+}
+
+function isPicture(file) {
+  return file.type.startsWith("image/") || /\.(png|jpe?g|webp|tiff?|bmp|gif)$/i.test(file.name);
+}

@@ -1,0 +1,133 @@
+/** What the server expects of a job before it is made: asked whenever something has changed, shown in words. */
+
+import { api } from "../lib/api.js";
+import { h, replace } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
+import { figures, hours, mm } from "../lib/words.js";
+
+const CALM_MS = 400;
+const AGAIN_MS = 3000;
+
+/**
+ * {ask(), stop()}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none" nothing
+ * to say, "busy", "known" with `estimate`, "problems" with `problems`, "fault" with `words`, "absent" no such service.
+ */
+export function estimator({ make, tell }) {
+  let timer = 0;
+  let asking = new AbortController();
+  let absent = false;
+
+  function ask() {
+    stop();
+    if (absent) return;
+    asking = new AbortController();
+    timer = setTimeout(() => run(asking.signal), CALM_MS);
+  }
+
+  function stop() {
+    clearTimeout(timer);
+    asking.abort();
+  }
+
+  async function run(signal) {
+    try {
+      const form = await make();
+      if (signal.aborted) return;
+      if (!form) return tell({ kind: "none" });
+      tell({ kind: "busy" });
+      const estimate = await api.upload("/v1/estimates", form, { signal, quiet: true });
+      if (!signal.aborted) tell({ kind: "known", estimate });
+    } catch (error) {
+      if (signal.aborted) return;
+      if (error.status === 409)
+        timer = setTimeout(() => run(signal), AGAIN_MS); // another page of this person asked
+      else tell(told(error));
+    }
+  }
+
+  function told(error) {
+    if (error.status === 422) return { kind: "problems", problems: error.problems, words: error.detail };
+    absent = error.status === 404 || error.status === 405;
+    return absent ? { kind: "absent" } : { kind: "fault", words: error.detail ?? error.message };
+  }
+
+  return { ask, stop };
+}
+
+/** The estimate as a person reads it. */
+export function estimateWords(estimate) {
+  return h(
+    "div",
+    { class: "stack" },
+    h(
+      "dl",
+      { class: "figures" },
+      figure("Machine time", hours(3600 * estimate.hours)),
+      figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall; finer details blur"),
+      figure("Relief of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
+    ),
+    estimate.passes?.length > 0 &&
+      h(
+        "ol",
+        { class: "pass-times", "aria-label": "Passes" },
+        estimate.passes.map((pass) =>
+          h(
+            "li",
+            {},
+            h("span", {}, `${pass.name}, ${pass.tool}`),
+            h("span", { class: "number" }, hours(3600 * pass.hours)),
+          ),
+        ),
+      ),
+    (estimate.refusals ?? []).map((words) => notice("bad", words)),
+    (estimate.warnings ?? [])
+      .filter((words) => !estimate.refusals?.includes(words))
+      .map((words) => notice("warn", words)),
+  );
+}
+
+function notice(kind, words) {
+  return h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, sentence(words)));
+}
+
+/** For the bar at the foot: one line. */
+export function estimateLine(estimate) {
+  return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}`;
+}
+
+export function sentence(words) {
+  const first = words.charAt(0).toUpperCase() + words.slice(1);
+  return /[.!?]$/.test(first) ? first : `${first}.`;
+}
+
+function figure(name, value, more) {
+  return h("div", {}, h("dt", {}, name), h("dd", {}, h("strong", {}, value), more && h("small", {}, more)));
+}
+
+/** {element, show(state)}: the card. It keeps the last figures, greyed, while new ones are worked out. */
+export function estimateCard() {
+  const body = h("div");
+  const state = h("p", { class: "dim", role: "status" });
+  const element = h(
+    "section",
+    { class: "card estimate", "aria-label": "Estimate" },
+    h("h2", {}, "Estimate"),
+    state,
+    body,
+  );
+  const words = {
+    none: "It appears as soon as there is a picture.",
+    busy: "Working it out…",
+    known: "",
+    problems: "A value cannot be used; it is marked.",
+  };
+  function show(told) {
+    element.hidden = told.kind === "absent";
+    element.setAttribute("aria-busy", String(told.kind === "busy"));
+    state.textContent = words[told.kind] ?? `No estimate now. ${told.words ?? ""}`;
+    state.hidden = !state.textContent;
+    if (told.kind === "known") replace(body, estimateWords(told.estimate));
+    else if (told.kind !== "busy") replace(body);
+  }
+  return { element, show };
+}

@@ -1,0 +1,146 @@
+/**
+ * The keys of the job spec as rows of the form: the one list from which inputs, hints and the spec are made.
+ *
+ * A row is {key, label, kind, usual} and more. kind: "number", "whole" (number), "choice", "tick", "text", or "numbers"
+ * (one for each of `names`). usual: what counts where the field is empty; a text where the server works it out. hint,
+ * unit: words. when(spec): the row is there only then. start: what it holds when it appears. filled: the usual value
+ * stands in the field. wide: it has a line of its own. look: "cards" for a choice with words about each.
+ */
+
+const XYZ = ["X", "Y", "Z"];
+const OF_MACHINE = "the machine's";
+
+const number = (key, label, unit, usual, more) => ({ key, label, kind: "number", unit, usual, ...more });
+const whole = (key, label, usual, more) => ({ key, label, kind: "whole", usual, ...more });
+const numbers = (key, label, unit, names, more) => ({ key, label, kind: "numbers", unit, names, usual: null, ...more });
+const tick = (key, label) => ({ key, label, kind: "tick", usual: false });
+const choice = (key, label, choices, usual, more) => ({ key, label, kind: "choice", choices, usual, ...more });
+
+const recommended = (spec) => spec.preset === "recommended";
+const lamp = (spec) => spec.optics?.light?.kind === "point";
+const sun = (spec) => spec.optics?.light?.kind === "sun";
+
+export const LENS = [
+  number("optics.width_mm", "Width", "mm", 100, { filled: true }),
+  number("optics.height_mm", "Height", "mm", 100, { filled: true }),
+  number("optics.throw_mm", "Distance to the wall", "mm", 100, { filled: true }),
+  number("optics.screen_width_mm", "Picture width on the wall", "mm", "like the lens"),
+];
+
+const LIGHTS = [
+  ["collimated", "Parallel", "a spotlight far away, or a collimated lamp"],
+  ["sun", "Sun", "a disc of half a degree: the picture softens with distance"],
+  ["point", "Lamp", "a small bright lamp close by"],
+];
+
+export const LIGHT = [
+  choice("optics.light.kind", "What shines on the lens", LIGHTS, "collimated", { look: "cards" }),
+  number("optics.light.distance_mm", "Lamp to the lens", "mm", "needed", { start: "1000", when: lamp }),
+  number("optics.light.size_mm", "Size of the lamp", "mm", 0, { when: lamp, hint: "Its diameter; 0 is a point." }),
+  number("optics.light.size_deg", "Size of the sun in the sky", "°", 0.53, { when: sun }),
+];
+
+const PRESETS = [
+  ["recommended", "Recommended", "passes planned for this picture and machine: the best light for the time"],
+  ["draft", "Draft", "one rough and one coarse finish: quick, to see whether it works"],
+  ["paper", "Paper", "the three passes of the published method: very fine, slow"],
+];
+const BLUR = { when: recommended, hint: "On the wall. Instead of hours." };
+const LIKENESS = { when: recommended, hint: "PSNR, in the least time. Instead of hours." };
+
+export const MILL = [
+  choice("machine.profile", "Machine", [["grbl", "grbl"]], "grbl", { wide: true, named: "profiles" }),
+  choice("preset", "How fine", PRESETS, "paper", { look: "cards" }),
+  number("plan.hours", "At most", "h", "no limit", { when: recommended, hint: "Machine time to stay within." }),
+  number("plan.blur_mm", "Blur at most", "mm", "any", BLUR),
+  number("plan.psnr_db", "Likeness to reach", "dB", "any", LIKENESS),
+];
+
+const TONES = [["srgb", "as photos are (sRGB)"], ["linear", "linear light"]];
+const FITS = [["crop", "choose a part"], ["pad", "whole picture, dark around"], ["stretch", "stretch"]];
+
+export const PICTURE = [
+  choice("image.tone", "Tones are meant", TONES, "srgb", { wide: true }),
+  choice("image.fit", "Where proportions differ", FITS, "crop", { wide: true }),
+  tick("image.invert", "Negative"),
+];
+
+const VIEWS = [["lens", "on a wall"], ["behind", "through a screen, from behind"]];
+const METHODS = [["transport", "optical path"], ["paper", "as published"]];
+const BRANCHES = [["auto", "whichever suits"], ["direct", "straight to the wall"], ["inverted", "cross before it"]];
+const SHAPES = [["rectangle", "rectangle"], ["ellipse", "ellipse"]];
+const SURFACES = [["lens", "lens"], ["mirror", "mirror"]];
+const PIXELS = { hint: "More shows finer detail where the mill can cut it, and takes longer to compute." };
+const BEAM = { hint: "Where a laser's beam has fallen to 1/e² of its middle." };
+const BALL = { hint: "Valleys tighter than this are filled; 0: none." };
+const AGAINST = { usual: [0, 0], hint: "The lens is made sharper by as much as the tool will blur." };
+
+const OPTICS = [
+  number("optics.refractive_index", "Refractive index", "", 1.49, { hint: "Acrylic: 1.49." }),
+  choice("optics.surface", "Surface", SURFACES, "lens"),
+  choice("optics.viewed_from", "Looked at", VIEWS, "lens"),
+  choice("optics.outline", "Outline", SHAPES, "rectangle"),
+  number("optics.screen_height_mm", "Picture height", "mm", "in proportion"),
+  number("optics.screen_shift_x_mm", "Picture moved right", "mm", 0),
+  number("optics.screen_shift_y_mm", "Picture moved up", "mm", 0),
+  number("optics.light.gaussian_mm", "Beam diameter", "mm", "even light", BEAM),
+  choice("optics.method", "Method", METHODS, "transport"),
+  choice("optics.branch", "Rays", BRANCHES, "auto"),
+  whole("optics.corrections", "Corrections", 2, { hint: "Rounds against the lens's own light, 0 to 3." }),
+  tick("optics.polish", "Polish the picture (slow)"),
+  tick("optics.creases", "Leave creases sharp"),
+  number("optics.min_radius_mm", "Smallest ball to fit", "mm", "of the finish", BALL),
+  whole("optics.vertices_per_pixel", "Vertices per pixel", 2),
+  numbers("optics.foreseen_blur_mm", "Blur to work against", "mm", ["across", "up"], AGAINST),
+];
+
+const STOCK = [
+  number("stock.thickness_mm", "Thickness", "mm", 40),
+  number("stock.margin_mm", "Margin around", "mm", 8),
+  number("stock.skim_mm", "Skim off the top", "mm", 0.1),
+  choice("stock.material", "Material", [["pmma", "acrylic (PMMA)"]], "pmma"),
+];
+
+const YES_NO = [[null, "as the machine says"], [true, "yes"], [false, "no"]];
+
+const MACHINE = [
+  numbers("machine.travel_mm", "Travel", "mm", XYZ),
+  numbers("machine.max_rate_mm_per_min", "Fastest", "mm/min", XYZ),
+  numbers("machine.acceleration_mm_per_s2", "Acceleration", "mm/s²", XYZ),
+  numbers("machine.spindle_rpm", "Spindle", "rpm", ["slowest", "fastest"]),
+  number("machine.safe_z_mm", "Safe height", "mm", OF_MACHINE),
+  number("machine.step_mm", "Smallest step", "mm", OF_MACHINE),
+  number("machine.z_noise_mm", "Noise in Z", "mm", OF_MACHINE),
+  choice("machine.whole_steps", "On whole steps", YES_NO, null),
+  number("machine.junction_deviation_mm", "Junction deviation", "mm", OF_MACHINE),
+  whole("machine.planner_blocks", "Blocks planned ahead", OF_MACHINE),
+  number("machine.lines_per_s", "Lines per second", "", OF_MACHINE),
+  number("machine.most_program_mb", "Largest program", "MB", "no limit"),
+  number("machine.most_program_hours", "Longest program", "h", "no limit"),
+];
+
+/** [title, rows] of what is folded away. */
+export const EXPERT = [
+  ["Picture", [whole("image.pixels", "Pixels across", 512, PIXELS)]],
+  ["Optics", OPTICS],
+  ["Stock", STOCK],
+  ["Machine", MACHINE],
+];
+
+/** The figures of one pass, in the order of its card. */
+export const PASS = [
+  { key: "name", label: "Name", kind: "text", usual: "finish" },
+  number("radius_mm", "Ball radius", "mm", "needed"),
+  number("pitch_mm", "Pitch", "mm", "needed"),
+  number("stock_to_leave_mm", "Stock to leave", "mm", 0),
+  choice("strategy", "Strategy", [["raster", "rows"], ["contour", "contour lines"]], "raster"),
+  choice("direction", "Rows along", [["x", "X"], ["y", "Y"]], "x"),
+  choice("link", "Between rows", [["u-turn", "turn on the surface"], ["retract", "retract"]], "u-turn"),
+  choice("where", "Where", [["everywhere", "everywhere"], ["rest", "where stock is left"]], "everywhere"),
+  number("step_down_mm", "Step down", "mm", "usual"),
+  number("feed_mm_per_min", "Feed", "mm/min", "usual"),
+  number("plunge_mm_per_min", "Plunge", "mm/min", "usual"),
+  number("spindle_rpm", "Spindle", "rpm", "usual"),
+  number("flute_length_mm", "Flute length", "mm", "not checked"),
+  number("shank_radius_mm", "Shank radius", "mm", "not checked"),
+];

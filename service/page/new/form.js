@@ -1,0 +1,190 @@
+/** The form of a new job: rows that make a spec, and a spec that fills the rows. */
+
+import { freshId, h } from "../lib/dom.js";
+import { EXPERT, LENS, LIGHT, MILL, PICTURE } from "./fields.js";
+import { passes } from "./passes.js";
+import { row } from "./row.js";
+import { isTable, merged, put, same, valueAt } from "./spec.js";
+
+/**
+ * {lens, light, mill, picture, expert: elements; read(), show(spec), blame(problems)}.
+ * profiles: [{name, description}] of the machines; onChange(): a person changed something; planned(): the passes as far
+ * as the server has told them.
+ */
+export function specForm({ profiles, onChange, planned }) {
+  const changed = () => {
+    reveal();
+    onChange();
+  };
+  const make = (fields) => fields.map((field) => row(withProfiles(field, profiles), { onChange: changed }));
+  const groups = { lens: make(LENS), light: make(LIGHT), mill: make(MILL), picture: make(PICTURE) };
+  const more = EXPERT.map(([title, fields]) => [title, make(fields)]);
+  const rows = [...Object.values(groups).flat(), ...more.flatMap(([, made]) => made)];
+  const milling = passes({ onChange: changed, known: planned });
+  const rest = otherValues(changed);
+
+  /** Rows are there only where they mean something; one that appears empty and needs a value gets a start. */
+  function reveal() {
+    const { spec } = read();
+    for (const one of rows.filter(({ field }) => field.when)) {
+      const there = one.field.when(spec);
+      if (there && one.element.hidden && one.field.start && safely(one.read) === undefined) one.show(one.field.start);
+      one.element.hidden = !there;
+    }
+  }
+
+  /** {spec: only what is not usual, faults: [{row, words}]}. */
+  function read() {
+    const faults = [];
+    let spec = rest.value(faults);
+    for (const one of rows) {
+      if (one.field.when && !one.field.when(spec)) continue;
+      try {
+        const value = one.read();
+        if (value !== undefined && !same(value, one.field.usual)) spec = put(spec, one.key, value);
+      } catch (error) {
+        faults.push({ row: one, words: error.message });
+      }
+    }
+    const list = milling.read(faults);
+    return { spec: list ? { ...spec, passes: list } : spec, faults };
+  }
+
+  /** Fills the form; what no row can show stands in the text of other values. */
+  function show(spec) {
+    const left = structuredClone(spec);
+    for (const one of rows) {
+      const value = valueAt(left, one.key) ?? undefined;
+      const known =
+        value === undefined || one.field.kind !== "choice" || one.field.choices.some(([choice]) => choice === value);
+      one.show(known ? value : undefined);
+      if (known) put(left, one.key, undefined);
+    }
+    milling.show(left.passes?.length ? left.passes : null);
+    delete left.passes;
+    rest.show(left);
+    reveal();
+  }
+
+  /** Puts each problem {field: "spec.KEY", detail} beside its row; gives back {unplaced, focus()}. */
+  function blame(problems) {
+    const all = [...rows, ...milling.rows(), rest];
+    const told = new Map();
+    const unplaced = [];
+    for (const { field, detail } of problems) {
+      const found = field.startsWith("spec.") && rowFor(all, field.slice("spec.".length));
+      if (found) told.set(found, [...(told.get(found) ?? []), detail].join(" "));
+      else unplaced.push({ field, detail });
+    }
+    for (const one of all) one.blame(told.get(one));
+    return { unplaced, focus: () => focusFirst([...told.keys()]) };
+  }
+
+  const fields = (made) =>
+    h(
+      "div",
+      { class: "fields" },
+      made.map((one) => one.element),
+    );
+  const expert = [
+    h("h3", {}, "Passes"),
+    milling.element,
+    more.map(([title, made]) => [h("h3", {}, title), fields(made)]),
+    h("h3", {}, "Everything else"),
+    rest.element,
+  ];
+  reveal();
+  return {
+    lens: fields(groups.lens),
+    light: fields(groups.light),
+    mill: fields(groups.mill),
+    picture: fields(groups.picture),
+    expert,
+    read,
+    show,
+    blame,
+  };
+}
+
+function withProfiles(field, profiles) {
+  return field.named === "profiles" && profiles.length
+    ? { ...field, choices: profiles.map(({ name, description }) => [name, `${name}: ${description}`]) }
+    : field;
+}
+
+/** The row a key belongs to: its own, that of the table it lies in, or the first shown one of the table that it is. */
+function rowFor(rows, key) {
+  const shown = rows.filter(({ element }) => !element.hidden);
+  const parts = key.split(".");
+  for (let length = parts.length; length > 0; length -= 1) {
+    const found = shown.find((one) => one.key === parts.slice(0, length).join("."));
+    if (found) return found;
+  }
+  return shown.find((one) => one.key.startsWith(`${key}.`));
+}
+
+/** Focus on the topmost of some rows, with whatever is folded around it opened. */
+function focusFirst(rows) {
+  const [first] = rows.sort((one, other) =>
+    one.element.compareDocumentPosition(other.element) & Node.DOCUMENT_POSITION_FOLLOWING ? -1 : 1,
+  );
+  if (!first) return false;
+  for (let fold = first.element.closest("details"); fold; fold = fold.parentElement.closest("details"))
+    fold.open = true;
+  first.focus();
+  return true;
+}
+
+function safely(read) {
+  try {
+    return read();
+  } catch {
+    return null;
+  }
+}
+
+/** A text of JSON for keys that have no row: corners of an outline, a measured light. */
+function otherValues(onChange) {
+  const [label, hint, fault] = [freshId("label"), freshId("hint"), freshId("fault")];
+  const text = h("textarea", {
+    rows: 3,
+    spellcheck: false,
+    class: "mono",
+    "aria-labelledby": label,
+    "aria-describedby": `${hint} ${fault}`,
+    oninput: onChange,
+  });
+  const words = h("p", { class: "fault", id: fault });
+  const made = {
+    key: "rest",
+    element: h(
+      "div",
+      { class: "field" },
+      h("span", { id: label }, "Other values, as JSON"),
+      text,
+      h("small", { id: hint }, 'For keys without a field: {"optics": {"outline": [[0, 0], [50, 0], [25, 40]]}}'),
+      words,
+    ),
+    field: {},
+    focus: () => text.focus(),
+    blame(found) {
+      words.textContent = found ?? "";
+      text.setAttribute("aria-invalid", String(Boolean(found)));
+    },
+    value(faults) {
+      if (!text.value.trim()) return {};
+      try {
+        const value = JSON.parse(text.value);
+        if (isTable(value)) return merged({}, value);
+        faults.push({ row: made, words: "This must be an object in braces: {...}" });
+      } catch (error) {
+        faults.push({ row: made, words: `This is not JSON: ${error.message}` });
+      }
+      return {};
+    },
+    show(spec) {
+      text.value = Object.keys(spec).length ? JSON.stringify(spec, null, 1) : "";
+    },
+  };
+  return made;
+}

@@ -1,0 +1,193 @@
+/** One row of the form: label, input, hint, and the fault beside it. */
+
+import { freshId, h, write } from "../lib/dom.js";
+import { numberOf } from "./spec.js";
+
+/**
+ * {element, key, field, read(), show(value), blame(words), focus()}.
+ * read() gives the value, undefined where the usual counts; TypeError, with words for the person, where it is none.
+ * show(undefined) shows the usual. onChange() is called on every change a person makes.
+ */
+export function row(field, { onChange, key = field.key }) {
+  const ids = { label: freshId("label"), hint: freshId("hint"), fault: freshId("fault") };
+  const described = `${field.hint ? `${ids.hint} ` : ""}${ids.fault}`;
+  const changed = () => {
+    blame(""); // until the server has looked at it again
+    onChange();
+  };
+  const input = INPUTS[field.kind](field, { ids, described, onChange: changed });
+  const fault = h("p", { class: "fault", id: ids.fault });
+  const hint = field.hint && h("small", { id: ids.hint }, field.hint);
+  const element = h(
+    "div",
+    { class: input.group || field.wide ? "field wide" : "field" },
+    labelled(field, input, ids),
+    hint,
+    fault,
+  );
+  if (input.group)
+    for (const [name, value] of [
+      ["role", "group"],
+      ["aria-labelledby", ids.label],
+    ])
+      element.setAttribute(name, value);
+
+  function blame(words) {
+    write(fault, words ?? "");
+    for (const control of input.controls) control.setAttribute("aria-invalid", String(Boolean(words)));
+  }
+
+  return { element, key, field, read: input.read, show: input.show, blame, focus: () => input.controls[0].focus() };
+}
+
+/** The input with its label: around a tick, before a single input, as the name of a group. */
+function labelled(field, input, ids) {
+  if (field.kind === "tick")
+    return h("label", { class: "tick" }, input.element, h("span", { id: ids.label }, field.label));
+  const label = input.group
+    ? h("span", { id: ids.label }, field.label)
+    : h("label", { id: ids.label, for: input.id }, field.label);
+  return [label, input.element];
+}
+
+const INPUTS = {
+  number: (field, parts) => oneNumber(field, parts),
+  whole: (field, parts) => oneNumber(field, parts, { whole: true }),
+  text: oneText,
+  tick: oneTick,
+  choice: (field, parts) => (field.look === "cards" ? cards(field, parts) : select(field, parts)),
+  numbers: severalNumbers,
+};
+
+function numberInput(field, { described, onChange }, more) {
+  const usual = field.usual ?? "the machine's";
+  return h("input", {
+    type: "text",
+    inputMode: "decimal",
+    autocomplete: "off",
+    placeholder: String(usual),
+    "aria-describedby": described,
+    oninput: onChange,
+    ...more,
+  });
+}
+
+function withUnit(input, unit) {
+  return unit
+    ? h("span", { class: unit.length > 3 ? "with-unit long" : "with-unit" }, input, h("span", {}, unit))
+    : input;
+}
+
+function readNumber(input, { whole = false } = {}) {
+  if (!input.value.trim()) return undefined;
+  const value = numberOf(input.value);
+  if (!Number.isFinite(value)) throw new TypeError(`'${input.value.trim()}' is no number.`);
+  if (whole && !Number.isInteger(value)) throw new TypeError(`${value} is no whole number.`);
+  return value;
+}
+
+function oneNumber(field, parts, options) {
+  const id = freshId("input");
+  const input = numberInput(field, parts, { id });
+  const show = (value) => {
+    input.value = value ?? (field.filled ? field.usual : "");
+  };
+  show(undefined);
+  return {
+    id,
+    element: withUnit(input, field.unit),
+    controls: [input],
+    read: () => readNumber(input, options),
+    show,
+  };
+}
+
+function severalNumbers(field, parts) {
+  const inputs = field.names.map((name, at) =>
+    numberInput({ usual: field.usual?.[at] ?? name }, parts, {
+      "aria-label": `${field.label} ${name}${field.unit ? `, ${field.unit}` : ""}`,
+    }),
+  );
+  const read = () => {
+    const values = inputs.map((input) => readNumber(input));
+    if (values.every((value) => value === undefined)) return undefined;
+    if (values.some((value) => value === undefined)) throw new TypeError("Fill in all of them, or none.");
+    return values;
+  };
+  const show = (values) => inputs.forEach((input, at) => (input.value = values?.[at] ?? ""));
+  const unit = field.unit ? h("span", { class: "dim" }, field.unit) : null;
+  return { element: h("div", { class: "several" }, inputs, unit), controls: inputs, group: true, read, show };
+}
+
+function oneText(field, { described, onChange }) {
+  const id = freshId("input");
+  const input = h("input", {
+    type: "text",
+    id,
+    autocomplete: "off",
+    placeholder: field.usual,
+    "aria-describedby": described,
+    oninput: onChange,
+  });
+  const show = (value) => {
+    input.value = value ?? "";
+  };
+  return { id, element: input, controls: [input], read: () => input.value.trim() || undefined, show };
+}
+
+function oneTick(field, { ids, described, onChange }) {
+  const input = h("input", {
+    type: "checkbox",
+    "aria-labelledby": ids.label,
+    "aria-describedby": described,
+    onchange: onChange,
+  });
+  const show = (value) => {
+    input.checked = value ?? field.usual;
+  };
+  show(undefined);
+  return {
+    element: input,
+    controls: [input],
+    read: () => (input.checked === field.usual ? undefined : input.checked),
+    show,
+  };
+}
+
+function select(field, { described, onChange }) {
+  const id = freshId("input");
+  const values = field.choices.map(([value]) => value);
+  const input = h(
+    "select",
+    { id, "aria-describedby": described, onchange: onChange },
+    field.choices.map(([, words], at) => h("option", { value: String(at) }, words)),
+  );
+  const show = (value) => {
+    input.value = String(values.indexOf(value ?? field.usual));
+  };
+  const read = () => {
+    const value = values[Number(input.value)];
+    return value === field.usual ? undefined : value;
+  };
+  show(undefined);
+  return { id, element: input, controls: [input], read, show };
+}
+
+function cards(field, { described, onChange }) {
+  const name = freshId("choice");
+  const inputs = field.choices.map(([value]) =>
+    h("input", { type: "radio", name, value, "aria-describedby": described, onchange: onChange }),
+  );
+  const show = (value) => {
+    for (const input of inputs) input.checked = input.value === (value ?? field.usual);
+  };
+  const read = () => {
+    const value = inputs.find((input) => input.checked)?.value;
+    return value === field.usual ? undefined : value;
+  };
+  show(undefined);
+  const labels = field.choices.map(([, words, more], at) =>
+    h("label", {}, inputs[at], h("span", {}, words, h("small", {}, more))),
+  );
+  return { element: h("div", { class: "choice" }, labels), controls: inputs, group: true, read, show };
+}

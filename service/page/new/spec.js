@@ -1,0 +1,44 @@
+/** A job spec as a tree of plain values, reached by dotted keys. */
+
+/** The value at "optics.light.kind"; undefined where there is none. */
+export function valueAt(spec, key) {
+  return key.split(".").reduce((tree, step) => tree?.[step], spec);
+}
+
+/** Puts a value there, making what is missing on the way; undefined takes it out, and tables it leaves empty. */
+export function put(spec, key, value) {
+  const [first, ...rest] = key.split(".");
+  if (!rest.length) {
+    if (value === undefined) delete spec[first];
+    else spec[first] = value;
+    return spec;
+  }
+  const table = spec[first] ?? {};
+  put(table, rest.join("."), value);
+  if (Object.keys(table).length) spec[first] = table;
+  else delete spec[first];
+  return spec;
+}
+
+/** Two trees as one; where both say something, the second counts. Lists are replaced whole. */
+export function merged(under, over) {
+  const result = { ...under };
+  for (const [key, value] of Object.entries(over ?? {})) {
+    result[key] = isTable(value) && isTable(result[key]) ? merged(result[key], value) : structuredClone(value);
+  }
+  return result;
+}
+
+export function isTable(value) {
+  return value !== null && typeof value === "object" && !Array.isArray(value);
+}
+
+export function same(one, other) {
+  return JSON.stringify(one) === JSON.stringify(other);
+}
+
+/** The text of a number as people type it: "12,5" is 12.5. NaN where it is none. */
+export function numberOf(text) {
+  const plain = text.trim().replace(",", ".");
+  return /^[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?$/i.test(plain) ? Number(plain) : NaN;
+}

@@ -1,0 +1,175 @@
+/** A new job: a picture, what the wall will show of it, and everything that can be set, with an estimate at once. */
+
+import { api } from "../lib/api.js";
+import { toast } from "../lib/dialog.js";
+import { h, replace, sheet, write } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
+import { estimateCard, estimateLine, estimator } from "./estimate.js";
+import { specForm } from "./form.js";
+import { keepDraft, take, takeDraft } from "./picked.js";
+import { pictureSide } from "./picture_side.js";
+import { priorityRow } from "./priority.js";
+import { sourceOf } from "./source.js";
+import { jobForm, sender } from "./submit.js";
+
+const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
+const FIRST = { preset: "recommended" };
+const MAKE = "Make the lens";
+const WAITS = "The server does not answer. The job is sent as soon as it does; leave this page open.";
+
+export default async function view(root, params, app) {
+  const [profiles] = await Promise.all([knownProfiles(), sheet("/page/new/new.css")]);
+  const start = await beginning(params);
+  app.title("New job");
+  let page = null;
+  const put = (beginWith) => {
+    page = newJob(profiles, app);
+    const title = h("h1", {}, "New job");
+    const again = h("button", { type: "button", class: "quiet", onclick: anew }, "Begin anew");
+    const notice = beginWith.notice && h("p", { class: "notice" }, h("span", {}, beginWith.notice));
+    replace(root, h("div", { class: "row spread title" }, title, again), notice, page.element);
+    return page.begin(beginWith);
+  };
+  function anew() {
+    const before = page.draft();
+    page.stop();
+    put({});
+    toast("Everything is as usual again.", { action: { words: "Undo", run: () => (page.stop(), put(before)) } });
+  }
+  await put(start);
+  return { leave: () => page.leave() };
+}
+
+/** What the job begins with: another job, the picture just dropped, or what was left here. */
+async function beginning(params) {
+  const draft = takeDraft();
+  if (params.from) return sourceOf(params.from, params.plan);
+  const file = take();
+  return file ? { spec: draft?.spec, file } : (draft ?? {});
+}
+
+async function knownProfiles() {
+  try {
+    return (await api.get("/v1/profiles")).profiles;
+  } catch (error) {
+    if (error.status === 0) throw error;
+    return [];
+  }
+}
+
+/** {element, begin({spec, picture, edits, name, file}), draft(), stop(), leave()}. */
+function newJob(profiles, app) {
+  const now = { estimate: null, sent: false };
+  const form = specForm({ profiles, onChange: changed, planned: () => now.estimate?.spec?.passes });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => asks.ask() });
+  const priority = priorityRow();
+  const card = estimateCard();
+  const asks = estimator({ make: estimateForm, tell: told });
+  const foot = submitBar();
+  const sending = sender({ onWait: foot.wait });
+
+  const group = (title, rows) => h("fieldset", { class: "card" }, h("legend", {}, title), rows);
+  const expert = h("div", { class: "stack expert" }, form.expert, priority.element);
+  const settings = [
+    group("Lens", form.lens),
+    group("Light", form.light),
+    group("Milling", form.mill),
+    h("details", { class: "card" }, h("summary", {}, "Expert: passes, optics, stock, machine"), expert),
+  ];
+  const element = h(
+    "form",
+    { class: "new-job", onsubmit: submit, noValidate: true },
+    side.element,
+    h("section", { class: "settings stack", "aria-label": "Settings" }, settings),
+    h("div", { class: "estimate-side" }, card.element),
+    foot.element,
+  );
+
+  function changed() {
+    side.draw();
+    asks.ask();
+  }
+
+  async function begin({ spec, ...start }) {
+    form.show(spec ?? FIRST);
+    card.show({ kind: "none" });
+    await side.begin(start);
+    asks.ask();
+  }
+
+  async function estimateForm() {
+    const { spec, faults } = form.read();
+    if (faults.length || !side.has()) return null;
+    return jobForm(await side.sent({ mostSide: ESTIMATE_SIDE }), JSON.stringify(spec));
+  }
+
+  function told(asked) {
+    const state = asked.kind === "none" && side.has() ? { kind: "problems" } : asked;
+    card.show(state);
+    if (state.kind === "known") now.estimate = state.estimate;
+    if (state.kind === "known" || state.kind === "problems") showProblems(state.problems ?? []);
+    if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate) : "");
+    side.showBlur(now.estimate?.blur_mm ?? 0);
+  }
+
+  /** Beside their fields; what has no field, above the button. `focus`: a person waits for it. */
+  function showProblems(problems, { focus = false } = {}) {
+    const own = form.read().faults.map(({ row, words }) => ({ field: `spec.${row.key}`, detail: words }));
+    const { unplaced, focus: goThere } = form.blame([...own, ...problems]);
+    const ofPicture = unplaced.filter(({ field }) => field === "image");
+    side.blame(ofPicture.map(({ detail }) => detail).join(" "));
+    foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ detail }) => detail));
+    if (focus && !goThere()) (ofPicture.length ? side : foot).focus();
+  }
+
+  async function submit(event) {
+    event.preventDefault();
+    const { spec, faults } = form.read();
+    if (faults.length) return showProblems([], { focus: true });
+    if (!side.has()) return showProblems([{ field: "image", detail: "Choose a picture first." }], { focus: true });
+    if (foot.isBusy() || !(await api.need("jobs:write"))) return;
+    foot.busy(true);
+    try {
+      const job = await sending.send(await side.sent(), spec, priority.read());
+      now.sent = true;
+      app.go(`#/jobs/${job.id}`);
+    } catch (error) {
+      const problems = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
+      showProblems(problems, { focus: true });
+    } finally {
+      foot.busy(false);
+    }
+  }
+
+  function draft() {
+    return { ...side.draft(), spec: form.read().spec };
+  }
+
+  function leave() {
+    asks.stop();
+    if (!now.sent && side.has()) keepDraft(draft());
+  }
+
+  return { element, begin, draft, leave, stop: asks.stop };
+}
+
+/** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */
+function submitBar() {
+  const line = h("p", { class: "line" });
+  const button = h("button", { type: "submit", class: "primary big" }, MAKE);
+  const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
+  const faults = h("div", { class: "stack tight", role: "alert" });
+  const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
+  return {
+    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, button)),
+    say: (words) => write(line, words),
+    blame: (details) => replace(faults, details.map(notice)),
+    wait: (waiting) => (waits.hidden = !waiting),
+    isBusy: () => button.getAttribute("aria-disabled") === "true",
+    busy(sending) {
+      button.setAttribute("aria-disabled", String(sending));
+      write(button, sending ? "Sending…" : MAKE);
+    },
+    focus: () => button.focus(),
+  };
+}

@@ -1,0 +1,133 @@
+"""A real browser in tests: Debian's chromium, driven by playwright; what it complains of fails the test."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+from axe_playwright_python.base import AXE_SCRIPT
+from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, sync_playwright
+
+SIZES = {"wide": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
+SERIOUS = ("serious", "critical")
+_HEARD = {("wide", "light"), ("wide", "dark"), ("phone", "light")}  # colours by scheme, what is there by width
+_NAMES = ("chromium", "chromium-browser", "google-chrome")
+_FLAGS = (
+    "--no-sandbox",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+Scheme = Literal["light", "dark"]
+
+
+def missing() -> str:
+    """Why there can be no browser here, in one line; "" where there can."""
+    return "" if _program() else f"no browser here: none of {', '.join(_NAMES)} is in the PATH"
+
+
+@contextmanager
+def running_browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=_program(), args=list(_FLAGS))
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Watched:
+    """Pages of one context. `complaints`: errors on their consoles, but those a test has said it expects."""
+
+    def __init__(self, browser: Browser, base_url: str, *, size: str = "wide", scheme: Scheme = "light") -> None:
+        width, height = SIZES[size]
+        self.context: BrowserContext = browser.new_context(
+            base_url=base_url,
+            viewport={"width": width, "height": height},
+            color_scheme=scheme,
+            reduced_motion="reduce",
+            has_touch=size == "phone",
+        )
+        self.context.set_default_timeout(15_000)
+        self.complaints: list[str] = []
+        self._expected: list[re.Pattern[str]] = []
+
+    def page(self) -> Page:
+        page = self.context.new_page()
+        page.on("console", self._heard)
+        page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
+        return page
+
+    def expect_errors(self, *patterns: str) -> None:
+        """Errors that are part of what is tested, such as a refused connection."""
+        self._expected += map(re.compile, patterns)
+
+    def close(self) -> None:
+        """AssertionError with whatever the pages complained of."""
+        self.context.close()
+        unexpected = [one for one in self.complaints if not any(known.search(one) for known in self._expected)]
+        assert not unexpected, "\n".join(unexpected)
+
+    def _heard(self, message: ConsoleMessage) -> None:
+        if message.type == "error":
+            where = message.location.get("url", "")
+            self.complaints.append(f"{message.text} ({where})")
+
+
+def serious_faults(page: Page) -> list[str]:
+    """What axe-core finds serious or critical on the page as it is now, a sentence for each element."""
+    if not page.evaluate("typeof window.axe === 'object'"):
+        page.evaluate(AXE_SCRIPT)
+    found: dict[str, Any] = page.evaluate("axe.run(document, {resultTypes: ['violations']})")
+    return [
+        f"{fault['id']}: {fault['help']}: {node['html'][:160]} {' '.join(node.get('failureSummary', '').split())[:200]}"
+        for fault in found["violations"]
+        if fault["impact"] in SERIOUS
+        for node in fault["nodes"]
+    ]
+
+
+def sticks_out(page: Page) -> list[str]:
+    """Elements wider than the screen: the page would scroll sideways. What scrolls inside itself may be wide."""
+    found: list[str] = page.evaluate(
+        """() => {
+            const width = document.documentElement.clientWidth;
+            if (document.documentElement.scrollWidth <= width) return [];
+            return [...document.body.querySelectorAll('*')]
+                .filter((one) => one.getBoundingClientRect().right > width + 1)
+                .map((one) => `${one.tagName.toLowerCase()}.${one.className} ${one.textContent.slice(0, 40)}`);
+        }"""
+    )
+    return found
+
+
+def every_screen(page: Page) -> Iterator[str]:
+    """The page at each width, light and dark: nothing sticks out; axe-core finds no serious fault on three of them."""
+    for size, (width, height) in SIZES.items():
+        page.set_viewport_size({"width": width, "height": height})
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            yield f"{size}-{scheme}"
+            assert not (wide := sticks_out(page)), (size, scheme, wide)
+            if (size, scheme) in _HEARD:
+                assert not (faults := serious_faults(page)), (size, scheme, faults)
+
+
+def shoot(page: Page, folder: Path, name: str) -> Path:
+    """A picture of the whole page."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.png"
+    page.screenshot(path=path, full_page=True)
+    return path
+
+
+def _program() -> str | None:
+    return next((found for name in _NAMES if (found := shutil.which(name))), None)

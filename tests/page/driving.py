@@ -1,0 +1,102 @@
+"""What a person does at the machine screen, step by step."""
+
+from __future__ import annotations
+
+import re
+
+from playwright.sync_api import Locator, Page, expect
+
+from tests.page.shop import MILL
+
+WAIT_MS = 60_000
+
+
+def go_to_machine(page: Page, name: str = MILL) -> None:
+    page.evaluate("name => { location.hash = `#/machines/${name}` }", name)
+    expect(page.get_by_role("heading", level=1, name=name)).to_be_visible()
+
+
+def machine_state(page: Page) -> Locator:
+    return page.locator(".machine-state")
+
+
+def readout(page: Page, axis: str, *, own: bool = False) -> Locator:
+    """The figure of one axis: in work coordinates, or in the machine's own."""
+    return page.locator(".readout .own" if own else ".readout .work").nth("XYZ".index(axis))
+
+
+def take_control(page: Page) -> None:
+    """From whoever has it: a test before this one may have failed."""
+    free, held = page.get_by_role("button", name="Take control"), page.get_by_role("button", name="Take over")
+    expect(free.or_(held)).to_be_visible()
+    if held.is_visible():
+        held.click()
+        page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
+    else:
+        free.click()
+    expect(page.get_by_text("You have control.")).to_be_visible()
+
+
+def release(page: Page) -> None:
+    page.get_by_role("button", name="Give control back").click()
+    expect(page.get_by_text("Nobody has control.")).to_be_visible()
+
+
+def give_up(page: Page) -> None:
+    """Whatever an earlier test has left on the mill is stopped, and the mill free."""
+    expect(machine_state(page)).not_to_have_text("asking the server")
+    if machine_state(page).inner_text() in ("running", "held"):
+        page.get_by_role("button", name="STOP").click()
+    loading = page.get_by_role("heading", name="Load a program")
+    offers = [page.get_by_role("button", name=name, exact=True) for name in ("Give it up", "Take it off the mill")]
+    expect(loading.or_(offers[0]).or_(offers[1]).first).to_be_visible()
+    for offer, yes in zip(offers, ("Give it up", "Take it off"), strict=True):
+        if offer.is_visible():
+            offer.click()
+            page.locator(".question").get_by_role("button", name=yes, exact=True).click()
+    expect(loading).to_be_visible()
+
+
+def homed(page: Page) -> None:
+    done = page.locator(".log li", has_text="Home: done")
+    before = done.count()
+    page.get_by_role("button", name="Home", exact=True).click()
+    expect(done).to_have_count(before + 1, timeout=WAIT_MS)
+    expect(machine_state(page)).to_have_text("idle", timeout=WAIT_MS)
+
+
+def say(page: Page, line: str) -> None:
+    page.get_by_label("One line to the mill").fill(line)
+    page.get_by_role("button", name="Send").click()
+
+
+def zeroed(page: Page) -> None:
+    """Home, and the work zero where the lens has room."""
+    homed(page)
+    say(page, "G53 G0 X-150 Y-150 Z-20")
+    for axis, place in zip("XYZ", ("−150.000", "−150.000", "−20.000"), strict=True):
+        expect(readout(page, axis, own=True)).to_have_text(place, timeout=WAIT_MS)
+    expect(machine_state(page)).to_have_text("idle")
+    page.get_by_role("button", name="X and Y = 0 here").click()
+    expect(readout(page, "X")).to_have_text("0.000")
+    page.get_by_role("button", name="Z = 0 here", exact=True).click()
+    expect(readout(page, "Z")).to_have_text("0.000")
+
+
+def load(page: Page, job: str, program: str) -> None:
+    page.get_by_role("combobox", name="Job").select_option(job)
+    page.get_by_role("combobox", name="Program").select_option(program)
+    page.get_by_role("button", name="Load onto the mill").click()
+    expect(page.get_by_role("button", name=f"Start {program}")).to_be_visible(timeout=WAIT_MS)
+
+
+def start(page: Page) -> None:
+    """Every tick is needed, and a name."""
+    go = page.get_by_role("button", name=re.compile("^(Start|Go on from)"))
+    for box in page.locator(".checklist:visible input[type=checkbox]").all():
+        expect(go).to_be_disabled()
+        box.check()
+    page.get_by_label("Operator").fill("")
+    expect(go).to_be_disabled()
+    page.get_by_label("Operator").fill("Ada")
+    go.click()

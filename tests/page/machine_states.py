@@ -1,0 +1,154 @@
+"""Machines in every state, told to a page in place of what its server says: what a person would see then."""
+
+from __future__ import annotations
+
+import copy
+import json
+from typing import Any
+
+from playwright.sync_api import Page
+
+NAME = "shop"
+RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
+_JOB = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
+_CHECKS = ["tool", "zero", "stock", "clear"]
+_SINCE = "2026-11-21T08:00:00.000Z"
+
+MACHINE: dict[str, Any] = {
+    "name": NAME,
+    "remote": False,
+    "simulated": False,
+    "problem": "",
+    "profile": {
+        "description": "the mill by the window",
+        "travel_mm": [300, 300, 80],
+        "max_rate_mm_per_min": [5000, 5000, 1500],
+        "safe_z_mm": 5,
+        "homing": True,
+    },
+    "agent": {"reachable": True, "words": ""},
+    "mill": {
+        "state": "idle",
+        "detail": "",
+        "work_mm": [12.4, -7.02, 5.0],
+        "machine_mm": [-137.6, -157.02, -15.0],
+        "feed_mm_per_min": 0,
+        "spindle_rpm": 0,
+        "spindle_on": False,
+        "overrides": [100, 100, 100],
+        "position_trusted": True,
+        "controller": "Grbl 1.1h.20190830",
+        "connected": True,
+        "problem": "",
+        "needs": ["a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"],
+        "latched": "",
+    },
+    "run": None,
+    "control": None,
+    "links": {},
+}
+RUN: dict[str, Any] = {
+    "id": RUN_ID,
+    "machine": NAME,
+    "job": _JOB,
+    "program": {"number": 2, "name": "pass-2-finish.nc", "sha256": "9f" * 32},
+    "state": "parked",
+    "open": True,
+    "words": "",
+    "share": 0.0,
+    "executed_line": 0,
+    "lines": 41210,
+    "time_s": 5400.0,
+    "time_left_s": 5400.0,
+    "operator": "",
+    "recoveries": 0,
+    "warnings": ["the program cannot be held against the travel: the position is not trusted"],
+    "setup": {
+        "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
+        "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "material": "pmma"},
+        "zero": "X0 Y0: lower left corner of the lens, 8 mm in from the block's left and front edges; Z0: its top",
+        "change": {
+            "from_radius_mm": 3.0,
+            "to_radius_mm": 0.5,
+            "words": "change the tool from R 3 to R 0.5, set Z zero again; X and Y zero stay",
+        },
+    },
+    "required_checks": _CHECKS,
+    "left_out": [],
+    "next": {"number": 3, "name": "pass-3-finish.nc", "sha256": "9f" * 32},
+}
+PLAN: dict[str, Any] = {
+    "run": RUN_ID,
+    "executed_line": 8654,
+    "resume_line": 8655,
+    "overlap_line": 8640,
+    "recut_lines": 15,
+    "position_mm": [12.4, 7.02, 5.0],
+    "blocks": ["G21 G90 G17 G54", "M3 S18000", "G0 Z5.000", "G0 X12.400 Y7.020", "G1 Z-1.20000 F300"],
+    "ready": False,
+    "refusals": [],
+    "needs": [
+        {"code": "unlock", "words": "the mill is locked (alarm): home it, or unlock it and set the zero anew"},
+        {"code": "position", "words": "the controller has restarted since the run stopped, its position is lost"},
+    ],
+    "differences": ["G54 was X-150.000, is X-150.250"],
+    "words": ["lines up to 8654 are cut for certain; line 8655 is the next one"],
+}
+_CUT = {"share": 0.21, "executed_line": 8654, "time_left_s": 4300.0, "operator": "Ada"}
+_STOPPED = _CUT | {"required_checks": [*_CHECKS, "position"], "time_left_s": None}
+
+# state: (changes to the machine, changes to the mill, changes to its run, or None where there is none)
+STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] = {
+    "idle": ({}, {}, None),
+    "locked": ({}, {"state": "alarm", "detail": "ALARM:1 (hard limit hit, position lost: free the axis)"}, None),
+    "parked": ({}, {}, {}),
+    "running": (
+        {"control": {"operator": "Grace", "since": _SINCE}},
+        {"state": "run", "spindle_on": True, "spindle_rpm": 18000, "feed_mm_per_min": 1480},
+        _CUT | {"state": "running"},
+    ),
+    "held": ({}, {"state": "held"}, _CUT | {"state": "held"}),
+    "interrupted": (
+        {},
+        {"state": "alarm", "detail": "ALARM:3 (reset while moving, position lost: home or set the zero again)"},
+        _STOPPED | {"state": "interrupted", "words": "alarm: ALARM:3 reset while moving"},
+    ),
+    "unplugged": (
+        {},
+        {"state": "disconnected", "connected": False, "problem": "port lost: the device is gone", "latched": "hold"},
+        _STOPPED | {"state": "interrupted", "words": "port lost: the device is gone"},
+    ),
+    "no-agent": ({"agent": {"reachable": False, "words": f"machine '{NAME}' has no agent at present"}}, {}, None),
+    "bad-profile": ({"problem": 'shop.toml: extends = "grlb": allowed: "grbl", "grbl-3018"'}, {}, None),
+}
+
+
+def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """The machine as the API tells it, and the run that is on it."""
+    changes, mill, run = STATES[state]
+    machine = copy.deepcopy(MACHINE) | changes
+    machine["mill"] |= mill
+    whole = None if run is None else copy.deepcopy(RUN) | run
+    if whole is not None:
+        machine["run"] = whole | {"program": whole["program"]["name"]}
+    if "agent" in changes or "problem" in changes:
+        machine["mill"] = None
+    return machine, whole
+
+
+def told(page: Page, state: str) -> None:
+    """From now on this page hears of one machine in this state."""
+    machine, run = machine_in(state)
+    entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone"}
+    events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
+    page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
+    page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
+    page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": [], "next": None}))
+    page.route("**/v1/runs/*", lambda route: route.fulfill(json=run))
+    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN))
+    page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json={"id": _JOB, "spec": _spec(), "programs": []}))
+    page.route(f"**/v1/jobs/{_JOB}/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
+
+
+def _spec() -> dict[str, Any]:
+    return {"optics": {"width_mm": 100, "height_mm": 100, "outline": "rectangle"}, "stock": {"margin_mm": 8}}

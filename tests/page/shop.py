@@ -1,0 +1,194 @@
+"""A shop for the page: a real `serve` with worker and agents, a simulated mill with a cable to pull, one milled job."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import re
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import httpx
+
+from machines.simulated import SimulatedMill, serve_tcp
+from machines.simulated.endpoints import Endpoint
+from service.jobs.database import connect
+from service.settings import ServerSettings
+from service.store.opening import open_store
+from tests.service.api.server import ApiServer
+from tests.service.fleet.shop import await_agent, kill_agents
+from tests.service.host.processes import Serving, running, until
+from tests.service.mills import AT_ZERO, program
+
+MILL = "shop"
+TIME_FACTOR = 20.0
+PICTURE = Path(__file__).parents[2] / "examples" / "logo.png"
+# A lens that two slow cores have programs for within seconds.
+SMALL_SPEC: dict[str, Any] = {
+    "preset": "draft",
+    "image": {"pixels": 64},
+    "optics": {"width_mm": 10.0, "height_mm": 10.0},
+    "passes": [
+        {"name": "rough", "radius_mm": 3.0, "pitch_mm": 0.5, "stock_to_leave_mm": 0.2},
+        {"name": "finish", "radius_mm": 3.0, "pitch_mm": 0.25},
+    ],
+}
+LONG_PROGRAM = "pass-1-finish.nc"
+LONG_LINES = 8000
+# Power-up where a homing cycle would have left it, room for the lens around it, and switches to home by.
+_MILL = replace(AT_ZERO, power_up_machine_mm=(-150.0, -150.0, -20.0), homing=True)
+_PROFILE = 'extends = "grbl"\ndescription = "the mill by the window"\nhoming = true\n[link]\nport = "{port}"\n'
+
+
+class Made(ApiServer):
+    """Puts files and states into the tables of a server that is another process."""
+
+    def __init__(self, settings: ServerSettings) -> None:
+        self.services = SimpleNamespace(  # type: ignore[assignment]
+            settings=settings, database=connect(settings.sqlalchemy_url), store=open_store(settings)
+        )
+
+
+@dataclass
+class Shop:
+    """`serving` is the process of `causticmill serve`; it is another one after `start`."""
+
+    folder: Path
+    mill: Endpoint
+    serving: Serving
+    arguments: tuple[str, ...]
+    _stack: contextlib.ExitStack = field(repr=False)
+    _keys: dict[str, str] = field(default_factory=dict, repr=False)
+    _job: str = ""
+    _long_job: str = ""
+
+    @property
+    def data(self) -> Path:
+        return self.folder / "data"
+
+    @property
+    def url(self) -> str:
+        return self.serving.url
+
+    @property
+    def code(self) -> str:
+        """The code for running mills from a page, as `serve` has printed it."""
+        return re.findall(r"\d{4}-\d{4}", self.serving.out[1])[0]
+
+    def key(self, name: str = "Ada") -> str:
+        """A token of this person, got for the code."""
+        if name not in self._keys:
+            answer = httpx.post(f"{self.url}/v1/pairings", json={"code": self.code, "name": name}, trust_env=False)
+            assert answer.status_code == 201, answer.text
+            self._keys[name] = str(answer.json()["token"])
+        return self._keys[name]
+
+    @contextlib.contextmanager
+    def client(self) -> Iterator[httpx.Client]:
+        headers = {"Authorization": f"Bearer {self.key('the tests')}"}
+        with httpx.Client(base_url=self.url, headers=headers, timeout=60, trust_env=False) as client:
+            yield client
+
+    def submit(self, spec: dict[str, Any] | None = None) -> str:
+        """A job by the API; its id."""
+        with self.client() as client:
+            form = {"spec": json.dumps(SMALL_SPEC if spec is None else spec)}
+            answer = client.post("/v1/jobs", files={"image": ("logo.png", PICTURE.read_bytes())}, data=form)
+            assert answer.status_code == 202, answer.text
+            return str(answer.json()["id"])
+
+    def succeeded(self, job: str, within_s: float = 90.0) -> str:
+        now = self._until_ended(job, within_s)
+        assert now["state"] == "succeeded", now
+        return job
+
+    def _until_ended(self, job: str, within_s: float) -> dict[str, Any]:
+        deadline = time.monotonic() + within_s
+        with self.client() as client:
+            while (now := client.get(f"/v1/jobs/{job}").json())["state"] not in ("succeeded", "failed", "cancelled"):
+                assert time.monotonic() < deadline, now
+                time.sleep(0.1)
+        found: dict[str, Any] = now
+        return found
+
+    def job(self) -> str:
+        """The one small job with programs that the tests of this session share."""
+        if not self._job:
+            self._job = self.succeeded(self.submit())
+        return self._job
+
+    def long_job(self) -> str:
+        """A job with one program, of some minutes of the mill's time, as it is once its stages are done."""
+        if not self._long_job:
+            job = self.submit()
+            with self.client() as client:
+                client.post(f"/v1/jobs/{job}:cancel")
+            self._until_ended(job, 90.0)
+            path = program(self.folder / "long.nc", LONG_LINES, step_mm=0.1)
+            made = Made(ServerSettings(data=self.data))
+            made.put_artifact(job, LONG_PROGRAM, path.read_bytes(), stage="pass-1")
+            made.put_stage(job, "check")
+            made.put_state(job, "succeeded")
+            self._long_job = job
+        return self._long_job
+
+    def machine(self) -> dict[str, Any]:
+        with self.client() as client:
+            found: dict[str, Any] = client.get(f"/v1/machines/{MILL}").json()
+            return found
+
+    def pull_cable(self) -> None:
+        with self.mill.lock:
+            self.mill.mill.unplug()
+
+    def plug_in(self) -> None:
+        with self.mill.lock:
+            self.mill.mill.replug()
+
+    def kill_api(self) -> None:
+        """What a crash of the API process is; the supervisor starts it anew."""
+        self.serving.kill(self.serving.child("service.api.main"))
+
+    def stop(self) -> None:
+        """The whole server ends; agents and mills live on."""
+        self.serving.process.terminate()
+        self.serving.ended()
+
+    def start(self) -> None:
+        """And comes back at the same address."""
+        port = self.url.rpartition(":")[2]
+        self.serving = self._stack.enter_context(_served(self.folder, self.arguments, port=port))
+
+
+@contextlib.contextmanager
+def running_shop(folder: Path, *arguments: str) -> Iterator[Shop]:
+    with contextlib.ExitStack() as stack:
+        mill = stack.enter_context(serve_tcp(SimulatedMill(_MILL), "127.0.0.1", 0, TIME_FACTOR))
+        machines = folder / "config" / "machines"
+        machines.mkdir(parents=True)
+        (machines / f"{MILL}.toml").write_text(_PROFILE.format(port=mill.url))
+        stack.callback(kill_agents, folder)
+        serving = stack.enter_context(_served(folder, arguments))
+        shop = Shop(folder, mill, serving, arguments, stack)
+        await_agent(folder / "data" / "agents" / MILL)
+        until(lambda: (shop.machine()["mill"] or {}).get("connected"), what="a connected mill")
+        yield shop
+
+
+@contextlib.contextmanager
+def _served(folder: Path, arguments: tuple[str, ...], port: str = "0") -> Iterator[Serving]:
+    data = folder / "data"
+    command = [sys.executable, "-m", "service.cli", "serve", "--data", str(data), "--port", port, *arguments]
+    environment = {
+        "CAUSTICMILL_CONFIG_DIR": str(folder / "config"),
+        "XDG_STATE_HOME": str(folder / "state"),
+        "CAUSTICMILL_FREE_DISK_MB": "0",
+    }
+    with running(command, data, environment) as serving:
+        serving.until_ready(60)
+        yield serving

@@ -1,0 +1,317 @@
+"""The view of a job: what it shows is what the server has, live, and everything can be had by mouse, finger and key."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Locator, Page, expect
+
+from service.drawing.layout import parted
+from tests.page.browser import every_screen
+from tests.page.conftest import Opened
+from tests.page.jobs import PLAN_HOURS, answer, like, of_shop, shown, stopped_at, with_plan
+from tests.page.shop import MILL, SMALL_SPEC, Shop
+
+AWAY = (r"net::ERR_", r"status of 50[234]")
+NO_WEBGL = """const get = HTMLCanvasElement.prototype.getContext;
+HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
+    return kind === "webgl2" ? null : get.call(this, kind, ...more);
+};"""
+
+
+@pytest.fixture
+def at_job(opened: Opened, shop: Shop) -> Page:
+    page = opened(f"#/jobs/{shop.job()}")
+    expect(page.get_by_role("heading", name="Programs")).to_be_visible()
+    return page
+
+
+def artifact(shop: Shop, name: str) -> bytes:
+    with shop.client() as client:
+        return client.get(f"/v1/jobs/{shop.job()}/artifacts/{name}").content
+
+
+def share_of(slider: Locator) -> float:
+    return float(slider.input_value())
+
+
+def test_a_wipe_goes_where_mouse_and_keys_say(at_job: Page) -> None:
+    frame, slider = (
+        at_job.locator(".wipe-frame"),
+        at_job.get_by_role("slider", name="Wipe between Target and As milled"),
+    )
+    expect(slider).to_be_visible()
+    frame.scroll_into_view_if_needed()
+    box = frame.bounding_box()
+    assert box
+    middle = box["y"] + box["height"] / 2
+    at_job.mouse.move(box["x"] + box["width"] / 2, middle)
+    at_job.mouse.down()
+    for share in (0.6, 0.25):
+        at_job.mouse.move(box["x"] + share * box["width"], middle)
+        assert share_of(slider) == pytest.approx(100 * share, abs=0.6)
+    at_job.mouse.up()
+    at_job.mouse.move(box["x"] + box["width"], middle)
+    assert share_of(slider) == pytest.approx(25, abs=0.6)  # let go is let go
+    slider.press("ArrowRight")
+    assert share_of(slider) == pytest.approx(25.5, abs=0.6)
+    slider.press("End")
+    clip = at_job.locator(".wipe-over").evaluate("one => getComputedStyle(one).clipPath")
+    assert clip == "inset(0px 0px 0px 100%)"  # all of the left picture
+    at_job.get_by_role("combobox", name="Right").select_option("Ideal caustic")
+    expect(at_job.get_by_role("slider", name="Wipe between Target and Ideal caustic")).to_be_visible()
+
+
+def test_figures_in_words_are_those_of_the_report(at_job: Page, shop: Shop) -> None:
+    job, _ = of_shop(shop)
+    milled, optics = job["report"]["as_milled"], job["report"]["optics"]
+    pixel_mm = job["spec"]["optics"]["width_mm"] / job["spec"]["image"]["pixels"]
+    marks_mm = math.hypot(milled["blur_x_px"], milled["blur_y_px"]) * pixel_mm
+    detail_mm = max(pixel_mm, math.hypot(2 * marks_mm, optics["tolerances"]["blur_mm"]))
+    facts = at_job.locator(".facts")
+    expect(facts).to_contain_text(f"{milled['psnr_db']:.1f} dB")
+    expect(facts).to_contain_text(f"{optics['psnr_db']:.1f} dB")
+    told = re.search(r"details under ([\d.]+) (mm|µm) will blur", facts.inner_text())
+    assert told
+    assert float(told[1]) * (1e-3 if told[2] == "µm" else 1) == pytest.approx(detail_mm, rel=0.06)
+    for warning in job["report"]["warnings"]:
+        expect(at_job.locator(".warnings")).to_contain_text(warning[1:].replace("`", ""))
+
+
+def test_each_program_goes_to_the_mill_by_its_number(at_job: Page, shop: Shop) -> None:
+    job, _ = of_shop(shop)
+    rows = at_job.locator(".programs li")
+    expect(rows).to_have_count(len(job["programs"]))
+    for row, program in zip(rows.all(), job["programs"], strict=True):
+        expect(row).to_contain_text(program["name"])
+        send = row.locator("a.primary").filter(has_text=re.compile(f"Send to (mill|{MILL})")).first
+        expect(send).to_have_attribute("href", f"#/machines/{MILL}?job={job['id']}&program={program['number']}")
+
+
+def test_the_wall_moves_through_the_pictures_of_the_file(at_job: Page, shop: Shop) -> None:
+    """What the canvas shows is the frame of that distance, and the words give the distance."""
+    data = artifact(shop, "focus.bin")
+    head, start = parted(data)
+    size = head["nx"] * head["ny"]
+    slider, canvas = at_job.get_by_role("slider", name="Distance of the wall"), at_job.locator(".focus-picture")
+    slider.scroll_into_view_if_needed()
+    expect(at_job.locator(".focus-words")).to_contain_text("in focus")
+    for key, frame in (("Home", 0), ("End", len(head["factors"]) - 1)):
+        slider.press(key)
+        seen = canvas.evaluate("one => [...one.getContext('2d').getImageData(0, 0, one.width, one.height).data]")
+        assert bytes(seen[1::4]) == data[start + frame * size : start + (frame + 1) * size]
+        way = abs(head["factors"][frame] - 1) * head["throw_mm"]
+        expect(at_job.locator(".focus-words")).to_contain_text(f"{way:.3g} mm too {'near' if frame == 0 else 'far'}")
+    at_job.get_by_role("button", name="Back to focus").click()
+    expect(at_job.locator(".focus-words")).to_contain_text("in focus")
+
+
+def test_the_map_of_heights_reads_off_the_surface(at_job: Page, shop: Shop) -> None:
+    data = artifact(shop, "surface.bin")
+    head, start = parted(data)
+    steps = np.frombuffer(data, "<u2", offset=start).reshape(head["ny"], head["nx"])
+    chart = at_job.locator(".height-map")
+    chart.scroll_into_view_if_needed()
+    expect(chart).to_have_attribute("width", str(head["nx"]))
+    box = chart.bounding_box()
+    assert box
+    chart.hover(position={"x": 0.25 * box["width"], "y": 0.25 * box["height"]})  # upper left: low X, high Y
+    told = re.fullmatch(r"X ([\d.]+)\s+Y ([\d.]+)\s+Z (-[\d.]+) mm", at_job.locator(".height-reading").inner_text())
+    assert told
+    x_mm, y_mm, z_mm = map(float, told.groups())
+    assert x_mm < 5 < y_mm  # of a lens of 10 mm
+    column, row = (x_mm - head["x0_mm"]) / head["dx_mm"], (y_mm - head["y0_mm"]) / head["dy_mm"]
+    near = steps[int(row) : int(row) + 2, int(column) : int(column) + 2] * head["dz_mm"] + head["z0_mm"]
+    assert near.min() - 2e-3 <= z_mm <= near.max() + 2e-3
+
+
+def test_the_lens_turns_by_hand_and_rests_for_who_wants_no_motion(at_job: Page) -> None:
+    body = at_job.locator(".lens-canvas")
+    at_job.locator("#lens-title").scroll_into_view_if_needed()
+    body.scroll_into_view_if_needed()
+    expect(at_job.get_by_role("button", name="Turn", exact=True)).to_be_visible()
+    at_job.wait_for_timeout(300)
+    first = body.screenshot()
+    at_job.wait_for_timeout(400)
+    assert body.screenshot() == first
+    body.focus()
+    body.press("ArrowLeft")
+    at_job.wait_for_timeout(200)
+    turned = body.screenshot()
+    assert turned != first
+    body.press("+")
+    at_job.wait_for_timeout(200)
+    assert body.screenshot() != turned
+
+
+def test_without_webgl_there_is_the_map_of_heights(opened: Opened, shop: Shop) -> None:
+    page = opened("#/machines")
+    page.context.add_init_script(NO_WEBGL)
+    page.reload()
+    page.evaluate("id => { location.hash = `#/jobs/${id}` }", shop.job())
+    chart = page.locator(".height-map")
+    chart.scroll_into_view_if_needed()
+    expect(page.locator(".height-bar")).to_be_visible()
+    expect(page.locator(".lens-canvas")).to_have_count(0)
+
+
+def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: Opened, shop: Shop) -> None:
+    """Progress, pictures, figures and programs come without a reload, across a crash of the API."""
+    job = shop.submit(SMALL_SPEC | {"optics": {"width_mm": 9.0, "height_mm": 9.0}})
+    page = opened(f"#/jobs/{job}", errors=AWAY)
+    words = page.locator(".progress-words")
+    expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=60_000)
+    shop.kill_api()
+    expect(words).to_contain_text("Made", timeout=150_000)
+    expect(page.locator(".job-state")).to_have_text("done")
+    expect(page.get_by_role("img", name="As milled: with all marks of the tool").last).to_be_visible()
+    expect(page.locator(".facts")).to_contain_text("will blur")
+    expect(page.locator(".programs li")).to_have_count(2)
+
+
+def test_a_failed_job_says_what_to_change(opened: Opened, shop: Shop) -> None:
+    job, files = of_shop(shop)
+    error = {"stage": "pass-2", "detail": "the ball of 3 mm does not fit", "field": "spec.passes.1.radius_mm"}
+    stages = stopped_at(job, "pass-2", "failed")
+    failed = like(job, 1, state="failed", error=error, stages=stages, programs=[], progress=0.6)
+    page = shown(opened, failed, files[:4])
+    for _ in every_screen(page):
+        told = page.locator(".notice.bad")
+        expect(told).to_contain_text("The ball of 3 mm does not fit.")
+        expect(told).to_contain_text("Change pass 2 (finish), radius_mm")
+        expect(told.get_by_role("link")).to_have_attribute("href", f"#/new?from={failed['id']}")
+    expect(page.locator(".stages [data-state=failed]")).to_have_text(re.compile("pass 2.*failed"))
+    asked: list[str] = []
+    page.route("**:retry", lambda route: (asked.append(route.request.method), route.fulfill(status=202, json=job)))
+    page.get_by_role("button", name="Try again").click()
+    expect(page.locator(".job-state")).to_have_text("done")
+    assert asked == ["POST"]
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ("queued", "Waits: 2 jobs before this one."),
+        ("cancelled", "Try again goes on with the steps that were finished."),
+    ],
+)
+def test_a_job_without_results_explains_itself(opened: Opened, shop: Shop, state: str, words: str) -> None:
+    job, _ = of_shop(shop)
+    stages = stopped_at(job, "image", "cancelled" if state == "cancelled" else "waiting")
+    empty: dict[str, Any] = {"report": None, "programs": [], "stages": stages, "progress": 0.0, "queue_position": 3}
+    page = shown(opened, like(job, 2, state=state, **empty), [])
+    for _ in every_screen(page):
+        expect(page.get_by_text(words)).to_be_visible()
+
+
+def test_a_deleted_job_is_gone_after_a_question(opened: Opened, shop: Shop) -> None:
+    job, files = of_shop(shop)
+    page = shown(opened, like(job, 3), files)
+    asked: list[str] = []
+
+    def delete(route: Any) -> None:
+        asked.append(route.request.method)
+        route.fulfill(status=204)
+
+    page.route(
+        f"**/v1/jobs/{like(job, 3)['id']}",
+        lambda route: delete(route) if route.request.method == "DELETE" else route.fallback(),
+    )
+    page.get_by_role("button", name="Delete").click()
+    page.get_by_role("dialog").get_by_role("button", name="Keep").click()
+    assert not asked
+    page.get_by_role("button", name="Delete").click()
+    page.get_by_role("dialog").get_by_role("button", name="Delete").click()
+    expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
+    assert asked == ["DELETE"]
+
+
+def test_a_plan_is_taken_by_click_and_by_key(opened: Opened, shop: Shop) -> None:
+    job, files = of_shop(shop)
+    planned = with_plan(job, 4)
+    page = shown(opened, planned, files)
+    points, chosen = page.get_by_role("radio", name="will blur"), page.locator(".plan-chosen")
+    expect(points).to_have_count(len(PLAN_HOURS))
+    expect(chosen).to_contain_text("This is the plan of this job.")
+    x = [box["x"] for point in points.all() if (box := point.bounding_box())]
+    assert x == sorted(x)  # longer is farther right
+    points.nth(0).click()
+    expect(chosen).to_contain_text("12 min")
+    expect(chosen).to_contain_text("fine hair is lost")
+    link = chosen.get_by_role("link", name="Make this job")
+    expect(link).to_have_attribute("href", f"#/new?from={planned['id']}&plan=0")
+    points.nth(0).press("ArrowRight")
+    expect(points.nth(1)).to_be_focused()
+    expect(link).to_have_attribute("href", f"#/new?from={planned['id']}&plan=1")
+    for _ in range(3):
+        page.get_by_role("button", name="Sharper").click()
+    expect(points.nth(4)).to_have_attribute("aria-checked", "true")
+    expect(chosen).to_contain_text("every 0.1 mm")
+    for _ in every_screen(page):
+        expect(link).to_be_visible()
+
+
+def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened, shop: Shop) -> None:
+    job, files = of_shop(shop)
+    spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
+    report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5}}
+    other = like(job, 5, name="other.png", spec=spec, report=report)
+    page = opened("#/machines")
+    answer(page, other, files)
+    page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
+    rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")
+    expect(rows).to_have_count(2)
+    expect(rows.nth(1)).to_have_text(re.compile(r"optics\.throw_mm.*123"))
+    better = page.get_by_role("row", name="As milled").get_by_role("cell", name="better")
+    expect(better).to_have_text(re.compile("31.5 dB"))
+    expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()
+    for _ in every_screen(page):
+        expect(rows).to_have_count(2)
+
+
+def test_files_are_whole_with_a_token_and_without(opened: Opened, shop: Shop) -> None:
+    """By a plain link; by a stream onto the disk; by way of memory: the same bytes."""
+    job, _ = of_shop(shop)
+    program = job["programs"][0]
+
+    def sha256(path: Path) -> str:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+
+    for key in ("", "Ada"):
+        page = opened(f"#/jobs/{job['id']}", key=key)
+        page.evaluate("delete window.showSaveFilePicker")
+        with page.expect_download() as download:
+            page.locator(".programs").get_by_role("link", name="Save").first.click()
+        assert download.value.suggested_filename == program["name"]
+        assert sha256(download.value.path()) == program["sha256"]
+    page = opened(f"#/jobs/{job['id']}", key="Ada")
+    page.evaluate("""() => {
+        window.pieces = [];
+        window.showSaveFilePicker = async () => ({createWritable: async () => new WritableStream({
+            write(piece) { window.pieces.push(piece.byteLength); }, close() { window.whole = true; }})});
+    }""")
+    save = page.locator(".programs").get_by_role("link", name="Save").first
+    save.click()
+    expect(save).not_to_have_attribute("data-busy", "yes")
+    assert page.evaluate("window.whole")
+    assert page.evaluate("window.pieces.reduce((sum, piece) => sum + piece, 0)") == program["bytes"]
+
+
+def test_every_screen_of_a_finished_job(at_job: Page, picture: Any) -> None:
+    for part in ("#lens-title", "#path-title", "#files-title"):
+        at_job.locator(part).scroll_into_view_if_needed()
+    expect(at_job.locator("[data-level]")).to_be_attached()
+    for screen in every_screen(at_job):
+        expect(at_job.get_by_role("heading", name="Tool path")).to_be_visible()
+        picture(at_job, f"job-{screen}")
+
+
+def test_a_job_that_is_not_there_is_said_so(opened: Opened) -> None:
+    page = opened("#/jobs/00000000-0000-4000-8000-00000000dead", errors=("status of 404",))
+    expect(page.get_by_role("alert")).to_contain_text("no job")

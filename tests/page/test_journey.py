@@ -1,0 +1,145 @@
+"""Whole ways through the page, as a person goes them, on a real server and simulated mills."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.page.conftest import Opened
+from tests.page.driving import WAIT_MS, give_up, load, machine_state, release, start, take_control, zeroed
+from tests.page.shop import LONG_PROGRAM, MILL, PICTURE, Shop
+from tests.service.host.processes import until
+
+AWAY = (r"net::ERR_", r"status of 50[234]")
+
+
+@pytest.fixture
+def at_mill(opened: Opened, shop: Shop) -> Iterator[Page]:
+    """A page with control of a mill that is homed and has its zero; servers may go away under it."""
+    shop.long_job()  # before the page looks which there are
+    page = opened(f"#/machines/{MILL}", key="Ada", errors=AWAY)
+    take_control(page)
+    give_up(page)
+    zeroed(page)
+    yield page
+    release(page)
+
+
+def running(page: Page, shop: Shop) -> None:
+    """A long program runs on the mill."""
+    load(page, shop.long_job(), LONG_PROGRAM)
+    start(page)
+    expect(machine_state(page)).to_have_text("running")
+
+
+def cut_lines(page: Page) -> int:
+    found = re.search(r"line ([\d,]+) of", page.locator(".meter").inner_text())
+    assert found is not None
+    return int(found[1].replace(",", ""))
+
+
+def goes_on(page: Page) -> None:
+    """The figures on the page rise: it hears of the mill."""
+    before = cut_lines(page)
+    until(lambda: (page.wait_for_timeout(50), cut_lines(page) > before)[1], what="more lines cut, as the page says")
+
+
+def drop(page: Page, picture: Path) -> None:
+    """As from the desktop: the file comes with the event."""
+    content = base64.b64encode(picture.read_bytes()).decode()
+    transfer = page.evaluate_handle(
+        """([name, content]) => {
+            const found = new DataTransfer();
+            const bytes = Uint8Array.from(atob(content), (c) => c.charCodeAt(0));
+            found.items.add(new File([bytes], name, {type: "image/png"}));
+            return found;
+        }""",
+        [picture.name, content],
+    )
+    page.dispatch_event(".drop", "drop", {"dataTransfer": transfer})
+
+
+def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) -> None:
+    """Nothing but the page and the code that the server has printed."""
+    page = opened()
+    drop(page, PICTURE)
+    page.get_by_label("Width", exact=True).fill("10")
+    page.get_by_label("Height", exact=True).fill("10")
+    page.get_by_role("radio", name="Draft").check()
+    page.get_by_text("Expert:").click()
+    page.get_by_label("Pixels across").fill("64")
+    page.get_by_label("Set every pass by hand").check()
+    page.get_by_label("Pitch").last.fill("0.25")
+    page.get_by_role("button", name="Make the lens").click()
+    page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=4 * WAIT_MS)
+    page.get_by_role("button", name="Take control").click()
+    page.get_by_label("Code or token").fill(shop.code)
+    page.get_by_label("Your name").fill("Ada Lovelace")
+    page.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_text("You have control.")).to_be_visible()
+    zeroed(page)
+    page.get_by_role("button", name="Load onto the mill").click(timeout=4 * WAIT_MS)
+    expect(page.get_by_role("button", name="Start pass-1-rough.nc")).to_be_visible(timeout=WAIT_MS)
+    start(page)
+    expect(page.locator(".running .mark")).to_have_text("finished", timeout=WAIT_MS)
+    expect(page.locator(".meter")).to_contain_text("100 %")
+    page.get_by_role("button", name="Next: pass-2-finish.nc").click()
+    expect(page.get_by_role("combobox", name="Program")).to_have_value("pass-2-finish.nc")
+    release(page)
+
+
+def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Shop) -> None:
+    running(at_mill, shop)
+    at_mill.keyboard.press("Space")
+    expect(machine_state(at_mill)).to_have_text("held")
+    at_mill.get_by_role("button", name="Resume").click()
+    expect(machine_state(at_mill)).to_have_text("running")
+    goes_on(at_mill)
+    at_mill.keyboard.press("Escape")
+    expect(at_mill.locator(".running .mark")).to_have_text("stopped")
+    stopped_at = cut_lines(at_mill)
+    expect(machine_state(at_mill)).to_have_text("idle")
+    expect(at_mill.get_by_text(re.compile("Lines up to .* are cut for certain"))).to_be_visible()
+    start(at_mill)
+    expect(at_mill.locator(".running .mark")).to_have_text("running")
+    goes_on(at_mill)
+    assert cut_lines(at_mill) > stopped_at
+
+
+def test_the_page_recovers_by_itself_from_restarts_while_the_mill_runs(at_mill: Page, shop: Shop) -> None:
+    """First the API dies and is started anew by its supervisor, then the whole server goes and comes back."""
+    running(at_mill, shop)
+    at_mill.evaluate("window.neverReloaded = true")
+    shop.kill_api()
+    expect(at_mill.locator(".trouble")).to_contain_text("use the button on the mill")
+    expect(at_mill.locator(".trouble")).to_be_empty(timeout=WAIT_MS)
+    goes_on(at_mill)
+    shop.stop()
+    expect(at_mill.locator(".trouble")).to_contain_text("use the button on the mill")
+    expect(at_mill.locator(".stops")).to_contain_text("use the button on the mill itself")
+    for control in at_mill.locator(".overrides button").all():
+        expect(control).to_be_disabled()
+    shop.start()
+    expect(at_mill.locator(".trouble")).to_be_empty(timeout=WAIT_MS)
+    goes_on(at_mill)
+    expect(at_mill.get_by_text("You have control.")).to_be_visible()
+    at_mill.get_by_role("button", name="HOLD").click()
+    expect(machine_state(at_mill)).to_have_text("held")
+    assert at_mill.evaluate("window.neverReloaded"), "nobody had to load the page again"
+
+
+def test_a_pulled_cable_is_said_and_the_run_gone_on_with(at_mill: Page, shop: Shop) -> None:
+    running(at_mill, shop)
+    shop.pull_cable()
+    trouble = at_mill.locator(".trouble")
+    expect(trouble).to_contain_text("The mill is not connected: is its cable in")
+    expect(trouble).to_contain_text("the spindle may turn")
+    expect(machine_state(at_mill)).to_have_text("not connected")
+    expect(at_mill.get_by_role("button", name=re.compile("^Go on from"))).to_be_hidden()
+    shop.plug_in()
+    expect(at_mill.get_by_role("heading", name="Go on with this program")).to_be_visible(timeout=WAIT_MS)

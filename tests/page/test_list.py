@@ -1,0 +1,207 @@
+"""The list of jobs, the way to a new one, and the key."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+from playwright.sync_api import Page, Route, expect
+
+from tests.page.browser import Watched, every_screen
+from tests.page.conftest import Opened
+from tests.page.shop import Shop
+from tests.service.api.server import png
+
+STATES = {"queued": "waiting", "running": "working", "succeeded": "done", "failed": "failed", "cancelled": "cancelled"}
+FIRST_VIEW_BYTES = 300_000
+DROP = """([place, name, bytes]) => {
+    const data = new DataTransfer();
+    data.items.add(new File([new Uint8Array(bytes)], name, {type: name.endsWith("png") ? "image/png" : "text/plain"}));
+    const event = new DragEvent("drop", {dataTransfer: data, bubbles: true, cancelable: true});
+    document.querySelector(place).dispatchEvent(event);
+}"""
+
+
+def summary(number: int, state: str, **more: Any) -> dict[str, Any]:
+    """A job as the API lists it."""
+    address = f"/v1/jobs/00000000-0000-4000-8000-{number:012d}"
+    links = {"self": address, "events": f"{address}/events", "artifacts": f"{address}/artifacts"}
+    body = {
+        "id": address.rpartition("/")[2], "name": f"picture-{number}.png", "state": state, "stage": None,
+        "progress": 0.42, "queue_position": None, "priority": "normal", "attempt": 1, "cancel_requested": False,
+        "created_at": f"2026-11-21T08:{59 - number:02d}:00.000Z", "started_at": None, "ended_at": None, "error": None,
+        "image": {"sha256": "0" * 64, "bytes": 1}, "links": links, "etag": f'"{number}-{state}"',
+    }  # fmt: skip
+    return body | more
+
+
+def answer_with(page: Page, jobs: list[dict[str, Any]]) -> None:
+    """The server of this page has just these jobs, and no files of them."""
+
+    def listed(route: Route) -> None:
+        route.fulfill(json={"jobs": [job for job in jobs if _asked(route, job["state"])], "next": None})
+
+    page.route("**/v1/jobs?*", listed)
+    page.route("**/v1/jobs/*/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
+
+
+def _asked(route: Route, state: str) -> bool:
+    wanted = [part.removeprefix("state=") for part in route.request.url.split("?")[1].split("&") if "state=" in part]
+    return not wanted or state in wanted
+
+
+def shown(opened: Opened, jobs: list[dict[str, Any]], **how: Any) -> Page:
+    page = opened("#/machines", **how)
+    answer_with(page, jobs)
+    page.evaluate("location.hash = '#/'")
+    expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
+    return page
+
+
+def test_every_state_is_a_word_and_a_shape(opened: Opened) -> None:
+    error = {"stage": "map", "detail": "the lens is " + "very " * 60 + "thin", "field": None}
+    jobs = [summary(number, state, error=error if state == "failed" else None) for number, state in enumerate(STATES)]
+    jobs.append(summary(9, "queued", name="a-name-without-any-place-to-break-it" * 3 + ".png"))
+    page = shown(opened, jobs)
+    for number, word in enumerate(STATES.values()):
+        card = page.get_by_role("link", name=f"picture-{number}.png")
+        expect(card).to_contain_text(word)
+        assert card.locator(".mark svg").count() == 1
+    drawn = page.locator(".mark svg").evaluate_all("all => all.map(one => one.innerHTML)")
+    assert len(set(drawn)) == len(STATES)
+    for _ in every_screen(page):
+        expect(page.get_by_role("link", name="picture-0.png")).to_be_visible()
+
+
+def test_who_has_no_job_is_told_in_one_sentence_what_to_do(opened: Opened) -> None:
+    page = shown(opened, [])
+    place = page.locator(".drop")
+    expect(place.locator("p")).to_contain_text("Drop a picture here")
+    assert place.locator("p").inner_text().count(".") == 1
+    expect(page.get_by_role("navigation", name="Which jobs")).to_be_hidden()
+    for _ in every_screen(page):
+        expect(place.get_by_role("button", name="Choose a picture")).to_be_visible()
+
+
+def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(opened: Opened) -> None:
+    page = shown(opened, [])
+    page.evaluate(DROP, [".drop", "notes.txt", list(b"no picture")])
+    expect(page.get_by_text("This is no picture.")).to_be_visible()
+    page.evaluate(DROP, [".drop", "portrait.png", list(png())])
+    expect(page.get_by_role("heading", name="New job")).to_be_visible()
+    expect(page.get_by_label("Name of the job")).to_have_value("portrait")
+
+
+def test_the_list_goes_on_by_itself_and_leaves_the_focus_where_it_is(opened: Opened) -> None:
+    jobs = [summary(1, "running", progress=0.10), summary(2, "succeeded")]
+    page = shown(opened, jobs)
+    page.get_by_role("link", name="picture-2.png").focus()
+    jobs[0] |= {"progress": 0.57, "etag": '"later"'}
+    jobs.insert(0, summary(0, "queued", queue_position=1))
+    expect(page.get_by_role("link", name="picture-1.png")).to_contain_text("57 %")
+    expect(page.get_by_role("listitem").first).to_contain_text("picture-0.png")
+    jobs.pop()
+    jobs[1] |= {"state": "succeeded", "etag": '"last"'}
+    expect(page.get_by_role("link", name="picture-1.png")).to_contain_text("done")
+    expect(page.get_by_role("link", name="picture-2.png")).to_have_count(0)
+
+
+def test_a_filter_shows_the_jobs_of_its_states(opened: Opened) -> None:
+    page = shown(opened, [summary(number, state) for number, state in enumerate(STATES)])
+    for words, states in (("Working", ("queued", "running")), ("Failed", ("failed", "cancelled")), ("All", STATES)):
+        page.get_by_role("link", name=words, exact=True).click()
+        expect(page.get_by_role("link", name=words, exact=True)).to_have_attribute("aria-current", "true")
+        expect(page.locator(".job .name")).to_have_count(len(states))
+
+
+def test_the_first_view_is_small_and_comes_from_this_server_only(watched: Callable[..., Watched], shop: Shop) -> None:
+    page = watched().page()
+    sizes: dict[str, int] = {}
+    page.on("requestfinished", lambda request: sizes.update({request.url: request.sizes()["responseBodySize"]}))
+    page.goto("/")
+    expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
+    page.wait_for_load_state("networkidle")
+    assert all(url.startswith((shop.url, "blob:")) for url in sizes)
+    asked_early = page.locator("link[rel=modulepreload]").evaluate_all("all => all.map(one => one.href)")
+    assert {url for url in sizes if url.endswith(".js")} == set(asked_early)  # none waits for another to be read
+    assert 10_000 < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
+
+
+def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(opened: Opened, shop: Shop) -> None:
+    page = opened(errors=("status of 40[0-9]", "status of 422"))
+    page.get_by_role("button", name="Enter key").click()
+    dialog = page.get_by_role("dialog", name="Enter the key")
+    dialog.get_by_label("Your name").fill("Grace")
+    dialog.get_by_label("Code or token").fill("no code")
+    dialog.get_by_role("button", name="Use this key").click()
+    expect(dialog.get_by_role("alert")).to_contain_text("eight digits")
+    dialog.get_by_label("Code or token").fill("0000-0000" if shop.code != "0000-0000" else "1111-1111")
+    dialog.get_by_role("button", name="Use this key").click()
+    expect(dialog.get_by_role("alert")).not_to_contain_text("eight digits")
+    dialog.get_by_label("Code or token").fill(shop.code)
+    dialog.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_role("button", name="Grace")).to_be_visible()
+    token = page.evaluate("import('/page/lib/api.js').then(({api}) => api.token)")
+    assert token
+    kept = page.evaluate("[localStorage, sessionStorage].map(one => JSON.stringify(one)).join() + document.cookie")
+    assert token not in kept + page.url and not page.context.cookies()
+    page.reload()
+    expect(page.get_by_role("button", name="Enter key")).to_be_visible()
+
+
+def test_a_view_that_comes_too_late_is_not_shown(opened: Opened) -> None:
+    """A person went on while it loaded: neither its content nor its title takes the place of what they look at."""
+    page = opened("#/new")
+    waiting: list[Route] = []
+    page.route("**/v1/jobs?*", lambda route: waiting.append(route))
+    with page.expect_request("**/v1/jobs?*"):
+        page.evaluate("location.hash = '#/'")
+    page.evaluate("location.hash = '#/new'")
+    expect(page.get_by_role("heading", level=1, name="New job")).to_be_visible()
+    waiting[0].fulfill(json={"jobs": [], "next": None})
+    page.evaluate("() => new Promise((done) => setTimeout(done, 200))")
+    expect(page.get_by_role("heading", level=1)).to_have_text("New job")
+    assert page.title().startswith("New job")
+
+
+def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_sees_the_list(
+    opened: Opened, shop: Shop
+) -> None:
+    page = opened("#/machines", errors=("status of 401",))
+
+    def ask_for_a_key(route: Route) -> None:
+        known = "authorization" in route.request.headers
+        body = {"status": 401, "detail": "a token is needed", "field": "Authorization"}
+        route.fallback() if known else route.fulfill(status=401, json=body)
+
+    page.route("**/v1/jobs?*", ask_for_a_key)
+    page.evaluate("location.hash = '#/'")
+    dialog = page.get_by_role("dialog", name="Enter the key")
+    dialog.get_by_role("button", name="Cancel").click()
+    expect(page.get_by_text("a token is needed")).to_be_visible()
+    page.get_by_role("button", name="Try again").click()
+    expect(page.get_by_role("heading", level=1, name="Not shown")).to_be_visible()
+    expect(dialog).to_have_count(0)
+    page.get_by_role("button", name="Enter key").click()
+    dialog.get_by_label("Code or token").fill(shop.key("Joan"))
+    dialog.get_by_label("Your name").fill("Joan")
+    dialog.get_by_role("button", name="Use this key").click()
+    expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
+
+
+def test_the_list_can_be_walked_with_the_keyboard_alone(opened: Opened) -> None:
+    page = shown(opened, [summary(1, "succeeded")])
+    page.reload()
+    expect(page.get_by_role("link", name="picture-1.png")).to_be_visible()
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="Skip to content")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("#view")).to_be_focused()
+    page.keyboard.press("Tab")
+    expect(page.get_by_role("button", name="Choose a picture")).to_be_focused()
+    for _ in range(5):
+        page.keyboard.press("Tab")
+    expect(page.get_by_role("link", name="picture-1.png")).to_be_focused()
+    outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
+    assert outline != "none"

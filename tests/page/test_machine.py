@@ -1,0 +1,122 @@
+"""The machine screen: who may move the mill and how, what stops it, and what a person is told."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+
+import pytest
+from playwright.sync_api import Page, Route, expect
+
+from tests.page.browser import Scheme, serious_faults, sticks_out
+from tests.page.conftest import Opened
+from tests.page.driving import homed, machine_state, readout, release, take_control
+from tests.page.machine_states import STATES, machine_in, told
+from tests.page.shop import MILL, Shop
+
+SCREEN = f"#/machines/{MILL}"
+
+
+@pytest.fixture
+def at_mill(opened: Opened, shop: Shop) -> Iterator[Page]:
+    """A page with control of a homed mill."""
+    page = opened(SCREEN, key="Ada")
+    take_control(page)
+    homed(page)
+    yield page
+    release(page)
+
+
+def places(page: Page) -> list[str]:
+    return [readout(page, axis).inner_text() for axis in "XYZ"]
+
+
+def jogs_sent(page: Page) -> list[str]:
+    sent: list[str] = []
+    page.on("request", lambda request: sent.append(request.post_data or "") if request.url.endswith("/jog") else None)
+    return sent
+
+
+def test_one_press_is_one_step(at_mill: Page) -> None:
+    sent = jogs_sent(at_mill)
+    at_mill.get_by_label("0.1", exact=True).check()
+    before = float(readout(at_mill, "X").inner_text().replace("−", "-"))
+    at_mill.get_by_role("button", name="X minus").click()
+    expect(readout(at_mill, "X")).to_have_text(re.compile(f"{abs(before) + 0.1:.3f}$"))
+    assert len(sent) == 1
+
+
+def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill: Page) -> None:
+    sent = jogs_sent(at_mill)
+    at_mill.get_by_role("button", name="X minus").focus()
+    at_mill.keyboard.press("ArrowLeft")
+    assert sent == [], "not armed"
+    at_mill.get_by_role("button", name="Use the keyboard").click()
+    for _ in range(5):  # held down: the browser repeats it
+        at_mill.keyboard.down("ArrowLeft")
+    at_mill.keyboard.up("ArrowLeft")
+    expect(machine_state(at_mill)).to_have_text("idle")
+    assert len(sent) == 1
+    at_mill.get_by_label("One line to the mill").focus()
+    at_mill.keyboard.press("ArrowLeft")
+    at_mill.get_by_role("button", name="X minus").focus()
+    at_mill.keyboard.press("ArrowLeft")
+    assert len(sent) == 1, "armed only as long as the focus stays in the pad"
+
+
+def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(opened: Opened, shop: Shop) -> None:
+    page = opened(SCREEN, key="Ada")
+    expect(page.get_by_text("Nobody has control.")).to_be_visible()
+    for name in ("X minus", "Home", "Unlock", "X = 0 here", "Send"):
+        expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
+    for name in ("HOLD", "STOP"):
+        with page.expect_response(lambda answer: "/control/" in answer.url) as told:
+            page.get_by_role("button", name=name).click()
+        assert told.value.status == 202
+
+
+def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened, shop: Shop) -> None:
+    ada, grace = opened(SCREEN, key="Ada"), opened(SCREEN, key="Grace")
+    take_control(ada)
+    expect(grace.locator(".control .who")).to_contain_text("Ada has control")
+    expect(grace.get_by_role("button", name="Home", exact=True)).to_be_disabled()
+    grace.get_by_role("button", name="Take over").click()
+    grace.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
+    expect(grace.get_by_text("You have control.")).to_be_visible()
+    expect(ada.get_by_text("Grace has taken control.")).to_be_visible()
+    expect(ada.get_by_role("button", name="Home", exact=True)).to_be_disabled()
+    release(grace)
+    expect(ada.get_by_text("Nobody has control.")).to_be_visible()
+
+
+def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
+    """An order that gets no answer does not hold it up."""
+    hanging: list[Route] = []
+    at_mill.route("**/control/jog", lambda route: hanging.append(route))
+    with at_mill.expect_request("**/control/jog"):
+        at_mill.get_by_role("button", name="X minus").click()
+    with at_mill.expect_response(lambda answer: answer.url.endswith("/control/hold")) as told:
+        at_mill.get_by_role("button", name="HOLD").click()
+    assert told.value.status == 202
+    for route in hanging:
+        route.fulfill(status=202, json={})
+
+
+@pytest.mark.parametrize(("size", "scheme"), [("wide", "light"), ("tablet", "light"), ("phone", "dark")])
+def test_every_state_can_be_read_and_used_by_everybody(opened: Opened, size: str, scheme: Scheme) -> None:
+    page = opened("#/machines", size=size, scheme=scheme)
+    for state in STATES:
+        told(page, state)
+        page.evaluate(f"location.hash = '{SCREEN}'")
+        _, run = machine_in(state)
+        expect(machine_state(page)).not_to_have_text("asking the server")
+        if run is not None:
+            expect(page.locator(".running .mark")).to_be_visible()
+        assert sticks_out(page) == [], state
+        if size != "tablet":
+            assert serious_faults(page) == [], state
+        for name in ("HOLD", "STOP"):
+            expect(page.get_by_role("button", name=name)).to_be_in_viewport(ratio=1)
+        page.evaluate("location.hash = '#/machines'")
+        expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+        assert serious_faults(page) == [], state

@@ -1,0 +1,383 @@
+"""A new job on the page: what it shows is what the server makes of it, and one wish makes one job."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Locator, Page, Route, expect
+
+from service.api.schemas_estimates import ESTIMATE_EXAMPLE
+from service.asked_spec import asked_spec
+from service.spec import JobSpec
+from service.spec_files import resolve_spec
+from service.tone import invert_tones, linear_to_srgb, srgb_to_linear
+from tests.page.browser import every_screen
+from tests.page.conftest import Opened
+from tests.page.shop import SMALL_SPEC, Shop
+
+REST = {"optics.light.profile"}  # reached by the text of other values
+PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
+
+
+def picture(width: int = 60, height: int = 40) -> bytes:
+    """Unlike itself in any mirror, turned any way, and in any part."""
+    rows, columns = np.mgrid[:height, :width]
+    pixels = np.stack([4 * columns, 6 * rows, (7 * rows * columns) % 251], axis=-1).astype(np.uint8)
+    file = io.BytesIO()
+    Image.fromarray(pixels).save(file, "PNG")
+    return file.getvalue()
+
+
+def pixels_of(content: bytes) -> np.ndarray:
+    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
+
+
+def choose(page: Page, content: bytes, name: str = "portrait.png") -> None:
+    expect(page.get_by_role("heading", level=1, name="New job")).to_be_visible()
+    file = {"name": name, "mimeType": "image/png", "buffer": content}
+    page.locator("input[type=file]").first.set_input_files(file)
+    expect(wall(page)).to_be_visible()
+
+
+def wall(page: Page) -> Locator:
+    return page.locator("canvas.wall")
+
+
+def fill(page: Page, **values: str) -> None:
+    for label, value in values.items():
+        page.get_by_label(label.replace("_", " "), exact=True).fill(value)
+
+
+def make_it(page: Page) -> Locator:
+    return page.get_by_role("button", name="Make the lens")
+
+
+@pytest.fixture
+def new_job(opened: Opened) -> Page:
+    """The view with a picture; estimates are answered by nobody, so that only what is asked for happens."""
+    page = opened("#/machines", errors=("status of 422",))
+    page.route("**/v1/estimates", lambda route: route.fulfill(status=204))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    return page
+
+
+@pytest.fixture
+def sent(new_job: Page) -> Iterator[list[tuple[dict[str, Any], bytes, str]]]:
+    """(spec, picture, Idempotency-Key) of every job that the page sends; the server itself never hears of them."""
+    found: list[tuple[dict[str, Any], bytes, str]] = []
+
+    def take(route: Route) -> None:
+        found.append((*parts(route), route.request.headers["idempotency-key"]))
+        route.fulfill(status=422, json={"status": 422, "detail": "enough for this test", "field": "image"})
+
+    new_job.route("**/v1/jobs", take)
+    yield found
+
+
+def parts(route: Route) -> tuple[dict[str, Any], bytes]:
+    body = route.request.post_data_buffer or b""
+    boundary = b"--" + route.request.headers["content-type"].partition("boundary=")[2].encode()
+    found = {}
+    for part in body.split(boundary)[1:-1]:
+        head, _, content = part[2:-2].partition(b"\r\n\r\n")
+        found[b"image" if b'name="image"' in head else b"spec"] = content
+    return json.loads(found[b"spec"]), found[b"image"]
+
+
+def pressed(page: Page, sent: list[tuple[dict[str, Any], bytes, str]]) -> tuple[dict[str, Any], bytes, str]:
+    """What the page sends when the button is pressed."""
+    with page.expect_response("**/v1/jobs"):
+        make_it(page).click()
+    expect(make_it(page)).to_have_attribute("aria-disabled", "false")
+    return sent[-1]
+
+
+def rows(page: Page, group: str) -> list[dict[str, Any]]:
+    found: list[dict[str, Any]] = page.evaluate(f"import('/page/new/fields.js').then((all) => all.{group})")
+    return found
+
+
+def schema_keys(table: dict[str, Any], definitions: dict[str, Any], before: str = "") -> dict[str, dict[str, Any]]:
+    found = {}
+    for key, told in table["properties"].items():
+        inner = definitions.get(told.get("$ref", "").rpartition("/")[2])
+        found |= schema_keys(inner, definitions, f"{before}{key}.") if inner else {before + key: told}
+    return found
+
+
+def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choices(opened: Opened) -> None:
+    """A key that is new in the spec must come into the form as well."""
+    page = opened("#/new")
+    schema = JobSpec.model_json_schema()
+    told = schema_keys(schema, schema["$defs"])
+    fields = [row for group in ("LENS", "LIGHT", "MILL", "PICTURE") for row in rows(page, group)]
+    fields += [
+        row for _, group in page.evaluate("import('/page/new/fields.js').then((all) => all.EXPERT)") for row in group
+    ]
+    assert {row["key"] for row in fields} == set(told) - REST - {"passes"}
+    assert {row["key"] for row in rows(page, "PASS")} == set(schema["$defs"]["PassRow"]["properties"])
+    for row in fields:
+        default = told[row["key"]].get("default")
+        if default is not None:
+            assert row["usual"] == default, row["key"]
+        if "enum" in told[row["key"]]:
+            assert {value for value, *_ in row["choices"]} == set(told[row["key"]]["enum"]), row["key"]
+
+
+def test_tones_are_those_of_the_server(opened: Opened) -> None:
+    """Light of pixels, its negative, and back to grey: the same sums on both sides."""
+    page = opened("#/new")
+    colours = np.random.default_rng(7).integers(0, 256, (200, 4), dtype=np.uint8)
+    colours[:2, :3] = [[0] * 3, [255] * 3]
+    script = """async ([colours, tone, invert]) => {
+        const tones = await import("/page/new/tones.js");
+        const light = tones.lightOf(new Uint8ClampedArray(colours), {tone, invert});
+        return [[...light], [...tones.greyOf(light)].filter((_, at) => at % 4 === 0)];
+    }"""
+    for tone in ("srgb", "linear"):
+        values = colours[:, :3] / 255.0
+        linear = (srgb_to_linear(values) if tone == "srgb" else values) @ [0.2126, 0.7152, 0.0722]
+        for invert in (False, True):
+            wanted = invert_tones(linear, tone) if invert else linear
+            light, grey = page.evaluate(script, [colours.ravel().tolist(), tone, invert])
+            assert np.allclose(light, wanted, atol=2e-6)
+            assert np.abs(np.array(grey) - 255 * linear_to_srgb(wanted)).max() < 1.0
+
+
+def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(opened: Opened) -> None:
+    page = opened("#/new")
+    script = """async ([nx, ny, sigma]) => {
+        const {blurred} = await import("/page/new/tones.js");
+        const light = new Float32Array(nx * ny);
+        light[Math.floor(ny / 2) * nx + Math.floor(nx / 2)] = 1;
+        return [...blurred(light, nx, ny, sigma)];
+    }"""
+    nx, ny = 121, 91
+    for sigma in (0.2, 3.0, 8.0):
+        spot = np.array(page.evaluate(script, [nx, ny, sigma])).reshape(ny, nx)
+        assert spot.sum() == pytest.approx(1.0, abs=1e-5)
+        across = ((np.arange(nx) - nx // 2) ** 2 * spot.sum(axis=0)).sum()
+        assert np.sqrt(across) == pytest.approx(sigma if sigma > 1 else 0, abs=0.2)  # boxes have whole widths
+
+
+def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: list[Any]) -> None:
+    _, content, _ = pressed(new_job, sent)
+    assert content == picture()
+    expect(new_job.get_by_role("region", name="Picture")).to_contain_text("enough for this test")  # field "image"
+
+
+def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, sent: list[Any]) -> None:
+    """So that pressing again after a fault makes no second job."""
+    first = pressed(new_job, sent)
+    assert pressed(new_job, sent) == first
+    fill(new_job, Width="30")
+    assert pressed(new_job, sent)[2] != first[2]
+
+
+def test_turned_mirrored_and_cut_out_it_is_exactly_those_pixels(new_job: Page, sent: list[Any]) -> None:
+    """Turning right is a quarter clockwise of what is seen, mirrored or not; a square wall gets the middle."""
+    seen = pixels_of(picture())
+    steps: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+        "Turn right": lambda pixels: np.rot90(pixels, -1),
+        "Mirror": np.fliplr,
+        "Turn left": np.rot90,
+    }
+    for name in ("Turn right", "Mirror", "Turn right", "Turn left", "Turn left"):
+        new_job.get_by_role("button", name=name).click()
+        seen = steps[name](seen)
+        height, width = seen.shape[:2]
+        fill(new_job, Width=str(width), Height=str(height))
+        assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen), name
+    fill(new_job, Width="20", Height="20")
+    side, left, top = min(width, height), max(0, width - height) // 2, max(0, height - width) // 2
+    assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[top : top + side, left : left + side])
+
+
+def test_the_part_is_chosen_by_dragging_and_by_the_keyboard_alike(new_job: Page, sent: list[Any]) -> None:
+    """A square of a 60 x 40 picture can move 10 pixels to either side, and stops there."""
+    seen = pixels_of(picture())
+    box = wall(new_job).bounding_box()
+    assert box is not None
+    middle = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    new_job.mouse.move(*middle)
+    new_job.mouse.down()
+    new_job.mouse.move(middle[0] + box["width"], middle[1], steps=4)  # the picture goes right: its left part is seen
+    new_job.mouse.up()
+    assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[:, :40])
+    wall(new_job).focus()
+    for _ in range(12):
+        new_job.keyboard.press("ArrowRight")
+    assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[:, 20:])
+
+
+def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> None:
+    fill(new_job, Width="30,5", Distance_to_the_wall="250")
+    new_job.get_by_label("Draft").check()
+    new_job.get_by_role("radio", name=re.compile("^Lamp")).check()
+    new_job.get_by_label("Negative").check()
+    new_job.get_by_text("Expert:").click()
+    fill(new_job, Pixels_across="64")
+    new_job.get_by_label("Other values, as JSON").fill('{"optics": {"outline": [[0, 0], [30, 0], [15, 40]]}}')
+    spec, _, _ = pressed(new_job, sent)
+    assert spec == {
+        "preset": "draft",
+        "image": {"pixels": 64, "invert": True},
+        "optics": {
+            "width_mm": 30.5,
+            "throw_mm": 250,
+            "light": {"kind": "point", "distance_mm": 1000},
+            "outline": [[0, 0], [30, 0], [15, 40]],
+        },
+    }
+    resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
+
+
+def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focus(opened: Opened, shop: Shop) -> None:
+    page = opened("#/new", errors=("status of 4[0-9][0-9]",))
+    choose(page, picture())
+    fill(page, Width="abc", Height="-3")
+    make_it(page).click()
+    width, height = (page.get_by_label(name, exact=True) for name in ("Width", "Height"))
+    expect(width).to_be_focused()
+    expect(width).to_have_accessible_description("'abc' is no number.")
+    fill(page, Width="30")
+    expect(width).to_have_attribute("aria-invalid", "false")
+    make_it(page).click()
+    expect(height).to_be_focused()
+    expect(height).to_have_accessible_description(
+        "-3 is not allowed; allowed: a number more than 0 and at most 2000 mm"
+    )
+    page.get_by_text("Expert:").click()
+    page.get_by_label("Set every pass by hand").check()
+    page.get_by_label("Pitch").first.fill("9")
+    page.get_by_text("Expert:").click()
+    fill(page, Height="30")
+    make_it(page).click()
+    expect(page.get_by_text("is wider than the ball's radius")).to_be_visible()  # the fold has opened
+
+
+def test_pressed_twice_and_with_the_answer_lost_it_makes_one_job(opened: Opened, shop: Shop) -> None:
+    page = opened("#/new", errors=("net::ERR", "status of 404"))
+    choose(page, picture(), name="once-only.png")
+    lost = []
+
+    def lose_the_first(route: Route) -> None:
+        if route.request.method != "POST" or lost:
+            route.fallback()
+        else:
+            lost.append(route.fetch().status)
+            route.abort("connectionreset")
+
+    page.route("**/v1/jobs", lose_the_first)
+    fill(page, Width="10", Height="10")
+    page.get_by_label("Draft").check()
+    page.get_by_text("Expert:").click()
+    fill(page, Pixels_across="16")
+    make_it(page).dblclick()
+    page.wait_for_url("**/#/jobs/*")
+    assert lost == [202]
+    with shop.client() as client:
+        made = [job for job in client.get("/v1/jobs").json()["jobs"] if job["name"] == "once-only.png"]
+        assert [page.url.rpartition("/")[2]] == [job["id"] for job in made]
+        client.post(f"/v1/jobs/{made[0]['id']}:cancel")
+
+
+def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened, shop: Shop) -> None:
+    page = opened("#/machines", errors=("status of 422",))
+    page.route("**/v1/estimates", lambda route: route.fulfill(status=204))
+    caught: list[tuple[dict[str, Any], bytes]] = []
+
+    def take(route: Route) -> None:
+        caught.append(parts(route))
+        route.fulfill(status=422, json={"status": 422, "detail": "enough for this test", "field": ""})
+
+    page.route("**/v1/jobs", take)
+    job = shop.submit(SMALL_SPEC | {"stock": {"thickness_mm": 25.0}})
+    page.evaluate("job => { location.hash = `#/new?from=${job}`; }", job)
+    expect(page.get_by_label("Width", exact=True)).to_have_value("10")
+    expect(wall(page)).to_be_visible()
+    make_it(page).click()
+    expect(page.get_by_text("enough for this test")).to_be_visible()
+    with shop.client() as client:
+        known = client.get(f"/v1/jobs/{job}").json()
+        uploaded = client.get(f"/v1/jobs/{job}/image").content
+        client.post(f"/v1/jobs/{job}:cancel")
+    assert caught[0][1] == uploaded
+    assert as_floats(caught[0][0]) == as_floats(asked_spec(known["spec"]))
+
+
+def as_floats(spec: Any) -> Any:
+    return json.loads(json.dumps(spec), parse_int=float)
+
+
+def test_what_was_set_is_still_there_after_a_look_at_something_else(new_job: Page) -> None:
+    fill(new_job, Width="33")
+    new_job.get_by_role("button", name="Mirror").click()
+    new_job.get_by_role("link", name="Machines").click()
+    expect(new_job.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+    new_job.go_back()
+    expect(new_job.get_by_label("Width", exact=True)).to_have_value("33")
+    expect(new_job.get_by_role("button", name="Mirror")).to_have_attribute("aria-pressed", "true")
+    new_job.get_by_role("button", name="Begin anew").click()
+    expect(new_job.get_by_label("Width", exact=True)).to_have_value("100")
+    expect(wall(new_job)).to_have_count(0)
+
+
+def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent: list[Any]) -> None:
+    file = io.BytesIO()
+    Image.open(io.BytesIO(picture())).save(file, "TIFF")
+    content = {"name": "scan.tif", "mimeType": "image/tiff", "buffer": file.getvalue()}
+    new_job.locator("input[type=file]").first.set_input_files(content)
+    expect(new_job.get_by_text("cannot show scan.tif")).to_be_visible()
+    assert pressed(new_job, sent)[1] == file.getvalue()
+
+
+def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Opened) -> None:
+    page = opened("#/machines", errors=("status of 422",))
+
+    def example(route: Route) -> None:
+        spec, _ = parts(route)
+        route.fallback() if "throw_mm" in spec.get("optics", {}) else route.fulfill(json=ESTIMATE_EXAMPLE)
+
+    page.route("**/v1/estimates", example)
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    estimate = page.get_by_role("region", name="Estimate")
+    expect(estimate).to_contain_text("Machine time")
+    expect(estimate.get_by_role("list", name="Passes").get_by_role("listitem")).to_have_count(
+        len(ESTIMATE_EXAMPLE["passes"])
+    )
+    for words in (*ESTIMATE_EXAMPLE["warnings"], *ESTIMATE_EXAMPLE["refusals"]):
+        expect(estimate).to_contain_text(words[1:])
+    expect(page.locator(".submit-bar")).to_contain_text("of milling")
+    sharp = page.get_by_label("with the blur that the tool's marks will leave")
+    blurred = wall(page).evaluate("one => one.toDataURL()")
+    sharp.uncheck()
+    page.wait_for_function("before => document.querySelector('canvas.wall').toDataURL() !== before", arg=blurred)
+    fill(page, Distance_to_the_wall="0")
+    expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("more than 0"))
+    expect(estimate.get_by_text("Machine time")).to_have_count(0)
+
+
+def test_the_way_to_a_job_needs_no_mouse(new_job: Page, sent: list[Any]) -> None:
+    new_job.get_by_label("Width", exact=True).focus()
+    new_job.keyboard.press("Control+A")
+    new_job.keyboard.type("25")
+    new_job.keyboard.press("Enter")
+    expect(new_job.get_by_text("enough for this test")).to_be_visible()
+    assert sent[0][0]["optics"] == {"width_mm": 25}
+
+
+def test_every_screen_of_a_new_job_is_in_order(new_job: Page) -> None:
+    new_job.get_by_text("Expert:").click()
+    new_job.get_by_label("Set every pass by hand").check()
+    for _ in every_screen(new_job):
+        expect(make_it(new_job)).to_be_in_viewport()

@@ -1,0 +1,242 @@
+"""Tool paths drawn: a glance needs little of the file, a closer look what it shows, and a hand is followed at once."""
+
+from __future__ import annotations
+
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+from playwright.sync_api import Locator, Page, expect
+
+from service.drawing.layout import parted
+from tests.page.conftest import Opened
+from tests.page.jobs import answer, like, of_shop
+from tests.page.paths import FEED_MM_PER_S, Served, Thinned, write_path
+from tests.page.shop import Shop
+from tests.page.test_job import NO_WEBGL
+
+SIDE_MM, PITCH_MM = 10.0, 0.05  # of the shop's lens
+SMALL = (Thinned(8, 0.2, 0.4), Thinned(2, 0.04, 0.1), Thinned(1, 0.01, 0.0))
+HUGE = (Thinned(16, 0.025, 0.08), Thinned(4, 0.01, 0.02), Thinned(2, 0.004, 0.01), Thinned(1, 0.002, 0.0))
+GLANCE_BYTES = 700_000
+NOTE_FIRST_PICTURE = """new MutationObserver(() => {
+    if (document.querySelector("[data-level]")) window.drawnAt ??= performance.now();
+}).observe(document, {subtree: true, childList: true, attributes: true});"""
+FIRST_PICTURE_MS = (
+    """window.drawnAt - performance.getEntriesByType("resource").find(one => one.name.endsWith(".path")).startTime"""
+)
+FRAMES = """ms => new Promise(done => {
+    const all = []; let last = performance.now(); const end = last + ms;
+    const step = now => { all.push(now - last); last = now; now < end ? requestAnimationFrame(step) : done(all); };
+    requestAnimationFrame(step);
+})"""
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    page: Page
+    served: Served
+
+    @property
+    def frame(self) -> Locator:
+        return self.page.locator(".path-frame")
+
+    @property
+    def level(self) -> Locator:
+        return self.page.locator("[data-level]")
+
+    def at_rest(self) -> None:
+        """Nothing more is fetched or drawn for a while."""
+        before = -1
+        while before != len(self.served.fetched):
+            before = len(self.served.fetched)
+            self.page.wait_for_timeout(500)
+
+    def picture(self) -> Image.Image:
+        self.frame.evaluate("one => one.scrollIntoView({block: 'center'})")  # not under the page's bar
+        return Image.open(io.BytesIO(self.frame.screenshot())).convert("RGB")
+
+    def middle(self) -> tuple[float, float]:
+        box = self.frame.bounding_box()
+        assert box
+        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+
+    def zoom(self, steps: int) -> None:
+        """By the wheel, which counts once the drawing has been clicked."""
+        self.page.mouse.click(*self.middle())
+        for _ in range(steps):
+            self.page.mouse.wheel(0, -400)
+            self.page.wait_for_timeout(20)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("paths") / "small.path"
+    assert write_path(path, side_mm=SIDE_MM, pitch_mm=PITCH_MM, levels=SMALL) > 200_000
+    return path
+
+
+def drawn(opened: Opened, shop: Shop, path: Path, before: str = "") -> Drawn:
+    job, files = of_shop(shop)
+    job = like(job, 20)
+    url = f"/v1/jobs/{job['id']}/artifacts/pass-1.path"
+    file = files[0] | {"name": "pass-1.path", "sha256": "f" * 64, "bytes": path.stat().st_size, "url": url}
+    page = opened("#/machines")
+    if before:
+        page.context.add_init_script(before)
+        page.reload()
+    found = Drawn(page, Served(path))
+    found.served.on(page, url)
+    answer(page, job, [file])
+    page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
+    expect(page.locator(".path-body")).to_be_visible()
+    page.locator(".path-body").evaluate("one => one.scrollIntoView({block: 'center'})")
+    expect(found.level).to_be_attached()
+    return found
+
+
+@pytest.fixture
+def view(opened: Opened, shop: Shop, small: Path) -> Iterator[Drawn]:
+    found = drawn(opened, shop, small)
+    found.at_rest()
+    yield found
+
+
+def shares(picture: Image.Image) -> tuple[float, float]:
+    """Of the middle and of the left edge, what is not the colour of the corner."""
+    pixels = np.asarray(picture, dtype=int)
+    other = np.abs(pixels - pixels[2, 2]).sum(axis=2) > 30
+    height, width = other.shape
+    middle = other[height // 3 : -height // 3, width // 2 - height // 5 : width // 2 + height // 5]
+    return float(middle.mean()), float(other[10 : height // 2, 10 : width // 20].mean())
+
+
+def test_the_whole_pass_is_drawn_from_the_beginning_of_the_file(view: Drawn) -> None:
+    """The lens's place is full of lines, what lies beside it is empty; the rest of the file was not asked for."""
+    inside, beside = shares(view.picture())
+    assert inside > 0.15
+    assert beside == 0.0
+    assert view.served.fetched[0][0] == 0
+    assert view.served.fetched[0][1] <= GLANCE_BYTES
+
+
+def test_a_closer_look_fetches_what_it_shows_and_shows_every_move(view: Drawn) -> None:
+    view.zoom(9)
+    expect(view.page.locator(".path-note")).to_have_text("Every move is drawn.")
+    view.at_rest()
+    whole = parted(view.served.path.read_bytes())[0]["levels"][-1]
+    taken = sum(max(0, end - max(start, whole["offset_bytes"])) for start, end in view.served.fetched[1:])
+    assert 0 < taken < 0.3 * 8 * whole["points"]
+    view.page.get_by_role("button", name="Whole lens").click()
+    expect(view.page.locator(".path-note")).not_to_have_text("Every move is drawn.")
+
+
+def test_a_drag_moves_what_is_drawn_at_once_and_fetches_when_it_rests(view: Drawn) -> None:
+    view.zoom(6)
+    view.at_rest()
+    x, y = view.middle()
+    fetched = len(view.served.fetched)
+    lens = view.page.locator(".path-lens")
+    before = lens.get_attribute("points") or ""
+    view.page.mouse.move(x, y)
+    view.page.mouse.down()
+    for step in range(1, 11):
+        view.page.mouse.move(x + 6 * step, y - 4 * step)
+    after = lens.get_attribute("points") or ""
+    assert len(view.served.fetched) == fetched
+    first, second = ([float(number) for number in points.split()[0].split(",")] for points in (before, after))
+    assert second[0] - first[0] == pytest.approx(60, abs=0.3)
+    assert second[1] - first[1] == pytest.approx(-40, abs=0.3)
+    view.page.mouse.up()
+    view.frame.press("0")
+    view.at_rest()
+    assert shares(view.picture())[0] > 0.15
+
+
+def test_time_goes_to_where_the_tool_is_then(view: Drawn) -> None:
+    """At half of the time the tool is on the middle row, and only what lies before it is drawn as cut."""
+    slider = view.page.get_by_role("slider", name="Time in the pass")
+    slider.focus()
+    slider.evaluate("one => { one.value = 2500; one.dispatchEvent(new Event('input', {bubbles: true})); }")
+    told = re.search(
+        r"X ([\d.-]+)\s+Y ([\d.-]+)\s+Z (-[\d.]+)\s+line (\d+)", view.page.locator(".path-place").inner_text()
+    )
+    assert told
+    x_mm, y_mm, z_mm, line = map(float, told.groups())
+    rows = round(SIDE_MM / PITCH_MM) + 1
+    row = 0.25 * rows
+    assert y_mm == pytest.approx(row * PITCH_MM, abs=9 * PITCH_MM)  # to a row of the level that is drawn
+    assert z_mm == pytest.approx(-1 - 0.9 * np.sin(6.3 * x_mm / SIDE_MM) * np.cos(5 * y_mm / SIDE_MM), abs=0.02)
+    assert line == pytest.approx(0.25 * rows * 1001, rel=0.06)
+    expect(slider).to_have_attribute("aria-valuetext", re.compile(" of "))
+    assert rows * SIDE_MM / FEED_MM_PER_S > 60
+    view.at_rest()
+    pixels = np.asarray(view.picture(), dtype=int)
+    blue = pixels[:, :, 2] - pixels[:, :, 0] > 40
+    height, width = blue.shape
+    band = blue[:, width // 2 - height // 5 : width // 2 + height // 5].mean(axis=1)
+    assert band[int(0.78 * height) : int(0.94 * height)].mean() > 10 * max(1e-3, band[: int(0.6 * height)].mean())
+
+
+def test_keys_move_zoom_and_return(view: Drawn) -> None:
+    lens = view.page.locator(".path-lens")
+    start = lens.get_attribute("points")
+    view.frame.focus()
+    for key in ("ArrowRight", "+", "+", "ArrowUp", "-"):
+        before = lens.get_attribute("points")
+        view.frame.press(key)
+        assert lens.get_attribute("points") != before
+    view.frame.press("0")
+    assert lens.get_attribute("points") == start
+
+
+def test_the_page_scrolls_past_a_drawing_that_nobody_has_touched(view: Drawn) -> None:
+    lens = view.page.locator(".path-lens")
+    before = lens.get_attribute("points")
+    view.page.mouse.move(*view.middle())
+    view.page.mouse.wheel(0, -300)
+    view.page.wait_for_timeout(200)
+    assert lens.get_attribute("points") == before
+
+
+def test_without_webgl_the_path_is_drawn_all_the_same(opened: Opened, shop: Shop, small: Path) -> None:
+    view = drawn(opened, shop, small, NO_WEBGL)
+    view.at_rest()
+    inside, beside = shares(view.picture())
+    assert inside > 0.15
+    assert beside == 0.0
+
+
+@pytest.mark.thorough
+def test_five_million_points_are_seen_within_two_seconds_and_move_at_thirty_frames(
+    opened: Opened, shop: Shop, tmp_path: Path
+) -> None:
+    path = tmp_path / "huge.path"
+    assert write_path(path, side_mm=SIDE_MM, pitch_mm=0.01, levels=HUGE) > 5_000_000
+    view = drawn(opened, shop, path, NOTE_FIRST_PICTURE)
+    assert view.page.evaluate(FIRST_PICTURE_MS) < 2000
+    assert view.served.fetched[0][1] <= GLANCE_BYTES
+    for zoomed in (0, 8):
+        view.zoom(zoomed)
+        view.at_rest()
+        assert _frames_per_second(view) > 30
+
+
+def _frames_per_second(view: Drawn) -> float:
+    """While the drawing is dragged about."""
+    x, y = view.middle()
+    view.page.mouse.move(x, y)
+    view.page.mouse.down()
+    view.page.evaluate(f"window.frames_ = ({FRAMES})(2000)")
+    for step in range(80):
+        view.page.mouse.move(x + 150 * np.sin(step / 9), y + 90 * np.sin(step / 7))
+        view.page.wait_for_timeout(15)
+    times: list[Any] = view.page.evaluate("window.frames_")
+    view.page.mouse.up()
+    return 1000 * len(times) / sum(times)

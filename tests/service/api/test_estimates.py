@@ -1,0 +1,78 @@
+"""POST /v1/estimates over the wire: the same form and the same refusals as POST /v1/jobs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from tests.service.api.server import ApiServer, api_server, png
+
+SMALL = {"preset": "draft", "image": {"pixels": 64}, "optics": {"width_mm": 20, "height_mm": 20, "throw_mm": 40}}
+PATIENCE_S = 300.0  # kernels may have to be compiled
+
+
+@pytest.fixture(scope="module")
+def estimating(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServer]:
+    with api_server(tmp_path_factory.mktemp("estimates") / "data", max_upload_mb=2, max_megapixels=4) as running:
+        yield running
+
+
+def sent(server: ApiServer, path: str, *, spec: Any = None, image: Any = None) -> httpx.Response:
+    data = {} if spec is None else {"spec": spec if isinstance(spec, str) else json.dumps(spec)}
+    files = {"image": image or ("picture.png", png())}
+    return server.client.post(path, files=files, data=data, timeout=PATIENCE_S)
+
+
+def test_an_estimate_tells_all_and_leaves_nothing(estimating: ApiServer) -> None:
+    before = estimating.files()
+    answer = sent(estimating, "/v1/estimates", spec=SMALL)
+    assert answer.status_code == 200, answer.text
+    found = answer.json()
+    assert found["hours"] == pytest.approx(sum(row["hours"] for row in found["passes"]))
+    assert [row["name"] for row in found["passes"]] == ["rough", "finish"]
+    assert found["relief_mm"] >= 0
+    assert (found["thickness_ok"], found["throw_ok"], found["planned"]) == (True, True, False)
+    assert estimating.files() == before
+    job = estimating.submit(data={"spec": json.dumps(SMALL)})
+    assert found["spec"] == job["spec"] or set(job["spec"]) <= set(found["spec"])
+
+
+@pytest.mark.parametrize(
+    "spec",
+    [
+        {"optics": {"width_mm": -3, "throw_mm": "far"}},
+        {"optcs": {}},
+        {"preset": "best"},
+        {"machine": {"profile": "none such"}},
+        {"passes": []},
+        "{",
+        "[]",
+        '{"preset": "draft", "preset": "paper"}',
+    ],
+)
+def test_a_bad_spec_is_refused_as_a_job_is(estimating: ApiServer, spec: Any) -> None:
+    ours, theirs = (sent(estimating, path, spec=spec) for path in ("/v1/estimates", "/v1/jobs"))
+    assert ours.status_code == theirs.status_code == 422
+    assert ours.headers["content-type"] == "application/problem+json"
+    assert ours.json() == theirs.json()
+
+
+@pytest.mark.parametrize("image", [("a.png", b"no picture"), ("a.png", b""), ("big.png", b"x" * 3_000_000)])
+def test_a_bad_picture_is_refused_as_a_job_is(estimating: ApiServer, image: tuple[str, bytes]) -> None:
+    ours, theirs = (sent(estimating, path, spec=SMALL, image=image) for path in ("/v1/estimates", "/v1/jobs"))
+    assert 400 <= ours.status_code < 500
+    assert (ours.status_code, ours.json()) == (theirs.status_code, theirs.json())
+
+
+def test_what_only_the_lens_tells_is_told(estimating: ApiServer, tmp_path: Path) -> None:
+    """A block too thin for the lens, and a mill too small for the block: a job would fail later."""
+    short = SMALL | {"stock": {"thickness_mm": 2.1}, "machine": {"travel_mm": [10, 300, 80]}}
+    found = sent(estimating, "/v1/estimates", spec=short).json()
+    assert found["thickness_ok"] is (found["relief_mm"] < 0.01)
+    assert any("machine.travel_mm.0" in sentence for sentence in found["refusals"])
+    assert set(found["refusals"]) <= set(found["warnings"])
