@@ -81,9 +81,7 @@ class ContourSample(PathSample):
         super().__init__(pitch_mm=pitch_mm, radius_mm=radius_mm, width_mm=width_mm, height_mm=height_mm, **others)
         self._window_follows = False
         side_mm = min(_WINDOW_PITCHES * pitch_mm, 0.5 * min(width_mm, height_mm))
-        self.window = square(
-            -0.15 * side_mm, 0.5 * height_mm - 0.5 * side_mm, side_mm
-        )  # over the rim
+        self.window = square(-0.15 * side_mm, 0.5 * height_mm - 0.5 * side_mm, side_mm)  # over the rim
         self.row_distance_mm = max(min(width_mm, height_mm) / _ACROSS, pitch_mm)
         self._cell_mm = self.row_distance_mm / 4
         self._corner_mm = np.array([-radius_mm, -radius_mm])
