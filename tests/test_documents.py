@@ -88,7 +88,7 @@ def test_the_map_names_every_module_and_no_other() -> None:
     """Each module of the four packages is found through ARCHITECTURE.md, by name or by a pattern there."""
     named: set[str] = set()
     for cell in re.findall(r"^\| (`(?:optics|cam|machines|service)/.*?) \| ", ARCHITECTURE, flags=re.MULTILINE):
-        first, *others = re.findall(r"`([\w*/]+(?:\.py|/))`", cell)
+        first, *others = re.findall(r"`([\w*/]+(?:\.py|\.js|/))`", cell)
         for pattern in (first, *(f"{first.rpartition('/')[0]}/{other}" for other in others)):
             names = matching(TOP, f"{pattern}*" if pattern.endswith("/") else pattern)
             assert names, f"ARCHITECTURE.md names {pattern}, which is not there"
@@ -96,7 +96,7 @@ def test_the_map_names_every_module_and_no_other() -> None:
     modules = {
         str(path.relative_to(TOP))
         for package in ("optics", "cam", "machines", "service")
-        for path in (TOP / package).rglob("*.py")
+        for path in (TOP / package).rglob("*.[pj][ys]")
         if path.name != "__init__.py"
     }
     assert modules - named == set()
