@@ -21,12 +21,14 @@ from cam.as_milled.chords import gather
 from cam.as_milled.rivals import FACTS, WIDEST, are_crossed, set_frame, shown, to_frame
 from optics.heightfield import spline_jet
 
-_ROOM = 1024  # neighbours of one chord
-_MOST = 27  # parts of a strip before any is cut
-_FINEST = 81  # of a strip's length to its shortest part
-_PER_CHORD = 12 * _FINEST  # facets, more than there can be
+_ROOM = 4096  # neighbours of one chord
+_MOST = 81  # parts of a strip before any is cut
+_FINEST = 243  # of a strip's length to its shortest part
+_PER_CHORD = 20 * _FINEST  # facets, more than there can be
 _TURNED = 0.03  # rad: a frame farther from the surface's normal than this is set up anew
-_STEEPEST = 0.7  # rad: steps of a machine can make corners steeper than any ball shows
+_STEEPEST = 0.6  # rad: no ball shows more of itself along its track
+_CORNERS = 0.25  # of a chord's length: parts of the balls at its end, of which short chords show narrow slivers
+_WITHIN = 0.75  # of the reach: farther from its middle a ball shows nothing, as what hides it may be out of reach
 _SPARE = 0.01  # rad: added to the tilts at which a ball may show at all
 
 
@@ -34,13 +36,14 @@ class Fineness(NamedTuple):
     """How small facets have to be.
 
     longest, crossed : parts of a strip, before any is cut; of one that other tracks cross
-    shortest         : parts no longer than this are not cut
+    shortest, share  : parts no longer than the lesser of this and this share of their chord are not cut
     bend             : a strip's ends may miss a straight line by about this [rad x radius]
     """
 
     longest: float
     crossed: float
     shortest: float
+    share: float
     bend: float
 
 
@@ -48,16 +51,20 @@ class Strip(NamedTuple):
     """What a chord, or the ball at its end, may show: u from 0 to 1 along it.
 
     length                : of it on the surface
+    whole                 : length of the chord
     start, run            : way along the chord, start + u run
-    first, span, up, left : of a corner's ball, turned by (first + u span) (up - left x across)
+    rise                  : of the chord, out of the surface
+    first, span, up, left : of a corner's ball, which shows rise + (first + u span) (up - left x across) ahead
     before, after         : of a chord, the bends at its ends, see `_bend`
     skip                  : the rival that does not count
     """
 
     is_corner: bool
     length: float
+    whole: float
     start: float
     run: float
+    rise: float
     first: float
     span: float
     up: float
@@ -79,27 +86,28 @@ def _slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no
 
 
 @njit(cache=True, nogil=True)
-def _bend(tips, k, frame, sign):  # type: ignore[no-untyped-def]
-    """(up, left) of chord k's direction in the frame of its neighbour, times sign, and its length; per way ahead."""
+def _bend(tips, k, frame, rise, sign):  # type: ignore[no-untyped-def]
+    """(up, left) of chord k's direction from that of its neighbour with `rise`, times sign, and its length."""
     tx, ty, tz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
     ahead = frame[0, 0] * tx + frame[0, 1] * ty + frame[0, 2] * tz
     length = math.sqrt(tx * tx + ty * ty + tz * tz)
     ahead = max(ahead, 0.3 * length)
     left = frame[1, 0] * tx + frame[1, 1] * ty + frame[1, 2] * tz
     up = frame[2, 0] * tx + frame[2, 1] * ty + frame[2, 2] * tz
-    return sign * up / ahead, sign * left / ahead, length
+    size = math.hypot(ahead, up)
+    return sign * (up / size - rise), sign * left / size, length
 
 
 @njit(cache=True, nogil=True)
-def _corner(tips, k, frame, radius, s, along, across, out):  # type: ignore[no-untyped-def]
-    """out (5,): x, y, z and slopes where the ball at s along chord k shows `along` and `across`."""
+def _corner(tips, k, frame, radius, share, along, across, out):  # type: ignore[no-untyped-def]
+    """out (5,): x, y, z and slopes where the ball at that share of chord k shows `along` and `across`."""
     down = math.sqrt(1.0 - along * along - across * across)
     vx = along * frame[0, 0] + across * frame[1, 0] - down * frame[2, 0]
     vy = along * frame[0, 1] + across * frame[1, 1] - down * frame[2, 1]
     vz = along * frame[0, 2] + across * frame[1, 2] - down * frame[2, 2]
-    out[0] = tips[k - 1, 0] + s * frame[0, 0] + radius * vx
-    out[1] = tips[k - 1, 1] + s * frame[0, 1] + radius * vy
-    out[2] = tips[k - 1, 2] + s * frame[0, 2] + radius * (1.0 + vz)
+    out[0] = tips[k - 1, 0] + share * (tips[k, 0] - tips[k - 1, 0]) + radius * vx
+    out[1] = tips[k - 1, 1] + share * (tips[k, 1] - tips[k - 1, 1]) + radius * vy
+    out[2] = tips[k - 1, 2] + share * (tips[k, 2] - tips[k - 1, 2]) + radius * (1.0 + vz)
     out[3] = -vx / vz
     out[4] = -vy / vz
 
@@ -112,47 +120,50 @@ def _lost(radius, bend, across):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _strip_of_chord(length, radius, before, after):  # type: ignore[no-untyped-def]
+def _strip_of_chord(length, rise, radius, before, after):  # type: ignore[no-untyped-def]
     start, end = _lost(radius, before, 0.0), length - _lost(radius, after, 0.0)
-    return Strip(False, end - start, start, end - start, 0.0, 0.0, 0.0, 0.0, before, after, -1)
+    return Strip(False, end - start, length, start, end - start, rise, 0.0, 0.0, 0.0, 0.0, before, after, -1)
 
 
 @njit(cache=True, nogil=True)
-def _strip_of_corner(k, length, radius, bend, least, most):  # type: ignore[no-untyped-def]
-    """The ball at the end of chord k; least, most: the tilts along the track where it may show."""
+def _strip_of_corner(k, length, rise, radius, bend, most):  # type: ignore[no-untyped-def]
+    """The ball at the end of chord k; most: the tilt along the track up to which it may show, to either side."""
     up, first, last = bend[0], 0.0, 1.0
     if up > 0.0:
-        least, most = max(least, -_STEEPEST), min(most, _STEEPEST)
-        first, last = min(max(least / up, 0.0), 1.0), min(max(most / up, 0.0), 1.0)
+        first, last = min(max((-most - rise) / up, 0.0), 1.0), min(max((most - rise) / up, 0.0), 1.0)
     size = radius * (last - first) * max(up, 0.0)
-    return Strip(True, size, length, 0.0, first, last - first, up, bend[1], bend, bend, k + 1)
+    return Strip(True, size, length, length, 0.0, rise, first, last - first, up, bend[1], bend, bend, k + 1)
 
 
 @njit(cache=True, nogil=True)
 def _shown_at(strip, u, count, rivals, radius):  # type: ignore[no-untyped-def]
-    along = (strip.first + u * strip.span) * max(strip.up, 0.0)
+    share = strip.first + u * strip.span
+    tilt = strip.rise + share * max(strip.up, 0.0)
     low = strip.up / strip.left if strip.left < 0.0 else -WIDEST
     high = strip.up / strip.left if strip.left > 0.0 else WIDEST
-    s = strip.start + u * strip.run + radius * along
-    offset = 0.5 * radius * along * along
-    return shown(count, rivals, strip.skip, s, offset, radius, max(low, -WIDEST), min(high, WIDEST))
+    if abs(tilt) > _STEEPEST:
+        return 0.0, -1.0
+    s = strip.start + u * strip.run
+    ball = (s * math.sqrt(1.0 - strip.rise * strip.rise), s * strip.rise)
+    shear = share * strip.left
+    return shown(count, rivals, strip.skip, ball, tilt, shear, radius, max(low, -WIDEST), min(high, WIDEST))
 
 
 @njit(cache=True, nogil=True)
 def _end_of_facet(tips, k, frame, radius, strip, u, across, out):  # type: ignore[no-untyped-def]
     """out (5,): a facet's corner at u along the strip."""
+    along = strip.rise * math.sqrt(1.0 - across * across)
     if strip.is_corner:
-        along = (strip.first + u * strip.span) * max(strip.up - strip.left * across, 0.0)
-        along = min(along, _STEEPEST)
-        _corner(tips, k, frame, radius, strip.start, along, across, out)
+        along += (strip.first + u * strip.span) * max(strip.up - strip.left * across, 0.0)
+        along = min(max(along, -_STEEPEST), _STEEPEST)
+        _corner(tips, k, frame, radius, 1.0, along, across, out)
         return
     s = strip.start + u * strip.run
     if u == 0.0:
         s = min(_lost(radius, strip.before, across), strip.start + strip.run)
     elif u == 1.0:
-        length = strip.start + strip.run + _lost(radius, strip.after, 0.0)
-        s = max(length - _lost(radius, strip.after, across), strip.start)
-    _corner(tips, k, frame, radius, s, 0.0, across, out)
+        s = max(strip.whole - _lost(radius, strip.after, across), strip.start)
+    _corner(tips, k, frame, radius, s / strip.whole, along, across, out)
 
 
 @njit(cache=True, nogil=True)
@@ -180,7 +191,8 @@ def _straight(a, b, c):  # type: ignore[no-untyped-def]
 def _facets_of_strip(tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled):  # type: ignore[no-untyped-def]
     """Facets of a strip into out from `filled` on, whose new value is returned; todo (rows, 4): room for its parts."""
     parts = min(max(1, int(math.ceil(strip.length / longest - 1e-9))), _MOST)
-    shortest = max(fine.shortest, strip.length / _FINEST) / max(strip.length, 1e-9)
+    shortest = min(fine.shortest, fine.share * strip.whole)
+    shortest = max(shortest, strip.length / _FINEST) / max(strip.length, 1e-9)
     for part in range(parts):
         todo[0, 0], todo[0, 1] = part / parts, (part + 1) / parts
         todo[0, 2], todo[0, 3] = _shown_at(strip, (part + 0.5) / parts, count, rivals, radius)
@@ -232,7 +244,7 @@ def _facets_of_strip(tips, k, frame, radius, strip, longest, fine, count, rivals
 
 @njit(cache=True, nogil=True)
 def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
-    """How far the path rises out of chord k's direction, per way ahead, from `reach` before it to as far behind it."""
+    """How far the path rises out of the frame, per way ahead, from `reach` before chord k to as far behind it."""
     first = k - 1
     while (
         c.joined[first]
@@ -248,7 +260,9 @@ def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
     wx, wy = c.tips[last, 0] - c.tips[first, 0], c.tips[last, 1] - c.tips[first, 1]
     wz = c.tips[last, 2] - c.tips[first, 2]
     ahead = frame[0, 0] * wx + frame[0, 1] * wy + frame[0, 2] * wz
-    return (frame[2, 0] * wx + frame[2, 1] * wy + frame[2, 2] * wz) / max(ahead, 1e-6)
+    up = frame[2, 0] * wx + frame[2, 1] * wy + frame[2, 2] * wz
+    left = frame[1, 0] * wx + frame[1, 1] * wy + frame[1, 2] * wz
+    return up / ahead if ahead > abs(left) else 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -284,29 +298,36 @@ def facets_of(c, first, last, surface, reach, fine):  # type: ignore[no-untyped-
             px, py = px + c.tips[k, 0] - c.tips[k - 1, 0], py + c.tips[k, 1] - c.tips[k - 1, 1]
         px, py, zx, zy = _slopes_at_contact(surface, x, y, radius, px, py, steps)
         steps = 2
-        length = set_frame(c.tips, k, -zx, -zy, 1.0, frame)
+        set_frame(c.tips, k, -zx, -zy, 1.0, frame)
+        way = _rise(c, k, frame, reach)
+        nx, ny, nz = frame[2, 0] - way * frame[0, 0], frame[2, 1] - way * frame[0, 1], frame[2, 2] - way * frame[0, 2]
+        length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
         count = gather(c, k, reach, _ROOM, near)
         to_frame(c, k, frame, radius, near, count, rivals)
-        low, high = shown(count, rivals, -1, 0.5 * length, 0.0, radius, -WIDEST, WIDEST)
+        most = min(_WITHIN * reach / radius + _SPARE, _STEEPEST)
+        low, high = 0.0, 0.0
+        if abs(rise) < most:
+            ball = (0.5 * length * math.sqrt(1.0 - rise * rise), 0.5 * length * rise)
+            low, high = shown(count, rivals, -1, ball, rise, 0.0, radius, -WIDEST, WIDEST)
         middle = 0.5 * (low + high)
         if low < high and abs(middle) > _TURNED and high < WIDEST and low > -WIDEST:
             nx = frame[2, 0] - middle * frame[1, 0]
             ny = frame[2, 1] - middle * frame[1, 1]
             nz = frame[2, 2] - middle * frame[1, 2]
-            set_frame(c.tips, k, nx, ny, nz, frame)
+            length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
             to_frame(c, k, frame, radius, near, count, rivals)
-        way, most = _rise(c, k, frame, reach), 1.2 * reach / radius + _SPARE
         longest = min(fine.longest, fine.crossed) if are_crossed(count, rivals) else fine.longest
         goes_on = k + 1 < c.joined.size and c.joined[k + 1]
-        before = _bend(c.tips, k - 1, frame, -1.0) if c.joined[k - 1] else straight
-        after = _bend(c.tips, k + 1, frame, 1.0) if goes_on else straight
-        if abs(way) < most:
-            strip = _strip_of_chord(length, radius, before, after)
+        before = _bend(c.tips, k - 1, frame, rise, -1.0) if c.joined[k - 1] else straight
+        after = _bend(c.tips, k + 1, frame, rise, 1.0) if goes_on else straight
+        if abs(rise) < most:
+            strip = _strip_of_chord(length, rise, radius, before, after)
             if strip.length > 0.0:
                 filled = _facets_of_strip(
                     c.tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled
                 )
         if goes_on and (after[0] > 1e-9 or abs(after[1]) > 1e-9):
-            strip = _strip_of_corner(k, length, radius, after, way - most, way + most)
+            strip = _strip_of_corner(k, length, rise, radius, after, most)
+            longest = min(longest, _CORNERS * min(length, after[2]))
             filled = _facets_of_strip(c.tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled)
     return out[:filled]

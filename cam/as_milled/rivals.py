@@ -25,17 +25,21 @@ _TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
 
 @njit(cache=True, nogil=True)
 def set_frame(tips, k, nx, ny, nz, frame):  # type: ignore[no-untyped-def]
-    """frame (3, 3): t along chord k, b to its left, n as near to the given normal as may be; returns the length."""
-    tx, ty, tz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
-    length = math.sqrt(tx * tx + ty * ty + tz * tz)
-    tx, ty, tz = tx / length, ty / length, tz / length
-    bx, by, bz = ny * tz - nz * ty, nz * tx - nx * tz, nx * ty - ny * tx
+    """frame (3, 3): n the given normal, b to the left of chord k, t ahead; (length, rise of the chord) are returned.
+
+    The chord's direction is (sqrt(1 - rise^2), 0, rise) in the frame.
+    """
+    dx, dy, dz = tips[k, 0] - tips[k - 1, 0], tips[k, 1] - tips[k - 1, 1], tips[k, 2] - tips[k - 1, 2]
+    size = math.sqrt(nx * nx + ny * ny + nz * nz)
+    nx, ny, nz = nx / size, ny / size, nz / size
+    bx, by, bz = ny * dz - nz * dy, nz * dx - nx * dz, nx * dy - ny * dx
     size = math.sqrt(bx * bx + by * by + bz * bz)
     bx, by, bz = bx / size, by / size, bz / size
-    frame[0, 0], frame[0, 1], frame[0, 2] = tx, ty, tz
+    frame[0, 0], frame[0, 1], frame[0, 2] = by * nz - bz * ny, bz * nx - bx * nz, bx * ny - by * nx
     frame[1, 0], frame[1, 1], frame[1, 2] = bx, by, bz
-    frame[2, 0], frame[2, 1], frame[2, 2] = ty * bz - tz * by, tz * bx - tx * bz, tx * by - ty * bx
-    return length
+    frame[2, 0], frame[2, 1], frame[2, 2] = nx, ny, nz
+    length = math.sqrt(dx * dx + dy * dy + dz * dz)
+    return length, (nx * dx + ny * dy + nz * dz) / length
 
 
 @njit(cache=True, nogil=True)
@@ -78,15 +82,18 @@ def _first(rivals, m):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shown(count, rivals, skip, s, offset, radius, low, high):  # type: ignore[no-untyped-def]
-    """(low, high): the angles across that the ball at s shows within those; low >= high: none. `skip` does not count.
+def shown(count, rivals, skip, ball, tilt, shear, radius, low, high):  # type: ignore[no-untyped-def]
+    """(low, high): the angles across that a ball shows within those; low >= high: none. Rival `skip` does not count.
 
-    offset : of the ball's centre above the chord, towards n
+    ball        : its centre (t, n) in the frame
+    tilt, shear : where it is asked: tilt - shear f ahead of n
     """
+    down = math.sqrt(1.0 - tilt * tilt)
     for m in range(count):
-        t, b, dt, db, alpha = rivals[m, 0] - s, rivals[m, 1], rivals[m, 3], rivals[m, 4], rivals[m, 8]
-        beta = rivals[m, 5] + (t * dt + b * db) / radius
-        gamma = rivals[m, 2] + 0.5 * (t * t + b * b) / radius - offset - rivals[m, 6]
+        t, b, dt, db, alpha = rivals[m, 0] - ball[0], rivals[m, 1], rivals[m, 3], rivals[m, 4], rivals[m, 8]
+        beta = down * rivals[m, 5] - tilt * dt + (t * dt + b * db) / radius
+        gamma = down * (rivals[m, 2] - ball[1]) - tilt * t + 0.5 * (t * t + b * b) / radius - rivals[m, 6]
+        b, db = b - shear * t, db - shear * dt
         near = min(max(beta * rivals[m, 9], 0.0), 1.0)
         least = gamma + near * (beta + alpha * near)
         end = b + db

@@ -20,6 +20,7 @@ _BOX_MM = 0.03  # smaller ones cost more memory than they save time
 _SIGMAS = 3.0
 _EVEN = 0.4  # of the pitch: roughness that hides less than this only bends the borders between tracks
 _PIECE, _SHORTEST_MM = 0.12, 0.005  # parts of a strip where tracks come and go: of what the roughness hides
+_SHARE = 0.1  # of its chord, where that is shorter: the ends of such parts decide how much area there is
 _BEND = 0.05  # of the pitch: borders of facets
 
 
@@ -62,8 +63,9 @@ class MilledSurface:
             reach_mm=reach,
             fine=Fineness(
                 longest=_LONGEST_MM,
-                crossed=pitch_mm / 3,
+                crossed=pitch_mm / 6,
                 shortest=shortest,
+                share=1.0 if even else _SHARE,
                 bend=_BEND * pitch_mm,
             ),
         )

@@ -10,7 +10,7 @@ import numpy as np
 
 from cam.as_milled.noise import Noise
 from cam.as_milled.rows import row_tracks, sample_facets, tip_error_mm
-from cam.as_milled.surface import MilledSurface
+from cam.as_milled.surface import CHORDS_PER_PART, MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.checking.removal import RemovalGrid
 from cam.reading.gcode import MoveBatch
@@ -95,7 +95,8 @@ def _against_brute_force(tracks: Tracks, surface: MilledSurface, lens: Heightfie
     over = grid.top_mm - lens.spline().heights_mm(x[None, :], y[:, None])
     slopes = np.diff(over, axis=0)[:, :-1] / _CELL_MM, np.diff(over, axis=1)[:-1] / _CELL_MM
     brute = float(np.sqrt(np.mean(slopes[0] ** 2 + slopes[1] ** 2)))
-    facets = [surface.part(k) for k in range(surface.parts)]
+    around = (np.abs(surface.chords.tips[:, :2] - low - _WINDOW_MM / 2) < _WINDOW_MM + tracks.radius_mm).all(axis=1)
+    facets = [surface.part(k) for k in np.unique(np.flatnonzero(around) // CHORDS_PER_PART).tolist()]
     middles = [part[:, :, :2].mean(axis=1) for part in facets]
     inside = [((middle > low) & (middle < low + _WINDOW_MM)).all(axis=1) for middle in middles]
     chosen = [part[kept] for part, kept in zip(facets, inside, strict=True)]

@@ -159,16 +159,23 @@ def test_slopes_are_those_of_brute_force(radius, pitch, step, noise, is_crossed)
     assert weights.sum() == pytest.approx(0.16, rel=0.02)
 
 
-@given(step=st.sampled_from([0.001, 0.004, 0.02]), seed=st.integers(0, 1000))
-@settings(max_examples=5, deadline=None)
-def test_facets_of_coarse_steps_are_finite(step, seed):
-    """Steps as long as moves make corners steeper than any ball shows; none may spoil what is worked out of them."""
+@given(step=st.sampled_from([0.001, 0.002, 0.004, 0.02]), chord=st.floats(0.003, 0.03), seed=st.integers(0, 1000))
+@settings(max_examples=3, deadline=None)
+def test_facets_of_coarse_steps_cover_the_aperture_once(step, chord, seed):
+    """Steps as long as moves make corners steeper than any ball shows, and slivers: no light is lost or counted twice.
+
+    Within 2 %: the ends of slivers are found to a tenth of a move.
+    """
     rng = np.random.default_rng(seed)
     over = lens(tilt=tuple(rng.uniform(-0.3, 0.3, 2)), side_mm=1.0)
-    tracks = row_tracks(over, radius_mm=0.5, pitch_mm=0.02).divided(rng.uniform(0.004, 0.03))
-    tracks = tracks.made_by(step_mm=step, noise=Noise(sigma_mm=0.001, seed=seed))
+    tracks = row_tracks(over, radius_mm=0.5, pitch_mm=0.02)
+    near = (np.abs(tracks.tips_mm[:, 1] - 0.5) < 0.6) | ~tracks.joined
+    tracks = Tracks(radius_mm=0.5, tips_mm=tracks.tips_mm[near], joined=tracks.joined[near])
+    tracks = tracks.divided(chord).made_by(step_mm=step, noise=Noise(sigma_mm=0.001, seed=seed))
     facets = facets_of(surface_of(tracks, over, pitch_mm=max(0.02, step), step_mm=step, z_noise_mm=0.001))
     assert np.isfinite(facets).all()
+    _, weights = spread_over(facets, np.full(2, 0.2), np.full(2, 0.8), parts=10)
+    assert weights.sum() == pytest.approx(0.36, rel=0.02)
 
 
 def test_steps_are_whole_and_noise_is_one_error_a_row():
