@@ -25,6 +25,7 @@ from cam.stock_grid import StockGrid
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
 from cam.turned import turned_block, turned_lens, turned_paths, turned_stock
+from cam.turns import first_row, row_cuts
 from cam.vertices import VertexRule, finish_rule, rough_rule
 from optics.heightfield import Heightfield
 
@@ -281,29 +282,26 @@ def _polyline_paths(
     polylines: Iterator[Array], met: StockTouch, above: Layer | None, spec: PassSpec, *, safe_z_mm: float
 ) -> Iterator[Path]:
     """One unbroken path, or rows each entered and left by itself."""
+
+    def meets(tips_mm: Array) -> Array:
+        heights = met.under(tips_mm) + met.slack_mm
+        return heights if above is None else np.minimum(heights, above.tips_mm(tips_mm[:, 2]) + CUSP_MM)
+
     lifts = spec.strategy == "raster" and spec.link == "retract"
+    onward = spec.strategy == "contour"
     last = np.empty(3)
     for index, polyline in enumerate(polylines):
         if lifts or index == 0:
             if index:
                 yield leave(last[0], last[1], safe_z_mm=safe_z_mm)
-            start = polyline[0]
-            height = met.at(start[0], start[1]) + met.slack_mm
-            if above is not None:
-                height = min(height, float(above.tips_mm(start[2:])[0]) + CUSP_MM)
-            first = _first_row(polyline)
-            onward = spec.strategy == "contour"
+            first, height = first_row(polyline), float(meets(polyline[:1])[0])
             yield from (enter_onward if onward else enter)(first, height, spec, safe_z_mm=safe_z_mm)
-        last = polyline[-1]
+            last = polyline[0]
         if index == 0:  # stock stands on both sides of the first row
             if not onward:
                 yield cut(first, SLOT_FEED * spec.feed_mm_per_min)
-            polyline = polyline[len(first) :]
+            last, polyline = first[-1], polyline[len(first) :]
         if len(polyline):
-            yield cut(polyline, spec.feed_mm_per_min)
+            yield from [cut(polyline, spec.feed_mm_per_min)] if onward else row_cuts(polyline, last, meets, spec)
+            last = polyline[-1]
     yield leave(last[0], last[1], safe_z_mm=safe_z_mm)
-
-
-def _first_row(polyline: Array) -> Array:
-    """The straight beginning, up to the first turn: ramps stay on it."""
-    return polyline[: len(polyline) if (same := polyline[:, 1] == polyline[0, 1]).all() else int(np.argmin(same))]

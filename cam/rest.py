@@ -132,7 +132,7 @@ class _Ground:
         """Straight across, above all that stands there."""
         share = np.linspace(0.0, 1.0, self._parts(start, end))[1:-1]
         x, y = (on_ticks(start[a] + share * (end[a] - start[a])) for a in (0, 1))
-        stock = np.array([self.met.at(*place) for place in zip(x, y, strict=True)]) + self.met.slack_mm
+        stock = self.met.under(np.column_stack([x, y])) + self.met.slack_mm
         tips = self.surface.tip_heights_mm(x, y) + self.areas.lift_mm
         return np.column_stack([x, y, np.maximum(stock, tips) + HOP_MM])
 

@@ -69,6 +69,10 @@ class StockTouch:
         _sample(self.height_mm, self.x0_mm, self.y0_mm, 1.0 / self.step_mm, x_mm, y_mm, out)
         return out
 
+    def under(self, points_mm: Array) -> Array:
+        """(n,) D at points (n, 2) or (n, 3)."""
+        return np.array([self.at(x, y) for x, y in points_mm[:, :2]])
+
     def at(self, x_mm: float, y_mm: float) -> float:
         return float(self.over(np.array([x_mm]), np.array([y_mm]))[0, 0])
 

@@ -1,0 +1,31 @@
+"""Small lenses with a short throw, whose surface falls steeply into the run-out, must pass their own check."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("picture", "preset", "side_mm", "throw_mm"),
+    [
+        ("camera", "draft", 20, 60),
+        ("logo", "draft", 16, 40),
+        ("camera", "paper", 12, 40),
+        ("logo", "recommended", 12, 60),
+    ],
+)
+def test_a_small_steep_lens_passes_its_check(tmp_path, picture, preset, side_mm, throw_mm):
+    """The first one turned from row to row at full feed, in slots of two thirds of the step-down."""
+    values = {"image.pixels": 64, "optics.throw_mm": throw_mm, "optics.width_mm": side_mm, "optics.height_mm": side_mm}
+    settings = [part for key, value in values.items() for part in ("--set", f"{key}={value}")]
+    job = [*COMMAND, "make", EXAMPLES / f"{picture}.png", "-o", tmp_path / "job", "--preset", preset, *settings]
+    done = subprocess.run(job, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
