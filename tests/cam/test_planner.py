@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import inf, sqrt
+from math import ceil, inf, sqrt
 
 import numpy as np
 import pytest
@@ -212,7 +212,9 @@ def test_tips_for_planning_are_those_of_the_tool_surface(radius_mm: float) -> No
     """A hundredth of a millimetre, the bend between two places of its grid, is nothing to a layer."""
     lens = bumps(0.05)
     tips = LensForm.of(lens).tips_mm(radius_mm)
-    places = np.arange(0, 161) * SIDE_MM / 160
+    count = min(160, ceil(16 * SIDE_MM / radius_mm))
+    places = np.linspace(0.0, SIDE_MM, count + 1)
     outside = (len(tips) - places.size) // 2
+    assert outside * SIDE_MM / count >= radius_mm
     exact = ToolSurface.over(lens, radius_mm=radius_mm).tip_rows_mm(places, places)
     assert tips[outside:-outside, outside:-outside] == pytest.approx(exact, abs=0.01)

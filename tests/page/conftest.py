@@ -1,4 +1,5 @@
-"""A shop and a browser for the tests of the page; both live as long as the session.
+"""A shop and a browser for the tests of the page. The shop lives as long as the session, the browser as long as a file:
+while its driver lives, nothing else in the process can run an event loop of its own.
 
 `page` is one page, 1440 wide and light; `opened` makes others. Any error on a console fails the test that used it,
 unless the test has said `watched.expect_errors(...)`.
@@ -22,7 +23,7 @@ Opened = Callable[..., Page]
 expect.set_options(timeout=20_000)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def browser() -> Iterator[Browser]:
     if reason := missing():
         pytest.skip(reason)
@@ -31,8 +32,10 @@ def browser() -> Iterator[Browser]:
 
 
 @pytest.fixture(scope="session")
-def shop(browser: Browser, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
+def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
     """A real server, its worker, a simulated mill called "shop" and its agent. Without a browser none is started."""
+    if reason := missing():
+        pytest.skip(reason)
     with running_shop(tmp_path_factory.mktemp("shop"), "--with-simulated-mill") as found:
         yield found
 

@@ -82,8 +82,8 @@ if __name__ == "__main__":
     opened = main.open_services
 
     @contextlib.contextmanager
-    def with_traps(settings: ServerSettings) -> Iterator[Services]:
-        with opened(settings) as services:
+    def with_traps(settings: ServerSettings, offer: str) -> Iterator[Services]:
+        with opened(settings, offer) as services:
             _in(services)
             yield services
 
