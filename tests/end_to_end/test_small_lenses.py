@@ -19,7 +19,6 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
         ("camera", "draft", 20, 60),
         ("logo", "draft", 16, 40),
         ("camera", "paper", 12, 40),
-        ("logo", "recommended", 12, 60),
     ],
 )
 def test_a_small_steep_lens_passes_its_check(tmp_path, picture, preset, side_mm, throw_mm):

@@ -13,8 +13,9 @@ const STANDS = ["idle", "alarm", "held", "check", "sleep", "door", "jog", "homin
 /** chosen: {job, program} from the address of the page; a program by its name or number. */
 export function loading(link, chosen) {
   const words = said();
-  const jobs = h("select", { onchange: () => choose(jobs.value) });
-  const passes = h("select", {});
+  const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), choose(jobs.value)) });
+  // An answer that is still on its way must not put another program in the place of the one that was taken.
+  const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
   const load = h("button", { type: "button", class: "primary", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
   const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load);
   const none = h("p", { class: "dim" }, "No job is done yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
@@ -63,7 +64,7 @@ export function loading(link, chosen) {
   return {
     node,
     /** The jobs are looked at anew when a program has left the mill. */
-    again,
+    again: () => ((chosen = { job: jobs.value || chosen.job }), again()),
     close: () => clearTimeout(timer),
     update() {
       const why = whyNot(link, STANDS, { besideRun: true });
