@@ -95,6 +95,14 @@ def _samples(mm, k, unit):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _place(mm, k, f, corner, cell):  # type: ignore[no-untyped-def]
+    """Where the share f of the move to point k ends: x and y in cells from the corner, z."""
+    x = (mm[k - 1, 0] + f * (mm[k, 0] - mm[k - 1, 0]) - corner[0]) / cell
+    y = (mm[k - 1, 1] + f * (mm[k, 1] - mm[k - 1, 1]) - corner[1]) / cell
+    return x, y, mm[k - 1, 2] + f * (mm[k, 2] - mm[k - 1, 2])
+
+
+@njit(cache=True, nogil=True)
 def _is_covered(mm, kind, start, end, heights, corner, unit):  # type: ignore[no-untyped-def]
     cell = _CELL * unit
     for k in range(start + 1, end + 1):
@@ -102,11 +110,8 @@ def _is_covered(mm, kind, start, end, heights, corner, unit):  # type: ignore[no
             continue
         n = _samples(mm, k, unit)
         for s in range(n + 1):
-            f = s / n
-            i = int((mm[k - 1, 0] + f * (mm[k, 0] - mm[k - 1, 0]) - corner[0]) / cell)
-            j = int((mm[k - 1, 1] + f * (mm[k, 1] - mm[k - 1, 1]) - corner[1]) / cell)
-            z = mm[k - 1, 2] + f * (mm[k, 2] - mm[k - 1, 2])
-            if abs(z - heights[j, i]) > _HEIGHT * unit:
+            x, y, z = _place(mm, k, s / n, corner, cell)
+            if abs(z - heights[int(y), int(x)]) > _HEIGHT * unit:
                 return False
     return True
 
@@ -119,10 +124,7 @@ def _mark(mm, kind, start, end, heights, corner, unit):  # type: ignore[no-untyp
             continue
         n = _samples(mm, k, unit)
         for s in range(n + 1):
-            f = s / n
-            x = (mm[k - 1, 0] + f * (mm[k, 0] - mm[k - 1, 0]) - corner[0]) / cell
-            y = (mm[k - 1, 1] + f * (mm[k, 1] - mm[k - 1, 1]) - corner[1]) / cell
-            z = mm[k - 1, 2] + f * (mm[k, 2] - mm[k - 1, 2])
+            x, y, z = _place(mm, k, s / n, corner, cell)
             for j in range(max(0, int(y) - 1), min(heights.shape[0], int(y) + 2)):
                 for i in range(max(0, int(x) - 1), min(heights.shape[1], int(x) + 2)):
                     if (i + 0.5 - x) ** 2 + (j + 0.5 - y) ** 2 <= (_REACH / _CELL) ** 2:

@@ -78,10 +78,8 @@ def test_what_stops_the_mill_is_sent_again_and_its_fate_known_soon(far: tuple[Sh
     assert time.monotonic() - began < 4.5 and sent(rogue, what) == 2
 
 
-def test_an_order_that_would_be_late_is_not_sent(far: tuple[Shop, Rogue]) -> None:
-    """The agent is slow with one; the next waits a little, is refused, and is not on its way later either."""
-    floor, rogue = far
-    ada = control(floor, "Ada")
+def slow_to_home(rogue: Rogue) -> threading.Event:
+    """It takes every order at once but `home`, which it answers when the event is set."""
     free = threading.Event()
 
     def answers(_method: str, path: str) -> Answer:
@@ -90,6 +88,14 @@ def test_an_order_that_would_be_late_is_not_sent(far: tuple[Shop, Rogue]) -> Non
         return as_json(STATUS, 202)
 
     rogue.answers = answers
+    return free
+
+
+def test_an_order_that_would_be_late_is_not_sent(far: tuple[Shop, Rogue]) -> None:
+    """The agent is slow with one; the next waits a little, is refused, and is not on its way later either."""
+    floor, rogue = far
+    ada = control(floor, "Ada")
+    free = slow_to_home(rogue)
     with concurrent.futures.ThreadPoolExecutor(1) as pool:
         slow = pool.submit(floor.operator.post, f"{HERE}/home", headers=ada)
         wait_for(lambda: sent(rogue, "home") == 1)
@@ -105,14 +111,7 @@ def test_an_order_that_would_be_late_is_not_sent(far: tuple[Shop, Rogue]) -> Non
 def test_an_order_that_waits_while_control_changes_hands_is_not_sent(far: tuple[Shop, Rogue]) -> None:
     floor, rogue = far
     ada = control(floor, "Ada")
-    free = threading.Event()
-
-    def answers(_method: str, path: str) -> Answer:
-        if path == "/v1/control/home":
-            free.wait(20)
-        return as_json(STATUS, 202)
-
-    rogue.answers = answers
+    free = slow_to_home(rogue)
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         first = pool.submit(floor.operator.post, f"{HERE}/home", headers=ada)
         wait_for(lambda: sent(rogue, "home") == 1)
