@@ -30,6 +30,7 @@ def tour() -> list[list[str]]:
     return [shlex.split(line, comments=True) for line in lines]
 
 
+@pytest.mark.thorough
 def test_the_tour_runs(tmp_path: Path) -> None:
     """In order, in an empty folder, at a small size; a command that ends in & goes on beside the next ones."""
     assert len(tour()) >= 6

@@ -16,6 +16,7 @@ SHORT = Size(jobs=5, kinds=4, kills=10, pause_s=(0.2, 1.5), patience_s=180.0)
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_nothing_is_lost_in_a_storm_on_sqlite(tmp_path: Path) -> None:
     with embedded(tmp_path) as deployment:
         result = storm(deployment, deployment.data[0] / "objects", SHORT, seed=11)

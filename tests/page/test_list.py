@@ -3,52 +3,33 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Page, Route, expect
+import numpy as np
+from PIL import Image
+from playwright.sync_api import Browser, Page, Route, expect
 
+from service.drawing.thumbnail import thumbnail_png
+from service.figures import picture_png
+from service.tone import srgb_to_linear
 from tests.page.browser import Watched, every_screen
 from tests.page.conftest import Opened
-from tests.page.shop import Shop
-from tests.service.api.server import png
+from tests.page.listed import answer_with, summary
+from tests.page.shop import PICTURE, Shop
+from tests.service.api.server import api_server, png
 
 STATES = {"queued": "waiting", "running": "working", "succeeded": "done", "failed": "failed", "cancelled": "cancelled"}
 FIRST_VIEW_BYTES = 300_000
+EXAMPLES = PICTURE.parent
 DROP = """([place, name, bytes]) => {
     const data = new DataTransfer();
     data.items.add(new File([new Uint8Array(bytes)], name, {type: name.endsWith("png") ? "image/png" : "text/plain"}));
     const event = new DragEvent("drop", {dataTransfer: data, bubbles: true, cancelable: true});
     document.querySelector(place).dispatchEvent(event);
 }"""
-
-
-def summary(number: int, state: str, **more: Any) -> dict[str, Any]:
-    """A job as the API lists it."""
-    address = f"/v1/jobs/00000000-0000-4000-8000-{number:012d}"
-    links = {"self": address, "events": f"{address}/events", "artifacts": f"{address}/artifacts"}
-    body = {
-        "id": address.rpartition("/")[2], "name": f"picture-{number}.png", "state": state, "stage": None,
-        "progress": 0.42, "queue_position": None, "priority": "normal", "attempt": 1, "cancel_requested": False,
-        "created_at": f"2026-11-21T08:{59 - number:02d}:00.000Z", "started_at": None, "ended_at": None, "error": None,
-        "image": {"sha256": "0" * 64, "bytes": 1}, "links": links, "etag": f'"{number}-{state}"',
-    }  # fmt: skip
-    return body | more
-
-
-def answer_with(page: Page, jobs: list[dict[str, Any]]) -> None:
-    """The server of this page has just these jobs, and no files of them."""
-
-    def listed(route: Route) -> None:
-        route.fulfill(json={"jobs": [job for job in jobs if _asked(route, job["state"])], "next": None})
-
-    page.route("**/v1/jobs?*", listed)
-    page.route("**/v1/jobs/*/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
-
-
-def _asked(route: Route, state: str) -> bool:
-    wanted = [part.removeprefix("state=") for part in route.request.url.split("?")[1].split("&") if "state=" in part]
-    return not wanted or state in wanted
 
 
 def shown(opened: Opened, jobs: list[dict[str, Any]], **how: Any) -> Page:
@@ -86,6 +67,7 @@ def test_who_has_no_job_is_told_in_one_sentence_what_to_do(opened: Opened) -> No
 
 def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(opened: Opened) -> None:
     page = shown(opened, [])
+    expect(page.locator(".drop")).to_be_visible()
     page.evaluate(DROP, [".drop", "notes.txt", list(b"no picture")])
     expect(page.get_by_text("This is no picture.")).to_be_visible()
     page.evaluate(DROP, [".drop", "portrait.png", list(png())])
@@ -126,6 +108,33 @@ def test_the_first_view_is_small_and_comes_from_this_server_only(watched: Callab
     asked_early = page.locator("link[rel=modulepreload]").evaluate_all("all => all.map(one => one.href)")
     assert {url for url in sizes if url.endswith(".js")} == set(asked_early)  # none waits for another to be read
     assert 10_000 < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
+
+
+def test_a_dozen_jobs_of_the_usual_size_are_a_small_first_view_too(browser: Browser, tmp_path: Path) -> None:
+    with api_server(tmp_path / "data") as server:
+        for turn, light in enumerate(photographs()):
+            job = server.submit()["id"]
+            server.put_artifact(job, "target.png", picture_png(light, white=1.0))
+            server.put_artifact(job, "thumbnail.png", thumbnail_png(light, white=1.0))
+            server.put_state(job, "succeeded", ended_at=time.time() - turn)
+        watched = Watched(browser, server.address)
+        page = watched.page()
+        sizes: dict[str, int] = {}
+        page.on("requestfinished", lambda request: sizes.update({request.url: request.sizes()["responseBodySize"]}))
+        page.goto("/")
+        expect(page.locator(".job img.there")).to_have_count(12)
+        page.wait_for_load_state("networkidle")
+        assert sum("thumbnail.png" in url for url in sizes) == 12
+        assert 100_000 < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
+        watched.close()
+
+
+def photographs() -> Iterator[np.ndarray]:
+    """Twelve pictures of 512 pixels that pack as badly as photographs do."""
+    for name in ("camera", "astronaut"):
+        with Image.open(EXAMPLES / f"{name}.png") as picture:
+            light = srgb_to_linear(np.asarray(picture.convert("L").resize((512, 512)), dtype=float) / 255)
+        yield from (np.rot90(turned, k) for turned in (light, np.fliplr(light), 1 - light) for k in (0, 1))
 
 
 def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(opened: Opened, shop: Shop) -> None:
@@ -200,7 +209,7 @@ def test_the_list_can_be_walked_with_the_keyboard_alone(opened: Opened) -> None:
     expect(page.locator("#view")).to_be_focused()
     page.keyboard.press("Tab")
     expect(page.get_by_role("button", name="Choose a picture")).to_be_focused()
-    for _ in range(5):
+    for _ in range(6):
         page.keyboard.press("Tab")
     expect(page.get_by_role("link", name="picture-1.png")).to_be_focused()
     outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")

@@ -44,7 +44,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--pixels", type=int, default=256)
     parser.add_argument("--steps-pixels", type=int, default=512, help="for Figs 4 to 8, which the paper shows at 512")
     parser.add_argument("--remeshed-pixels", type=int, default=128, help="for Fig. 12, where darts are slow")
-    parser.add_argument("--milled-mm", type=float, default=100.0, help="side of the lens that Figs 13 and 14 mill")
+    parser.add_argument("--milled-mm", type=float, default=100.0, help="side of the lens that Figs 13 to 15 mill")
     parser.add_argument("--output", type=Path, default=Path(__file__).parents[2] / "docs")
     chosen = parser.parse_args(arguments)
     pictures = chosen.output / "paper"

@@ -26,9 +26,16 @@ from optics.settings import LensSettings
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SIDE_MM = THROW_MM = 100.0
 INDEX = 1.49
-SETTING = LensSettings(
-    bench=Bench.centred(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=THROW_MM, refractive_index=INDEX), skim_mm=0.1
-)
+
+
+def setting(side_mm: float) -> LensSettings:
+    """The paper's set-up, all of it as many times smaller as the lens is."""
+    throw_mm = side_mm * THROW_MM / SIDE_MM
+    bench = Bench.centred(width_mm=side_mm, height_mm=side_mm, throw_mm=throw_mm, refractive_index=INDEX)
+    return LensSettings(bench=bench, skim_mm=0.1)
+
+
+SETTING = setting(SIDE_MM)
 WAYS = {"none": "the paper's section 4", "simple": "its section 5: darts", "clean": "ours: even grids"}
 
 
@@ -114,12 +121,12 @@ def by_the_paper(name: str, pixels: int, remeshing: str) -> Result:
 
 
 @cache
-def by_transport(name: str, pixels: int) -> Result:
-    wanted = target(name, pixels)
+def by_transport(name: str, pixels: int, side_mm: float = SIDE_MM) -> Result:
+    wanted, made_for = target(name, pixels), setting(side_mm)
     started = time.process_time()
-    design = design_lens(wanted, SETTING)
+    design = design_lens(wanted, made_for)
     cpu_s = time.process_time() - started
-    light = seen(design.heightfield, pixels)
+    light = simulate_caustic(design.heightfield, made_for.bench, pixels=(pixels, pixels)).irradiance
     return Result(
         heightfield=design.heightfield,
         light=light,

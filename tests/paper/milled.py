@@ -16,7 +16,7 @@ from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations
 from tests.paper import figures
-from tests.paper.cases import SETTING, by_transport, target
+from tests.paper.cases import by_transport, setting, target
 from tests.paper.section import Section, Sizes
 
 PICTURE = "camera"
@@ -38,9 +38,10 @@ class Milled(NamedTuple):
 
 
 @cache
-def milled(pixels: int, pitch_mm: float, noise_mm: float) -> Milled:
+def milled(pixels: int, side_mm: float, pitch_mm: float, noise_mm: float) -> Milled:
     """The whole part, rows along x."""
-    lens, started = by_transport(PICTURE, pixels).heightfield, time.process_time()
+    lens, bench = by_transport(PICTURE, pixels, side_mm).heightfield, setting(side_mm).bench
+    started = time.process_time()
     tracks = row_tracks(lens, radius_mm=RADIUS_MM, pitch_mm=pitch_mm).made_by(noise=Noise(sigma_mm=noise_mm))
     surface = MilledSurface.of_tracks(
         [tracks],
@@ -50,21 +51,21 @@ def milled(pixels: int, pitch_mm: float, noise_mm: float) -> Milled:
         roughness_mm=tip_error_mm(step_mm=0.0),
     )
     del tracks
-    light = simulate_milled(surface.part, surface.parts, lens, SETTING.bench, pixels=(pixels, pixels)).irradiance
+    light = simulate_milled(surface.part, surface.parts, lens, bench, pixels=(pixels, pixels)).irradiance
     parts = [surface.part(k) for k in np.linspace(0, surface.parts - 1, 16).astype(int)]
     return Milled(
         light=light,
         score=score_caustic(light, target(PICTURE, pixels)),
-        found=deviations(parts, lens, SETTING.bench, (pixels, pixels)),
+        found=deviations(parts, lens, bench, (pixels, pixels)),
         chords=int(surface.chords.joined.sum()),
         cpu_s=time.process_time() - started,
     )
 
 
 def figure_15(sizes: Sizes, folder: Path) -> Section:
-    n = sizes.main
-    wanted, design = target(PICTURE, n), by_transport(PICTURE, n)
-    peak, seen = wanted.max(), [milled(n, pitch, noise) for _, pitch, noise in CASES]
+    n, side_mm = sizes.main, sizes.milled_mm
+    wanted, design = target(PICTURE, n), by_transport(PICTURE, n, side_mm)
+    peak, seen = wanted.max(), [milled(n, side_mm, pitch, noise) for _, pitch, noise in CASES]
     shown = [("as designed", design.light), *((case[0], one.light) for case, one in zip(CASES, seen, strict=True))]
     figures.panels(
         folder / "figure-15.jpg",
@@ -89,9 +90,9 @@ def figure_15(sizes: Sizes, folder: Path) -> Section:
 
 *Claim*: a ball of 0.5 mm radius at a pitch of 0.02 mm leaves bumps that blur the caustic; 0.005 mm "can significantly
 reduce this blurriness"; deviations in z, modelled as white noise, make "similar striped artifacts" as their blocks
-show. *Ours*, {n} x {n}, the whole 100 x 100 mm: every groove of the rows that a program has (along the picture's
-width), heights in hundredths of a micrometre as written, each facet's light followed exactly. The paper does not say
-how large its deviations are; 0.5 µm, one error per row, is our guess for a stiff mill.
+show. *Ours*, {n} x {n}, the whole {side_mm:g} x {side_mm:g} mm: every groove of the rows that a program has (along the
+picture's width), heights in hundredths of a micrometre as written, each facet's light followed exactly. The paper does
+not say how large its deviations are; 0.5 µm, one error per row, is our guess for a stiff mill.
 
 ![Figure 15](paper/figure-15.jpg)
 

@@ -12,7 +12,7 @@ CLAIMED_STEPS = (1, 3, 5, 7, 25)
 class Sizes(NamedTuple):
     """Pixels a side: of the main picture (Figs 4 to 8), of the others (Fig. 9), of those remeshed (Fig. 12).
 
-    milled_mm : side of the piece of the lens that Figs 13 and 14 mill
+    milled_mm : side of the piece of the lens that Figs 13 and 14 mill, and of the whole lens of Fig. 15
     """
 
     main: int

@@ -28,6 +28,7 @@ def stages(text: str) -> list[str]:
     return [line.removesuffix(" ...") for line in text.splitlines() if line.endswith(" ...")]
 
 
+@pytest.mark.thorough
 def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
     """Each connection is cut after a few events; with Last-Event-ID none is missed and none comes twice."""
     with BadWire(shop.url, lambda _, came: came.count(b"event: stage.") >= 2) as wire:

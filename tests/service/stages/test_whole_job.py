@@ -40,7 +40,7 @@ def test_the_stages_are_those_of_the_contract(job: StagedJob) -> None:
 
 def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -> None:
     """But for what only the operator page draws."""
-    drawn = {"surface.bin", "focus.bin", "pass-1.path", "pass-2.path", "pass-3.path"}
+    drawn = {"thumbnail.png", "surface.bin", "focus.bin", "pass-1.path", "pass-2.path", "pass-3.path"}
     offered = {name for name in job.outputs if not name.startswith(".")}
     assert offered == {path.name for path in made.iterdir()} | drawn
     for name in offered - drawn - {"report.json", "report.html"}:
@@ -81,6 +81,7 @@ def test_stages_say_what_they_cost(job: StagedJob) -> None:
         assert 20 < result.peak_rss_mb < 20_000, stage
 
 
+@pytest.mark.thorough
 def test_a_second_run_makes_the_same_bytes_and_keys(job: StagedJob, tmp_path: Path) -> None:
     again = staged_job(tmp_path, preset="paper").run_all()
     own_of_a_run = {"report.json", "report.html"}

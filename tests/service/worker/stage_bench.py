@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -71,8 +72,13 @@ def until(what: Callable[[], object], within_s: float = 30.0) -> float:
 
 
 def nurseries() -> list[int]:
-    """Nursery processes of this test process."""
-    return [pid for pid in own_children() if Path(f"/proc/{pid}/comm").read_text().strip() == "cm-nursery"]
+    """Nursery processes of this test process; one that ends while they are looked at is none."""
+    found = []
+    for pid in own_children():
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            if Path(f"/proc/{pid}/comm").read_text().strip() == "cm-nursery":
+                found.append(pid)
+    return found
 
 
 def nursery_pid() -> int:
