@@ -25,6 +25,10 @@ CLOSE_MM = 2e-5
 """Residual at which Newton stops: what it does to the height is of second order, below 1e-9 mm."""
 
 
+TILE = 4
+"""Nodes along a side that are left out together where none of them can be on top."""
+
+
 class Ball(NamedTuple):
     """What the kernels need: spline, ball, lattice of heights, and where Newton alone may not be trusted."""
 
@@ -40,7 +44,8 @@ class Ball(NamedTuple):
     node_y0: float
     node_step: float
     guarded: Any  # (my, mx) bool
-    slack: float  # the most a lattice maximum can lie below the true one [mm]
+    slack: Any  # (my, mx) the most a maximum beside a node can lie above f there [mm]
+    tile_top: Any  # (ty, tx) the highest of node_z + slack in TILE x TILE nodes
 
 
 @njit(cache=True, nogil=True)
@@ -118,43 +123,78 @@ def _climb(b, cx, cy, px, py, top, tx, ty):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _highest(b, cx, cy):  # type: ignore[no-untyped-def]
-    """The highest contact in the whole footprint, without a guess; returns what `_newton` does but for `found`.
+def _nodes_on_top(b, cx, cy, level, rows, columns, f):  # type: ignore[no-untyped-def]
+    """Nodes (rows, columns) of the footprint that may lie beside the highest maximum, and f there; their number.
+
+    level : that f is known to reach somewhere
+    """
+    r2 = b.radius * b.radius * 0.999
+    my, mx = b.node_z.shape
+    i0 = max(int((cx - b.radius - b.node_x0) / b.node_step), 0)
+    i1 = min(int((cx + b.radius - b.node_x0) / b.node_step) + 1, mx - 1)
+    j0 = max(int((cy - b.radius - b.node_y0) / b.node_step), 0)
+    j1 = min(int((cy + b.radius - b.node_y0) / b.node_step) + 1, my - 1)
+    count = 0
+    side = (TILE - 1) * b.node_step
+    for tj in range(j0 // TILE, j1 // TILE + 1):
+        low_y = b.node_y0 + tj * TILE * b.node_step - cy
+        off_y = max(low_y, -low_y - side, 0.0)
+        for ti in range(i0 // TILE, i1 // TILE + 1):
+            low_x = b.node_x0 + ti * TILE * b.node_step - cx
+            off_x = max(low_x, -low_x - side, 0.0)
+            left = b.radius * b.radius - off_x * off_x - off_y * off_y
+            if left <= 0.0 or b.tile_top[tj, ti] + math.sqrt(left) < level:
+                continue
+            for j in range(max(tj * TILE, j0), min(tj * TILE + TILE, j1 + 1)):
+                dy = b.node_y0 + j * b.node_step - cy
+                for i in range(max(ti * TILE, i0), min(ti * TILE + TILE, i1 + 1)):
+                    dx = b.node_x0 + i * b.node_step - cx
+                    left = r2 - dx * dx - dy * dy
+                    if left <= 0.0:
+                        continue
+                    here = b.node_z[j, i] + math.sqrt(left)
+                    level = max(level, here)
+                    if here + b.slack[j, i] >= level and count < rows.size:
+                        rows[count], columns[count], f[count] = j, i, here
+                        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _level(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
+    """f at p, or at the centre where p is no point of the footprint."""
+    left = b.radius * b.radius * 0.999 - (px - cx) ** 2 - (py - cy) ** 2
+    if left <= 0.0:
+        px, py, left = cx, cy, b.radius * b.radius
+    return spline_jet(b.coefs, b.x0, b.y0, b.inv_dx, b.inv_dy, px, py)[0] + math.sqrt(left)
+
+
+@njit(cache=True, nogil=True)
+def _highest(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
+    """The highest contact in the whole footprint; returns what `_newton` does but for `found`. A good guess p saves
+    looking at most of the nodes, and changes nothing else.
 
     Climbs start from every node that may lie below the true maximum, not from lattice maxima only: two true maxima a
     few steps apart, at the end of a crease, show as one.
     """
-    n = int(math.ceil(b.radius / b.node_step)) + 1
-    my, mx = b.node_z.shape
-    ic = int(math.floor((cx - b.node_x0) / b.node_step + 0.5))
-    jc = int(math.floor((cy - b.node_y0) / b.node_step + 0.5))
-    size = 2 * n + 1
-    f = np.full((size, size), -np.inf)
-    r2 = b.radius * b.radius * 0.999
-    best = -np.inf
-    for a in range(1, size - 1):
-        j = jc + a - n
-        if j < 0 or j >= my:
-            continue
-        dy = b.node_y0 + j * b.node_step - cy
-        for e in range(1, size - 1):
-            i = ic + e - n
-            dx = b.node_x0 + i * b.node_step - cx
-            left = r2 - dx * dx - dy * dy
-            if left > 0.0 and 0 <= i < mx:
-                f[a, e] = b.node_z[j, i] + math.sqrt(left)
-                best = max(best, f[a, e])
+    room = (2 * int(math.ceil(b.radius / b.node_step)) + 3) ** 2
+    rows, columns, f = np.empty(room, np.int32), np.empty(room, np.int32), np.empty(room)
+    count = _nodes_on_top(b, cx, cy, _level(b, cx, cy, px, py), rows, columns, f)
+    if count == 0:  # a guess off the lattice's end
+        count = _nodes_on_top(b, cx, cy, -np.inf, rows, columns, f)
+    first = 0
+    for m in range(count):
+        if f[m] > f[first]:
+            first = m
     top, px, py = -np.inf, cx, cy
-    for first in (True, False):  # the best node first: most others are then given up at once
-        for a in range(1, size - 1):
-            for e in range(1, size - 1):
-                here = f[a, e]
-                if here < best - b.slack or here == -np.inf or (here == best) != first:
-                    continue
-                qx, qy = b.node_x0 + (ic + e - n) * b.node_step, b.node_y0 + (jc + a - n) * b.node_step
-                t, qx, qy = _climb(b, cx, cy, qx, qy, top, px, py)
-                if t > top:
-                    top, px, py = t, qx, qy
+    for m in range(-1, count):  # the best node first: most others are then given up at once
+        k = first if m < 0 else m
+        if f[k] + b.slack[rows[k], columns[k]] < f[first] or m == first:
+            continue
+        qx, qy = b.node_x0 + columns[k] * b.node_step, b.node_y0 + rows[k] * b.node_step
+        t, qx, qy = _climb(b, cx, cy, qx, qy, top, px, py)
+        if t > top:
+            top, px, py = t, qx, qy
     found, qx, qy, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
     if found and tip >= top - b.below - 1e-9:
         return qx, qy, tip, slope, curvature, dpx, dpy
@@ -173,10 +213,10 @@ def touch(b, cx, cy, px, py):  # type: ignore[no-untyped-def]
     i = min(max(int((cx - b.node_x0) / b.node_step + 0.5), 0), mx - 1)
     j = min(max(int((cy - b.node_y0) / b.node_step + 0.5), 0), my - 1)
     if not b.guarded[j, i]:
-        found, px, py, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
+        found, qx, qy, tip, slope, curvature, dpx, dpy = _newton(b, cx, cy, px, py)
         if found:
-            return px, py, tip, slope, curvature, dpx, dpy
-    return _highest(b, cx, cy)
+            return qx, qy, tip, slope, curvature, dpx, dpy
+    return _highest(b, cx, cy, px, py)
 
 
 @njit(cache=True, nogil=True)

@@ -28,6 +28,7 @@ _USED = 0.85  # of the length that the rule allows a chord
 CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
 _BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
 _ENTRIES = 4.0  # of a layer
+_LEAST_GAP = 0.25  # of 1 - kR: nearer to 0 the ball hardly fits, and its grooves are no longer those of rows
 LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
 
 
@@ -57,10 +58,17 @@ class LensForm:
 
     @classmethod
     def of(cls, lens: Heightfield) -> LensForm:
-        spline = lens.spline()
         along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
         x, y = np.meshgrid(lens.x_mm[0] + along * lens.width_mm, lens.y_mm[0] + along * lens.height_mm)
-        z, p, q, r, _, t = (np.ravel(part) for part in spline.jets(x, y))
+        return cls._at(lens, np.ravel(x), np.ravel(y), np.sort(concave_curvature(lens), axis=None))
+
+    def among(self, x_mm: Array, y_mm: Array) -> LensForm:
+        """The form of the same lens by those places (n,) alone; its sides and hollows are those of the whole."""
+        return self._at(self.lens, x_mm, y_mm, self.hollows_per_mm)
+
+    @classmethod
+    def _at(cls, lens: Heightfield, x_mm: Array, y_mm: Array, hollows_per_mm: Array) -> LensForm:
+        z, p, q, r, _, t = lens.spline().jets(x_mm, y_mm)
         square = 1.0 + p * p + q * q
         return cls(
             width_mm=lens.width_mm,
@@ -72,7 +80,7 @@ class LensForm:
             steep_x=(1.0 + p * p) * np.sqrt(square),
             steep_y=(1.0 + q * q) * np.sqrt(square),
             turns_rad=np.arctan2(q, p),
-            hollows_per_mm=np.sort(concave_curvature(lens), axis=None),
+            hollows_per_mm=hollows_per_mm,
             lens=lens,
         )
 
@@ -106,14 +114,32 @@ class LensForm:
         return self.bends_x if direction == "x" else self.bends_y
 
     def steepness(self, spec: PassSpec) -> float:
-        """Slopes that the rows of a pass leave across them, by those on a flat lens, rms: a sloping ball is steeper,
-        and what the lens itself bends between two rows is no error.
+        """Slopes that the rows of a pass leave across them, by those on a flat lens, rms: a sloping ball is steeper.
+
+        Not more so in a hollow of curvature k: its rows' contacts lie farther apart by 1 / (1 - kR), and between them
+        ball and lens part by as much less.
         """
-        over = {"y": self.steep_x * (1 - self.bends_x * spec.radius_mm)}
-        over["x"] = self.steep_y * (1 - self.bends_y * spec.radius_mm)
-        if spec.strategy == "contour":
-            return round(float(np.sqrt((over["x"] ** 2 + over["y"] ** 2).mean() / 2)), 3)
-        return round(float(np.sqrt((over[spec.direction] ** 2).mean())), 3)
+        return round(float(np.sqrt(np.mean([steep**2 for steep, _ in self._across(spec)]))), 3)
+
+    def widening(self, spec: PassSpec, reach_mm: float) -> float:
+        """How much farther than their slope errors alone the grooves of a pass send light, rms.
+
+        reach_mm : how far a slope of 1 sends light aside; negative where a hollow gathers it, on a mirror
+
+        A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light is spread over as much
+        by where it starts, and over reach / R of that by its slopes.
+        """
+        own = abs(1.0 + spec.radius_mm / reach_mm)
+        wide = [
+            (own * steep / np.maximum(1.0 - bends * spec.radius_mm, _LEAST_GAP)) ** 2
+            for steep, bends in self._across(spec)
+        ]
+        return round(float(np.sqrt(np.mean(wide))) / self.steepness(spec), 3)
+
+    def _across(self, spec: PassSpec) -> list[tuple[Array, Array]]:
+        """Steepness and bend of the lens across the rows; along X and Y alike where these follow its contours."""
+        both = [(self.steep_y, self.bends_y), (self.steep_x, self.bends_x)]
+        return both if spec.strategy == "contour" else [both["xy".index(spec.direction)]]
 
     def chords_mm(self, spec: PassSpec) -> Array:
         """(n,) usual distance of the vertices of a pass along its rows."""
@@ -139,17 +165,32 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     inside = (form.width_mm if spec.direction == "x" else form.height_mm) / length_mm
     rows = ceil(across_mm / spec.pitch_mm) + 1
     feed = spec.feed_mm_per_min / 60
-    acceleration = min(mill.acceleration_mm_per_s2[:2])
-    chords = form.chords_mm(spec)
-    speeds = np.minimum(feed, chords * mill.lines_per_s)
-    speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
     stretch = float(np.sqrt(1.0 + form.slopes**2 / 2).mean())
-    slowness = stretch * (inside * float((1 / speeds).mean()) + (1 - inside) / feed)
+    slowness = inside * slowness_s_per_mm(form, spec, mill) + stretch * (1 - inside) / feed
     if spec.strategy == "contour":
         stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
         return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
+    return rows * (length_mm * slowness + turn_s(spec, mill))
+
+
+def slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """Time for a way on the exact surface, by its length in plan, at the places of the form."""
+    acceleration, chords = min(mill.acceleration_mm_per_s2[:2]), form.chords_mm(spec)
+    speeds = np.minimum(spec.feed_mm_per_min / 60, chords * mill.lines_per_s)
+    speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
+    return float(np.sqrt(1.0 + form.slopes**2 / 2).mean() * (1 / speeds).mean())
+
+
+def turn_s(spec: PassSpec, mill: Kinematics) -> float:
+    """What braking into the turn from a row to the next, and speeding up after it, costs."""
+    feed, acceleration = spec.feed_mm_per_min / 60, min(mill.acceleration_mm_per_s2[:2])
     turning = min(feed, sqrt(acceleration * spec.pitch_mm / 2))
-    return rows * (length_mm * slowness + (feed - turning) ** 2 / feed / acceleration)
+    return (feed - turning) ** 2 / feed / acceleration
+
+
+def entry_s(spec: PassSpec) -> float:
+    """Down from safe height, along a ramp into the stock, and up again."""
+    return 2.0 + spec.step_down_mm / RAMP_SLOPE / (spec.plunge_mm_per_min / 60)
 
 
 def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
@@ -159,15 +200,14 @@ def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """
     tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
-    feed, plunge = spec.feed_mm_per_min / 60, spec.plunge_mm_per_min / 60
+    feed = spec.feed_mm_per_min / 60
     gap = np.ones((1, ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))))
     whole = 0.0
     for number in range(ceil(-float(tips.min()) / spec.step_down_mm)):
         active = binary_closing(np.pad(tips < -number * spec.step_down_mm, ((0, 0), (gap.size, gap.size))), gap)
         rows_mm = float(active.sum()) / tips.size * sides[0] * sides[1] / spec.pitch_mm
         turns_s = rows_mm / min(sides) * feed / min(mill.acceleration_mm_per_s2[:2])
-        enter_s = 2.0 + spec.step_down_mm / RAMP_SLOPE / plunge
-        whole += (rows_mm + _BORDER * min(sides)) / feed + turns_s + _ENTRIES * enter_s
+        whole += (rows_mm + _BORDER * min(sides)) / feed + turns_s + _ENTRIES * entry_s(spec)
     return whole
 
 

@@ -10,12 +10,14 @@ from numba import njit
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from cam.contact import Ball, touch_points, touch_rows
+from cam.contact import TILE, Ball, touch_points, touch_rows
 from cam.moves import Array
 from optics.heightfield import Heightfield, spline_jet
 
 GUARD_SHARE = 0.6
 """Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
+
+_RIM = 0.995  # of the radius: the ball's own bend grows without bound towards its equator
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -44,12 +46,12 @@ class ToolSurface:
         reach = run_out_mm + ball_mm + step
         x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]
         y = np.arange(-reach, heightfield.height_mm + reach + step, step) + heightfield.y_mm[0]
-        heights, most = (np.empty((y.size, x.size)) for _ in range(2))
-        least, steepest = _lattice(*spline.kernel_arguments, x, y, heights, most)
+        heights, most, bend = (np.empty((y.size, x.size)) for _ in range(3))
+        _lattice(*spline.kernel_arguments, x, y, ball_mm, step / np.sqrt(2), heights, most, bend)
         guarded = _grown(most > GUARD_SHARE / ball_mm, (ball_mm + step) / step)
         sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
         tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
-        bend = max(0.0, -least) + (1 + steepest**2) ** 1.5 / ball_mm  # of f, at most
+        slack = ndimage.maximum_filter(bend, size=3) * step**2 / 4
         kernel = Ball(
             *spline.kernel_arguments,
             radius=ball_mm,
@@ -59,7 +61,8 @@ class ToolSurface:
             node_y0=float(y[0]),
             node_step=step,
             guarded=guarded,
-            slack=bend * step**2 / 4,
+            slack=slack,
+            tile_top=_tile_tops(heights + slack),
         )
         return cls(
             radius_mm=radius_mm,
@@ -90,21 +93,28 @@ class ToolSurface:
 
 
 @njit(cache=True, nogil=True)
-def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, heights, most):  # type: ignore[no-untyped-def]
-    """Heights and largest eigenvalue of the Hessian on the lattice x (nx,), y (ny,); returns the smallest one's minimum
-    and the steepest slope.
+def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
+    """On the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and ball
+    together bend down at most where the ball touches no farther than `aside` from there.
     """
-    least, steepest = np.inf, 0.0
     for j in range(y.size):
         for i in range(x.size):
             z, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
             mean = 0.5 * (zxx + zyy)
             spread = np.sqrt(0.25 * (zxx - zyy) ** 2 + zxy * zxy)
+            steep = zx * zx + zy * zy
+            out = min(np.sqrt(steep / (1.0 + steep)) + aside / radius, _RIM)  # of the ball's radius
             heights[j, i] = z
             most[j, i] = mean + spread
-            least = min(least, mean - spread)
-            steepest = max(steepest, zx * zx + zy * zy)
-    return least, np.sqrt(steepest)
+            bend[j, i] = max(0.0, spread - mean) + 1.0 / (radius * (1.0 - out * out) ** 1.5)
+
+
+def _tile_tops(values: np.ndarray) -> np.ndarray:
+    """The highest of each TILE x TILE values; those at the far sides may be fewer."""
+    rows, columns = (-(-count // TILE) for count in values.shape)
+    whole = np.full((rows * TILE, columns * TILE), -np.inf)
+    whole[: values.shape[0], : values.shape[1]] = values
+    return np.ascontiguousarray(whole.reshape(rows, TILE, columns, TILE).max(axis=(1, 3)))
 
 
 def _grown(mask: np.ndarray, by: float) -> np.ndarray:

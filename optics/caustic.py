@@ -52,17 +52,51 @@ def simulate_caustic(
     beams          : into which light from a disc is divided; light without size is one
     """
     ny, nx = pixels
-    spline, cover = heightfield.spline(), cells_covered(heightfield, bench)
-    acc = np.zeros((ny, nx + 1))
+    light, total, reflected = _followed(
+        heightfield, bench, cells_covered(heightfield, bench), pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams
+    )
+    irradiance = light * (ny * nx / total)
+    outside = 1.0 - float(irradiance.mean()) - reflected / total
+    return Caustic(irradiance=irradiance, outside_share=outside, reflected_share=reflected / total)
+
+
+def share_by_way_of(
+    cells: Array,
+    heightfield: Heightfield,
+    bench: Bench,
+    *,
+    pixels: tuple[int, int],
+    tubes_per_cell: int = 4,
+    beams: int = BEAMS,
+) -> Array:
+    """(ny, nx) share of each pixel's light that comes by way of those cells of the heightfield; 0 where it is dark.
+
+    cells : (rows, columns) share of each cell that counts
+    """
+    cover = cells_covered(heightfield, bench)
+    own, whole = (
+        _followed(heightfield, bench, part, pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams)[0]
+        for part in (cells * cover, cover)
+    )
+    return np.asarray(np.clip(np.divide(own, whole, out=np.zeros(pixels), where=whole > 0.0), 0.0, 1.0))
+
+
+def _followed(
+    heightfield: Heightfield, bench: Bench, cover: Array, *, pixels: tuple[int, int], tubes_per_cell: int, beams: int
+) -> tuple[Array, float, float]:
+    """Light (ny, nx) on the screen, and how much met the lens and how much of it was reflected; as `_add_beam` has it.
+
+    cover : share of each cell that is lens
+    """
+    ny, nx = pixels
+    acc, spline = np.zeros((ny, nx + 1)), heightfield.spline()
     total = reflected = 0.0
     with ThreadPoolExecutor(max_workers=thread_count()) as pool:
         for beam in bench.bundle(beams):
             light, lost = _add_beam(pool, spline, beam, aim_at(bench, pixels), cover, tubes_per_cell, acc)
             total += light
             reflected += lost
-    irradiance = np.cumsum(acc, axis=1)[:, :nx] * (ny * nx / total)
-    outside = 1.0 - float(irradiance.mean()) - reflected / total
-    return Caustic(irradiance=irradiance, outside_share=outside, reflected_share=reflected / total)
+    return np.cumsum(acc, axis=1)[:, :nx], total, reflected
 
 
 def _add_beam(

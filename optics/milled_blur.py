@@ -6,7 +6,7 @@ From samples of the milled surface: the blur in pixels, and a picture that would
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -42,7 +42,7 @@ class Deviations:
         return math.hypot(self.blur_x_px, self.blur_y_px)
 
 
-def deviations(samples: Sequence[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int]) -> Deviations:
+def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench, pixels: tuple[int, int]) -> Deviations:
     """Of facets (n, 4, 5) each; those beyond the aperture do not count."""
     spline, aim, beam = heightfield.spline(), aim_at(bench, pixels), bench.beam()
     sums, area = np.zeros(4), 0.0

@@ -16,6 +16,7 @@ import numpy as np
 
 from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
 from cam.passes import PassSpec
+from cam.plan_rest import Filled, RestExtent
 from cam.posts.dialects import POSTS
 from cam.row_slopes import RowSlopes, row_slopes
 from optics.bench import Bench
@@ -35,7 +36,6 @@ from service.planning import plan_for_picture
 from service.spec import MIN_FLOOR_MM, JobSpec
 from service.stages.light import blocked_by_the_screen
 from service.stages.optical_task import branch_of, lens_settings
-from service.stages.plan import REST_SHARE
 from service.stages.programs import kinematics_of
 from service.stages.words import in_the_services_words
 
@@ -149,12 +149,19 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
             if spec.finishes or spec.strategy == "contour" or form.deepest_mm <= spec.step_down_mm:
                 seconds += rows_s(form, spec, mill)
         else:
-            share = REST_SHARE if spec.where == "rest" else 1.0
-            one_layer_s = finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)
-            seconds = share * rows_s(form, spec, mill) + one_layer_s * _layers(stock_mm - made_mm, spec)
+            seconds = _seconds_after(quick, spec, stock_mm - made_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
         tool = f"ball {spec.radius_mm:g} mm"
         yield {"name": spec.name, "tool": tool, "hours": seconds / 3600}
+
+
+def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
+    """Of a pass that others went before; depth_mm (ny, nx): what it takes off."""
+    form, mill = quick.form, kinematics_of(machine_of(quick.spec))
+    if spec.where == "rest":
+        return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
+    one_layer_s = finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)
+    return rows_s(form, spec, mill) + one_layer_s * _layers(depth_mm, spec)
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from optics.irradiance import picture_from_irradiance
 from service.figures import new_figure, panel_height, png_bytes, srgb_levels
-from service.plan_words import finish_words
+from service.plan_words import finish_words, rest_words
 from service.summary import duration
 
 if TYPE_CHECKING:
@@ -34,7 +34,9 @@ def plan_png(planned: Planned, *, viewed_from: Literal["lens", "behind"]) -> byt
     for axes, one in zip(panels[1:], shown, strict=True):
         score = planned.score(one)
         title = f"{duration(3600 * one.hours)}: SSIM {score.ssim:.2f}, {one.psnr_db:.1f} dB"
-        words = f"{finish_words(one.finish)}\nblur {one.blur_mm:.2g} mm"
+        words = f"{finish_words(one.finish)}\n" + ", ".join(
+            filter(None, (rest_words(one), f"blur {one.blur_mm:.2g} mm"))
+        )
         picture = picture_from_irradiance(planned.picture(one), viewed_from=viewed_from)
         _picture(axes, picture, white, title, words, marked=one is planned.chosen)
     _curve(below.subplots(), planned)
@@ -62,9 +64,13 @@ def _curve(axes: Axes, planned: Planned) -> None:
     axes.plot(hours, psnr, "-", color=_QUIET, linewidth=1.2, zorder=1)
     axes.plot(hours, psnr, "o", color=_INK, markersize=4, zorder=2)
     axes.plot([chosen.hours], [chosen.psnr_db], "o", color=_MARK, markersize=9, zorder=3)
+    words = f"chosen: ball {chosen.finish.radius_mm:g} mm, pitch {chosen.finish.pitch_mm:g} mm"
+    if chosen.rest is not None:
+        words += f", then ball {chosen.rest.spec.radius_mm:g} mm"
+    late = chosen.hours**2 > hours[0] * hours[-1]  # in the right half of the axis
     axes.annotate(
-        f"chosen: ball {chosen.finish.radius_mm:g} mm, pitch {chosen.finish.pitch_mm:g} mm",
-        (chosen.hours, chosen.psnr_db), xytext=(10, -16), textcoords="offset points", fontsize=9, color=_MARK,
+        words, (chosen.hours, chosen.psnr_db), xytext=(4, -44) if late else (10, -16), textcoords="offset points",
+        ha="right" if late else "left", fontsize=9, color=_MARK,
     )  # fmt: skip
     axes.set_xscale("log")
     ticks = _ticks(hours[0], hours[-1])

@@ -27,11 +27,12 @@ from service.errors import FailedError, InputError, sentence_of_os_error
 
 SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
-LENS_FILES = ("target.png", HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
+TARGET_PICTURE = "target.png"
+LENS_FILES = (TARGET_PICTURE, HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
 LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png")
 TOOLPATH = "toolpath.png"
 PLAN = "plan.png"
-SURFACE, FOCUS = "surface.bin", "focus.bin"
+SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 _KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH, PLAN}
@@ -83,7 +84,7 @@ def run_order(name: str) -> tuple[int, int, str]:
 
 def is_drawing(name: str) -> bool:
     """True for what only the operator page reads: nobody wants it in a folder."""
-    return name in (SURFACE, FOCUS) or _PATH.fullmatch(name) is not None
+    return name in (SURFACE, FOCUS, THUMBNAIL) or _PATH.fullmatch(name) is not None
 
 
 def is_known(name: str) -> bool:

@@ -12,7 +12,10 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+from importlib.metadata import version
 from pathlib import Path
+
+ESTIMATES = "estimates"  # a task of `ready_mark`
 
 _KEPT = 3  # states of the sources
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
@@ -26,17 +29,28 @@ def use_current_kernels() -> None:
     os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
     if "NUMBA_CACHE_DIR" in os.environ:
         return
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill"
-    folder = home / f"kernels-{_state_of_sources()}"
+    folder = _folder()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         folder.touch()
-        states = sorted(home.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
+        states = sorted(folder.parent.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
         for old in states[:-_KEPT]:
             shutil.rmtree(old, ignore_errors=True)
     except OSError:
         return  # no home to write to: numba falls back to its own choice
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
+
+
+def ready_mark(task: str) -> Path:
+    """A file beside the kernels: there once all that this task needs is compiled, as our sources and numba are now."""
+    return _folder() / f"{task}-{version('numba')}-{_state_of_sources()}.ready"
+
+
+def _folder() -> Path:
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return Path(os.environ["NUMBA_CACHE_DIR"])
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return home / "causticmill" / f"kernels-{_state_of_sources()}"
 
 
 def _state_of_sources() -> str:

@@ -1,9 +1,9 @@
 """What lenses show as milled, as far as it can be known before a program is written: the planner's eyes.
 
-Each lens is designed, or closed, for its ball and lit once. Facets of a milled surface are much smaller than a pixel:
-each patch sends its light over all their slopes, and the picture is that of the perfect lens convolved with where they
-send it, darker at its edges, with the stripes of rows that are off in height. Lenses are designed on a coarser picture:
-what they miss of it is taken over, fine detail as the target has it.
+Facets of a milled surface are much smaller than a pixel: each patch sends its light over all their slopes, and the
+picture is that of the perfect lens convolved with where they send it, darker at its edges, with the stripes of rows
+that are off in height. A groove of width w under a ball R spreads its light over w (1 + reach / R). Where a small ball
+makes the valleys that a big one leaves filled, light through them is spread as the small one's rows do.
 
 A first guess of PSNR takes no picture at all: the errors of a picture's waves add up as squares, and rows keep of each
 wave a part for X times a part for Y. Lenses of the best are then designed once more, sharpened for their own rows.
@@ -11,7 +11,7 @@ wave a part for X times a part for Y. Lenses of the best are then designed once 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
@@ -20,76 +20,88 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter1d
 
 from cam.pass_time import LensForm
-from cam.passes import PassSpec
+from cam.plan_rest import Filled
+from cam.planner import Marks
 from cam.row_slopes import RowSlopes, chord_grain, row_grain
-from optics.ball_fit import ball_fits
 from optics.bench import Bench
-from optics.caustic import simulate_caustic
-from optics.closing import closed_to_radius
-from optics.design import design_lens
 from optics.foreseen import sharpened
-from optics.heightfield import Array, Heightfield
+from optics.heightfield import Array
 from optics.metrics import CausticScore, score_caustic
-from optics.settings import LensSettings
-from service.resampling import Span, resampling_weights
+from service.plan_waves import Waves, lost_when_sharpened, yx_spreads
+from service.resampling import resized
 
-COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
-_DIRECTIONS = 16
-_TUBES, _BEAMS = 2, 7
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
 _SEEN_PIXELS = 0.25  # of blur along the rows; less is not worth sharpening for
-_BLOCK = 4  # waves along a side that share what contours keep of them
-_SHARPENING = 4.0  # of Landweber's steps, that light without negative places allows on average
+
+Redesign = Callable[["PictureLight", Marks, Array], None]
 
 
-Redesign = Callable[[float, Array], tuple[LensForm, Array]]
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Valleys:
+    """Those that a ball leaves filled; shares (ny, nx): of each pixel's light that comes past them, by the lens."""
+
+    filled: Filled
+    shares_past: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Shown:
     """A lens for one ball: its form, the waves (ny, nx) of the picture that it would show unmilled, were it not
-    sharpened, and the PSNR of that picture."""
+    sharpened, and the PSNR of that picture; what the ball leaves filled of it.
+    """
 
     form: LensForm
     waves: Array
     perfect_db: float
+    valleys: Valleys | None = None
 
 
 class PictureLight:
     """Pictures and scores of milled lenses; `cam.planner.Light`.
 
     aims     : a lens can still be made sharper for the blur of its milling
-    redesign : form and missed light of a lens for a ball (mm) that aims at a picture of the target's size
+    redesign : puts the lenses of those marks that aim at a picture of the target's size in place of the first ones
     """
 
     def __init__(self, target: Array, bench: Bench, *, aims: bool = False, redesign: Redesign | None = None) -> None:
         self.target, self.bench, self.aims, self._redesign = target, bench, aims, redesign
-        self._waves = dctn(target, norm="ortho")
+        self._goal = _waves(target)
         self._peak, self._square = float(target.max()), float(np.square(target).mean())
         ny, nx = target.shape
         self.pixel_mm = (bench.screen.height_mm / ny, bench.screen.width_mm / nx)
-        self._along_y, self._along_x = (
-            np.arange(count) / (2 * count * size) for count, size in zip((ny, nx), self.pixel_mm, strict=True)
-        )
+        self._along = Waves.of((ny, nx), self.pixel_mm)
         self.lenses: dict[float, Shown] = {}
+        self._halves: dict[tuple[float, float], tuple[Array, Array]] = {}
 
     @property
     def forms(self) -> dict[float, LensForm]:
         return {radius: shown.form for radius, shown in self.lenses.items()}
 
-    def add(self, radius_mm: float, form: LensForm, missed: Array) -> None:
+    @property
+    def fillings(self) -> dict[float, Filled]:
+        """By radius, of balls that leave valleys filled."""
+        return {radius: shown.valleys.filled for radius, shown in self.lenses.items() if shown.valleys is not None}
+
+    def add(self, radius_mm: float, form: LensForm, missed: Array, *, valleys: Valleys | None = None) -> None:
         """A lens for a ball; missed: its light less the picture that it aims at, at any size."""
-        error = _resized(missed, self.target.shape)
-        shown = Shown(
+        error = resized(missed, self.target.shape)
+        self.lenses[radius_mm] = Shown(
             form=form,
-            waves=self._waves + dctn(error, norm="ortho"),
+            waves=self._goal + _waves(error),
             perfect_db=self._psnr_db(self.target + error, 0.0),
+            valleys=valleys and replace(valleys, shares_past=resized(valleys.shares_past, self.target.shape)),
         )
-        self.lenses[radius_mm] = shown
 
     def same(self, radius_mm: float, as_of_mm: float) -> None:
         """The lens for another ball serves this one as well."""
         self.lenses[radius_mm] = self.lenses[as_of_mm]
+
+    def _seen(self, marks: Marks) -> RowSlopes:
+        """Slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
+        form = self.lenses[marks.radius_mm].form
+        reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
+        wider = marks.slopes.across.times(form.widening(marks.spec, reach_mm))
+        return replace(marks.slopes, across=wider)
 
     def reach_mm(self, form: LensForm) -> float:
         """How far aside a slope error sends light on the screen, per unit of slope.
@@ -106,247 +118,149 @@ class PictureLight:
         form = next(iter(self.lenses.values())).form
         return self.reach_mm(form) * sqrt(slopes.across.rms**2 + slopes.along.rms**2)
 
-    def psnr_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
+    def psnr_db(self, marks: Marks) -> float:
         """At a guess: as if darkness had no floor, and the picture no place where its edges' darkness matters more."""
-        shown, form = self.lenses[radius_mm], self.lenses[radius_mm].form
-        grain = self.grain(radius_mm, slopes, spec)
-        if spec.strategy == "contour":
-            error = self._error_by_contours(shown, slopes)
-        else:
-            over_y, over_x = (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
-            kept_y, kept_x = (
-                spread.transfer(waves, self.reach_mm(form))
-                for spread, waves in ((over_y, self._along_y), (over_x, self._along_x))
-            )
-            error = self._error_by_rows(shown, kept_y, kept_x)
-        return float(10 * np.log10(self._peak**2 / max(error + grain**2 * self._square, 1e-300)))
+        error = self._error_by_contours(marks) if marks.spec.strategy == "contour" else self._error_by_rows(marks)
+        return float(10 * np.log10(self._peak**2 / max(error + self.grain(marks) ** 2 * self._square, 1e-300)))
 
-    def aimed_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
-        return self._psnr_db(self._aimed(radius_mm, slopes, spec), self.grain(radius_mm, slopes, spec))
+    def aimed_db(self, marks: Marks) -> float:
+        return self._psnr_db(self._aimed(marks), self.grain(marks))
 
-    def unsharpened_db(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
+    def unsharpened_db(self, marks: Marks) -> float:
         """The same of a lens that aims at the picture itself."""
-        shown = self.lenses[radius_mm]
-        return self._psnr_db(self._milled(shown, shown.waves, slopes, spec), self.grain(radius_mm, slopes, spec))
+        return self._psnr_db(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
-    def settle(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> None:
+    def settle(self, marks: Marks) -> None:
         """Design the lens of a ball once more, sharpened for those rows; nothing where none is sharpened."""
-        blur_x_mm, blur_y_mm = self.foreseen_blur_mm(radius_mm, slopes, spec)
-        if self._redesign is None or not (blur_x_mm or blur_y_mm):
+        if self._redesign is None or not any(self.foreseen_blur_mm(marks)):
             return
-        aim = sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
-        before_db = self.lenses[radius_mm].perfect_db
-        self.add(radius_mm, *self._redesign(radius_mm, aim))
-        self.lenses[radius_mm] = replace(self.lenses[radius_mm], perfect_db=before_db)
-
-    def _error_by_rows(self, shown: Shown, kept_y: Array, kept_x: Array) -> float:
-        """Mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
-        left = np.outer(kept_y, kept_x)
-        lost = 1.0 - left
-        if self.aims:
-            lost *= np.clip(1.0 - left * left, 0.0, 1.0) ** _SHARPENING
-        return float(np.square(lost * self._waves - left * (shown.waves - self._waves)).mean())
-
-    def _error_by_contours(self, shown: Shown, slopes: RowSlopes) -> float:
-        """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
-        ny, nx = (count // _BLOCK * _BLOCK for count in self.target.shape)
-        along_y, along_x = self._along_y[:ny:_BLOCK], self._along_x[:nx:_BLOCK]
-        kept, squared = _kept_by_contours(shown.form, slopes, self.reach_mm(shown.form), along_y, along_x)
-
-        def blocks(values: Array) -> Array:
-            return np.asarray(values[:ny, :nx].reshape(ny // _BLOCK, _BLOCK, nx // _BLOCK, _BLOCK).sum(axis=(1, 3)))
-
-        own, cross, goal = shown.waves**2, shown.waves * self._waves, self._waves**2
-        error = (squared * blocks(own) - 2 * kept * blocks(cross)).sum() + goal.sum()
-        return float(max(error, 0.0)) / self.target.size
+        before = {radius: self.lenses[radius].perfect_db for radius in {marks.radius_mm, marks.smallest_mm}}
+        self._redesign(self, marks, self._aim(marks))
+        self._halves.clear()
+        for radius, perfect_db in before.items():
+            self.lenses[radius] = replace(self.lenses[radius], perfect_db=perfect_db)
 
     def perfect_db(self, radius_mm: float) -> float:
         """What the lens for a ball would show without any mark of the tool."""
         return self.lenses[radius_mm].perfect_db
 
-    def grain(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> float:
+    def grain(self, marks: Marks) -> float:
         """Standard deviation of the light of a pixel over its mean: rows off in height, chords off in slope."""
-        pixel_y_mm, pixel_x_mm = self.pixel_mm
+        own = self._grain_of(marks)
+        if marks.rest is None:
+            return own
+        through = float(_picture(self._half_waves(marks)[1]).mean())
+        return sqrt((1.0 - through) * own**2 + through * self._grain_of(marks.rest) ** 2)
+
+    def _grain_of(self, marks: Marks) -> float:
+        (pixel_y_mm, pixel_x_mm), spec, slopes = self.pixel_mm, marks.spec, marks.slopes
         across_mm, along_mm = (pixel_y_mm, pixel_x_mm) if spec.direction == "x" else (pixel_x_mm, pixel_y_mm)
-        reach_mm = round(self.reach_mm(self.lenses[radius_mm].form), 1)
-        rows = row_grain(radius_mm, spec.pitch_mm, slopes.off_mm, reach_mm, across_mm)
-        return hypot(rows, chord_grain(slopes, radius_mm=radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))
+        reach_mm = round(self.reach_mm(self.lenses[spec.radius_mm].form), 1)
+        rows = row_grain(spec.radius_mm, spec.pitch_mm, slopes.off_mm, reach_mm, across_mm)
+        return hypot(rows, chord_grain(slopes, radius_mm=spec.radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))
 
-    def picture(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> Array:
+    def picture(self, marks: Marks) -> Array:
         """Irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the rows."""
-        smooth = np.maximum(self._aimed(radius_mm, slopes, spec), 0.0)
+        smooth = np.maximum(self._aimed(marks), 0.0)
         lot = np.random.default_rng(_SEED).standard_normal(smooth.shape)
-        lot = gaussian_filter1d(lot, _GRAIN_PIXELS, axis=1 if spec.direction == "x" else 0)
-        return np.asarray(smooth * np.maximum(1.0 + self.grain(radius_mm, slopes, spec) * lot / lot.std(), 0.0))
+        lot = gaussian_filter1d(lot, _GRAIN_PIXELS, axis=1 if marks.spec.direction == "x" else 0)
+        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot / lot.std(), 0.0))
 
-    def foreseen_blur_mm(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> tuple[float, float]:
+    def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
         """(x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists,
         nor where contours blur each place in a direction of its own.
         """
-        if not self.aims or spec.strategy == "contour":
+        if not self.aims or marks.spec.strategy == "contour":
             return 0.0, 0.0
-        form = self.lenses[radius_mm].form
+        form = self.lenses[marks.radius_mm].form
+        slopes = self._seen(marks)
         across, along = (self.reach_mm(form) * spread.rms for spread in (slopes.across, slopes.along))
         along = along if along > _SEEN_PIXELS * min(self.pixel_mm) else 0.0
-        return (along, across) if spec.direction == "x" else (across, along)
-
-    def _aimed(self, radius_mm: float, slopes: RowSlopes, spec: PassSpec) -> Array:
-        """The picture of the lens for that ball, made sharper and then milled, without grain."""
-        shown = self.lenses[radius_mm]
-        blur_x_mm, blur_y_mm = self.foreseen_blur_mm(radius_mm, slopes, spec)
-        waves = shown.waves
-        if blur_x_mm or blur_y_mm:
-            aim = sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
-            waves = waves + dctn(aim - self.target, norm="ortho")
-        return self._milled(shown, waves, slopes, spec)
-
-    def _milled(self, shown: Shown, waves: Array, slopes: RowSlopes, spec: PassSpec) -> Array:
-        """Blurred; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""
-        reach_mm, contour = self.reach_mm(shown.form), spec.strategy == "contour"
-        over_y, over_x = (slopes.along, slopes.across) if spec.direction == "y" else (slopes.across, slopes.along)
-        over_x = slopes.across if contour else over_x
-        edges = [
-            spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
-            for spread, count, pixel_mm in zip((over_y, over_x), waves.shape, self.pixel_mm, strict=True)
-        ]
-        blurred = idctn(self._kept(shown.form, slopes, spec) * waves, norm="ortho")
-        return np.asarray(blurred * edges[0][:, None] * edges[1][None, :])
+        return (along, across) if marks.spec.direction == "x" else (across, along)
 
     def score(self, picture: Array) -> CausticScore:
         return score_caustic(picture, self.target)
+
+    def _error_by_rows(self, marks: Marks) -> float:
+        """Mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
+        kept = self._kept(marks)
+        lost = lost_when_sharpened(kept) if self.aims else 1.0 - kept
+        if marks.rest is None:
+            return float(np.square(lost * self._goal - kept * (self.lenses[marks.radius_mm].waves - self._goal)).mean())
+        past, through = self._half_waves(marks)
+        came = kept * past + self._kept(marks.rest) * through
+        return float(np.square(lost * self._goal - (came - kept * self._goal)).mean())
+
+    def _error_by_contours(self, marks: Marks) -> float:
+        """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
+        form, along = self.lenses[marks.radius_mm].form, self._along.by_blocks
+        kept, squared = along.kept_by_contours(form, self._seen(marks), self.reach_mm(form))
+        goal, sums = self._goal, self._along.block_sums
+        if marks.rest is None:
+            own = self.lenses[marks.radius_mm].waves
+            error = (squared * sums(own**2) - 2 * kept * sums(own * goal)).sum()
+        else:
+            own, other = self._half_waves(marks)
+            left = along.kept(form, self._seen(marks.rest), marks.rest.spec, self.reach_mm(form))
+            error = (squared * sums(own**2) + 2 * kept * (left * sums(own * other) - sums(own * goal))).sum()
+            error += (left**2 * sums(other**2) - 2 * left * sums(other * goal)).sum()
+        return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
+
+    def _half_waves(self, marks: Marks) -> tuple[Array, Array]:
+        """Of the light past the valleys that the finishing ball leaves filled, and of that through them, where a rest
+        pass cuts; the lens is as the smaller ball leaves it."""
+        key = (marks.radius_mm, marks.smallest_mm)
+        if key not in self._halves:
+            self._halves[key] = self._split(marks, self.lenses[marks.smallest_mm].waves)
+        return self._halves[key]
+
+    def _split(self, marks: Marks, waves: Array) -> tuple[Array, Array]:
+        valleys = self.lenses[marks.radius_mm].valleys
+        assert valleys is not None, "a rest pass is planned where something is left"
+        past = _waves(valleys.shares_past * _picture(waves))
+        return past, waves - past
+
+    def _aimed(self, marks: Marks) -> Array:
+        """The picture of the lens for that ball, made sharper and then milled, without grain."""
+        waves = self.lenses[marks.smallest_mm].waves
+        if any(self.foreseen_blur_mm(marks)):
+            waves = waves + _waves(self._aim(marks) - self.target)
+        return self._milled(marks, waves)
+
+    def _aim(self, marks: Marks) -> Array:
+        """The target, sharper by what those rows will blur."""
+        blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
+        return sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
+
+    def _milled(self, marks: Marks, waves: Array) -> Array:
+        """Blurred; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""
+        reach_mm = self.reach_mm(self.lenses[marks.radius_mm].form)
+        edges = [
+            spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
+            for spread, count, pixel_mm in zip(
+                yx_spreads(self._seen(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
+            )
+        ]
+        if marks.rest is None:
+            blurred = self._kept(marks) * waves
+        else:
+            past, through = self._split(marks, waves)
+            blurred = self._kept(marks) * past + self._kept(marks.rest) * through
+        return np.asarray(_picture(blurred) * np.outer(*edges))
+
+    def _kept(self, marks: Marks) -> Array:
+        """What is left of each wave (ny, nx)."""
+        form = self.lenses[marks.radius_mm].form
+        return self._along.kept(form, self._seen(marks), marks.spec, self.reach_mm(form))
 
     def _psnr_db(self, picture: Array, grain: float) -> float:
         error = float(np.square(picture - self.target).mean()) + grain**2 * float(np.square(picture).mean())
         return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
 
-    def _kept(self, form: LensForm, slopes: RowSlopes, spec: PassSpec) -> Array:
-        """What is left of each wave (ny, nx)."""
-        reach = self.reach_mm(form)
-        if spec.strategy == "contour":
-            return _kept_by_contours(form, slopes, reach, self._along_y, self._along_x)[0]
-        over_y, over_x = (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
-        return over_y.transfer(self._along_y, reach)[:, None] * over_x.transfer(self._along_x, reach)[None, :]
+
+def _waves(picture: Array) -> Array:
+    return np.asarray(dctn(picture, norm="ortho"))
 
 
-def _kept_by_contours(
-    form: LensForm, slopes: RowSlopes, reach: float, along_y: Array, along_x: Array
-) -> tuple[Array, Array]:
-    """What is left of each wave (ny, nx), and of its square: rows run along the contour lines, so across them is the
-    gradient's direction, which all places share out.
-    """
-    edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
-    share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
-    waves = np.linspace(0.0, float(np.hypot(along_x[-1], along_y[-1])), 512)
-    across = slopes.across.transfer(waves, reach)
-    kept, squared = np.zeros((2, along_y.size, along_x.size))
-    for turn, part in zip((edges[:-1] + edges[1:]) / 2, share, strict=True):
-        for way in (1.0, -1.0):  # a cosine transform knows no sign of a wave
-            along = along_x[None, :] * np.cos(turn) + way * along_y[:, None] * np.sin(turn)
-            left = np.interp(np.abs(along), waves, across)
-            kept += part / 2 * left
-            squared += part / 2 * left**2
-    return kept, squared
-
-
-def lit_designs(
-    target: Array,
-    settings: LensSettings,
-    radii_mm: Iterable[float],
-    *,
-    as_given: bool = False,
-    aims: bool = True,
-    on_progress: Callable[[float], None] | None = None,
-) -> PictureLight:
-    """A lens designed for each ball, largest first: where nothing is to be filled, smaller balls have the same one.
-
-    as_given : the settings alone shape the lens, and each ball leaves of it what it can
-    aims     : each lens is to be made sharper by what milling will blur
-    """
-    coarse = _coarser(target)
-    quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
-
-    def lit(radius_mm: float, aim: Array) -> tuple[LensForm, Array, bool]:
-        design = design_lens(aim, replace(quick, min_radius_mm=radius_mm))
-        missed = _light_of(design.heightfield, settings.bench, aim) - aim
-        return LensForm.of(design.heightfield), missed, design.closing is not None
-
-    light = PictureLight(
-        target, settings.bench, aims=aims, redesign=None if as_given else lambda r, aim: lit(r, _coarser(aim))[:2]
-    )
-    if as_given:
-        _add_as_left(light, design_lens(coarse, quick).heightfield, coarse, radii_mm, on_progress)
-        return light
-    wanted = sorted(set(radii_mm), reverse=True)
-    served: float | None = None
-    for number, radius_mm in enumerate(wanted, 1):
-        if served is not None:
-            light.same(radius_mm, served)
-            continue
-        form, missed, filled = lit(radius_mm, coarse)
-        light.add(radius_mm, form, missed)
-        if not filled:
-            served = radius_mm
-        if on_progress is not None:
-            on_progress(number / len(wanted))
-    return light
-
-
-def lit_lens(
-    lens: Heightfield,
-    target: Array,
-    bench: Bench,
-    radii_mm: Iterable[float],
-    *,
-    on_progress: Callable[[float], None] | None = None,
-) -> PictureLight:
-    """An existing lens as each ball leaves it: valleys that are tighter stay filled."""
-    light = PictureLight(target, bench)
-    _add_as_left(light, lens, target, radii_mm, on_progress)
-    return light
-
-
-def _add_as_left(
-    light: PictureLight,
-    lens: Heightfield,
-    target: Array,
-    radii_mm: Iterable[float],
-    on_progress: Callable[[float], None] | None,
-) -> None:
-    form, served = LensForm.of(lens), None
-    wanted = sorted(set(radii_mm))
-    for number, radius_mm in enumerate(wanted, 1):
-        fits = ball_fits(lens, radius_mm)
-        if fits and served is not None:
-            light.same(radius_mm, served)
-            continue
-        left = lens
-        if fits:
-            served = radius_mm
-        else:
-            z = closed_to_radius(lens.z_mm, radius_mm=radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
-            left = replace(lens, z_mm=np.minimum(z, 0.0))
-        light.add(radius_mm, form, _light_of(left, light.bench, target) - target)
-        if on_progress is not None:
-            on_progress(number / len(wanted))
-
-
-def _light_of(lens: Heightfield, bench: Bench, target: Array) -> Array:
-    return simulate_caustic(lens, bench, pixels=target.shape, tubes_per_cell=_TUBES, beams=_BEAMS).irradiance
-
-
-def _coarser(target: Array) -> Array:
-    scale = min(1.0, COARSE / max(target.shape))
-    shape = (max(4, round(scale * target.shape[0])), max(4, round(scale * target.shape[1])))
-    coarse = np.maximum(_resized(target, shape), 0.0)
-    return coarse / coarse.mean()
-
-
-def _resized(picture: Array, shape: tuple[int, ...]) -> Array:
-    """Area averages, or cubic where it must be enlarged."""
-    if picture.shape == tuple(shape):
-        return picture
-    down, across = (
-        resampling_weights(size, Span(0.0, float(size)), count)
-        for size, count in zip(picture.shape, shape, strict=True)
-    )
-    return np.asarray((across @ (down @ picture).T).T)
+def _picture(waves: Array) -> Array:
+    return np.asarray(idctn(waves, norm="ortho"))

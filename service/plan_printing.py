@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cam.passes import PassSpec
+from cam.planner import Candidate
 from service import job_files
 from service.errors import InputError, SpecError
 from service.planning import Planned, plan_for_lens, plan_for_picture
@@ -91,19 +93,20 @@ def _spec(request: PlanRequest, base: dict[str, Any]) -> JobSpec:
 
 def table(planned: Planned) -> Iterator[str]:
     """The best plans by time; the chosen one is marked."""
-    head = ("", "TIME", "PSNR dB", "SSIM", "BLUR mm", "px", "FINISH", "BEFORE")
+    head = ("", "TIME", "PSNR dB", "SSIM", "BLUR mm", "px", "FINISH", "REST", "BEFORE")
     rows = [head, *(_row(planned, one) for one in planned.plan.front)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
+    if all(one.rest is None for one in planned.plan.front):
+        rows = [(*row[:-2], row[-1]) for row in rows]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
     for row in rows:
         yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
     for name, why in planned.plan.left_out:
         yield f"without {name}: {why}"
 
 
-def _row(planned: Planned, one: Any) -> tuple[str, ...]:
+def _row(planned: Planned, one: Candidate) -> tuple[str, ...]:
     finish = one.finish
     rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
-    before = ", ".join(f"R{spec.radius_mm:g} / {spec.pitch_mm:g}" for spec in one.passes[:-1])
     return (
         "->" if one is planned.chosen else "",
         duration(3600 * one.hours),
@@ -112,8 +115,13 @@ def _row(planned: Planned, one: Any) -> tuple[str, ...]:
         f"{one.blur_mm:.2f}",
         f"{planned.blur_px(one):.1f}",
         f"R{finish.radius_mm:g} / {finish.pitch_mm:g}, {rows}",
-        before,
+        _balls([] if one.rest is None else [one.rest.spec]),
+        _balls(one.before),
     )
+
+
+def _balls(passes: Sequence[PassSpec]) -> str:
+    return ", ".join(f"R{spec.radius_mm:g} / {spec.pitch_mm:g}" for spec in passes)
 
 
 def spec_fragment(planned: Planned, spec: JobSpec) -> str:

@@ -18,11 +18,17 @@ if TYPE_CHECKING:
     from service.planning import Planned
 
 RUBBING_M_PER_MIN = 10.0
+HOPEFUL_DB = 1.0
+"""What a milled picture may fall short of the foretold one: grooves spread light less where the picture is bright, and
+the foretold one has them everywhere alike (a photograph on 40 mm: 25.0 dB foretold, 24.0 dB by every groove).
+"""
+_NEAR = 0.15  # ball by reach of light: beyond, that differs too much from place to place to be foretold
+_SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
 
 
 def reasons(planned: Planned) -> list[str]:
     """Why these passes, most important first."""
-    found = (_aim(planned), *_ball(planned), *_rows(planned), *_steps(planned), *_rough(planned))
+    found = (_aim(planned), *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), *_rough(planned))
     return [sentence for sentence in found if sentence]
 
 
@@ -58,6 +64,16 @@ def finish_words(finish: PassSpec) -> str:
     return f"ball {finish.radius_mm:g} mm, pitch {finish.pitch_mm:g} mm, {rows}"
 
 
+def candidate_words(one: Candidate) -> str:
+    """How a lens is finished, in a few words."""
+    return "; ".join(filter(None, (finish_words(one.finish), rest_words(one))))
+
+
+def rest_words(one: Candidate) -> str:
+    """Of the rest pass; nothing where there is none."""
+    return "" if one.rest is None else f"then ball {one.rest.spec.radius_mm:g} mm in what it leaves"
+
+
 def best_possible(planned: Planned) -> str:
     """What no plan on this mill can surpass."""
     best = planned.plan.best
@@ -69,9 +85,17 @@ def best_possible(planned: Planned) -> str:
     )
 
 
+def hopeful_db(planned: Planned) -> float | None:
+    """How much the milled picture may fall short of the foretold one; None: more than can be told."""
+    radius_mm = planned.chosen.finish.radius_mm
+    reach_mm = planned.light.reach_mm(planned.light.forms[radius_mm])
+    return HOPEFUL_DB if radius_mm <= _NEAR * reach_mm else None
+
+
 def _aim(planned: Planned) -> str:
     chosen, goal = planned.chosen, planned.goal
-    shown = f"{chosen.psnr_db:.1f} dB in {duration(3600 * chosen.hours)}"
+    less = "several dB less for so near a wall" if (most := hopeful_db(planned)) is None else f"up to {most:g} dB less"
+    shown = f"{chosen.psnr_db:.1f} dB, as milled {less}, in {duration(3600 * chosen.hours)}"
     if not planned.plan.met:
         return f"{shown}, the nearest to what was asked for. {best_possible(planned)}"
     if goal.hours is not None:
@@ -94,12 +118,33 @@ def _ball(planned: Planned) -> Iterator[str]:
         words += f"; the lens is shaped for it, which takes {lost:.1f} dB of the {least:.1f} dB of one without marks"
     yield words + "."
     if any(planned.foreseen_blur_mm()):
-        plain = planned.light.unsharpened_db(radius, planned.chosen.slopes, planned.chosen.finish)
+        plain = planned.light.unsharpened_db(planned.chosen.marks)
         gain = planned.chosen.psnr_db - plain
         yield f"The lens is made sharper by what milling will blur, which gains {gain:.1f} dB on the wall."
     larger = [(name, why) for name, why in planned.plan.left_out if _radius(planned, name) > radius]
     for name, why in larger:
         yield f"Left out, though larger: {name}: {why}."
+
+
+def _rest(planned: Planned) -> Iterator[str]:
+    """What is left in valleys too narrow for the ball, and who takes it out."""
+    chosen = planned.chosen
+    filled = planned.light.fillings.get(chosen.finish.radius_mm)
+    if chosen.rest is not None:
+        rest, gain = chosen.rest, planned.rest_gain_db(chosen)
+        form = planned.light.forms[chosen.finish.radius_mm]
+        share = 100 * rest.extent.area_mm2 / (form.width_mm * form.height_mm)
+        places = "one place" if rest.extent.regions == 1 else f"{rest.extent.regions} places"
+        yield (
+            "It does not fit every valley: a rest pass takes out what it leaves, with a ball of "
+            f"{rest.spec.radius_mm:g} mm in rows {rest.spec.pitch_mm:g} mm apart, only there: {places}, {share:.2g} % "
+            f"of the lens, {duration(rest.extent.seconds)}. That gains {gain:.1f} dB."
+        )
+    elif filled is not None and filled.share >= _SEEN_SHARE:
+        yield (
+            f"It leaves {100 * filled.share:.2g} % of the lens filled, in valleys too narrow for it: a rest pass with "
+            "a smaller ball would not show enough more for its time."
+        )
 
 
 def _rows(planned: Planned) -> Iterator[str]:
@@ -110,10 +155,10 @@ def _rows(planned: Planned) -> Iterator[str]:
     words = f"Rows {finish.pitch_mm:g} mm apart"
     if sharper:
         gain, more_s = sharper[0].psnr_db - chosen.psnr_db, 3600 * (sharper[0].hours - chosen.hours)
-        other = finish_words(sharper[0].finish)
+        other = candidate_words(sharper[0])
         yield f"{words}; the next sharper plan ({other}) would gain {gain:.2g} dB for {duration(more_s)} more."
     else:
-        grain = 100 * planned.light.grain(finish.radius_mm, chosen.slopes, finish)
+        grain = 100 * planned.light.grain(chosen.marks)
         yield (
             f"{words}: closer ones would not help, as the rows that lie deepest by the mill's noise hide the others "
             + (f"and make stripes, here of {grain:.0f} % of the light.")
@@ -138,7 +183,7 @@ def _steps(planned: Planned) -> Iterator[str]:
         vertex_mm=chosen.slopes.vertex_mm,
         steepness=planned.light.forms[finish.radius_mm].steepness(finish),
     )
-    gain = chosen.psnr_db - planned.light.aimed_db(finish.radius_mm, between, finish)
+    gain = chosen.psnr_db - planned.light.aimed_db(replace(chosen.marks, slopes=between))
     yield (
         f"Heights are written in whole steps of the mill, {1000 * machine.step_mm:g} µm: vertices stand where the path "
         f"goes through one, which gains {max(0.0, gain):.1f} dB."
@@ -146,7 +191,7 @@ def _steps(planned: Planned) -> Iterator[str]:
 
 
 def _rough(planned: Planned) -> Iterator[str]:
-    before = planned.chosen.passes[:-1]
+    before = planned.chosen.before
     first = before[0]
     words = f"A ball of {first.radius_mm:g} mm roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
     if len(before) > 1:
@@ -176,7 +221,7 @@ def _remedy(planned: Planned) -> str:
 def _turned(planned: Planned, chosen: Candidate) -> float:
     """PSNR with the same rows along the other axis."""
     other = replace(chosen.finish, direction="y" if chosen.finish.direction == "x" else "x")
-    return planned.light.aimed_db(other.radius_mm, chosen.slopes, other)
+    return planned.light.aimed_db(replace(chosen.marks, spec=other))
 
 
 def _cutting_speed(planned: Planned) -> float:

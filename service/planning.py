@@ -10,16 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from cam.materials import PMMA
-from cam.planner import Candidate, Goal, NoPlanError, Plan, Shop, make_plan
+from cam.planner import Candidate, Goal, NoPlanError, Plan, make_plan
 from cam.posts.dialects import POSTS
+from cam.shop import CLEAR_MM, Shop
 from cam.tools import Tool
 from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
 from optics.metrics import CausticScore
 from service.errors import InputError
 from service.passes import machine_of
-from service.plan_light import PictureLight, lit_designs, lit_lens
-from service.plan_words import blur_warning, blur_warnings, finish_words, reasons
+from service.plan_lenses import lit_designs, lit_lens
+from service.plan_light import PictureLight
+from service.plan_words import blur_warning, blur_warnings, candidate_words, hopeful_db, reasons
 from service.spec import JobSpec, PassRow
 from service.stages.optical_task import bench_of, branch_of, lens_settings
 from service.stages.plain import plain
@@ -27,7 +29,6 @@ from service.stages.programs import kinematics_of
 from service.tools import load_tools
 
 Progress = Callable[[float], None]
-_CLEAR_MM = 1.0
 COARSE_STEP_MM = 0.0005
 """Steps from which the light shows that heights between them are not reached."""
 
@@ -55,12 +56,9 @@ class Planned:
         """Predicted light (ny, nx) on the screen of one of the plan's front, work frame."""
         return self._pictures[self.plan.front.index(candidate)]
 
-    def _picture(self, candidate: Candidate) -> Array:
-        return self.light.picture(candidate.finish.radius_mm, candidate.slopes, candidate.finish)
-
     @cached_property
     def _pictures(self) -> tuple[Array, ...]:
-        return tuple(self._picture(one) for one in self.plan.front)
+        return tuple(self.light.picture(one.marks) for one in self.plan.front)
 
     @cached_property
     def _scores(self) -> tuple[CausticScore, ...]:
@@ -72,9 +70,7 @@ class Planned:
 
     def foreseen_blur_mm(self, candidate: Candidate | None = None) -> list[float]:
         """What the lens is to be made sharper for, to the micrometre."""
-        one = candidate or self.chosen
-        found = self.light.foreseen_blur_mm(one.finish.radius_mm, one.slopes, one.finish)
-        return [round(value, 3) for value in found]
+        return [round(value, 3) for value in self.light.foreseen_blur_mm((candidate or self.chosen).marks)]
 
     def blur_px(self, candidate: Candidate) -> float:
         return candidate.blur_mm / min(self.light.pixel_mm)
@@ -101,13 +97,14 @@ class Planned:
             {
                 **self._figures(chosen),
                 "passes": self.rows(),
-                "min_radius_mm": chosen.finish.radius_mm,
+                "min_radius_mm": chosen.marks.smallest_mm,
                 "foreseen_blur_mm": self.foreseen_blur_mm(),
                 "whole_steps": self.machine.whole_steps,
                 "goal": {key: value for key, value in asdict(self.goal).items() if value is not None},
                 "goal_met": self.plan.met,
-                "perfect_psnr_db": self.light.perfect_db(chosen.finish.radius_mm),
+                "perfect_psnr_db": self.light.perfect_db(chosen.marks.smallest_mm),
                 "best_psnr_db": self.plan.best.psnr_db,
+                "hopeful_db": hopeful_db(self),
                 "chosen": self.plan.front.index(chosen),
                 "candidates": [self._line(one) for one in self.plan.front],
                 "left_out": [{"tool": name, "why": why} for name, why in self.plan.left_out],
@@ -115,6 +112,29 @@ class Planned:
                 "warnings": self.warnings(),
             }
         )
+
+    def rest_gain_db(self, one: Candidate) -> float:
+        """What its rest pass brings; 0 without one."""
+        if one.rest is None:
+            return 0.0
+        return one.psnr_db - self.light.aimed_db(replace(one.marks, rest=None))
+
+    def _rest(self, one: Candidate) -> dict[str, Any] | None:
+        """Of the pass that takes out what the finishing ball leaves in valleys."""
+        if one.rest is None:
+            return None
+        lens = self.light.forms[one.finish.radius_mm]
+        return {
+            "tool": one.rest.tool.name,
+            "radius_mm": one.rest.spec.radius_mm,
+            "pitch_mm": one.rest.spec.pitch_mm,
+            "area_mm2": one.rest.extent.area_mm2,
+            "area_share": one.rest.extent.area_mm2 / (lens.width_mm * lens.height_mm),
+            "length_mm": one.rest.extent.length_mm,
+            "regions": one.rest.extent.regions,
+            "hours": one.rest.extent.seconds / 3600,
+            "gain_db": self.rest_gain_db(one),
+        }
 
     def _figures(self, one: Candidate) -> dict[str, Any]:
         return {
@@ -124,6 +144,7 @@ class Planned:
             "ssim": self.score(one).ssim,
             "blur_mm": one.blur_mm,
             "blur_px": self.blur_px(one),
+            "rest": self._rest(one),
         }
 
     def _line(self, one: Candidate) -> dict[str, Any]:
@@ -135,7 +156,7 @@ class Planned:
             "pitch_mm": finish.pitch_mm,
             "direction": finish.direction,
             "strategy": finish.strategy,
-            "words": finish_words(finish),
+            "words": candidate_words(one),
             "warning": blur_warning(self, one),
             "spec": self.fragment(one),
         }
@@ -202,13 +223,13 @@ def shop_of(spec: JobSpec, tools: tuple[Tool, ...]) -> Shop:
 def _radii(shop: Shop) -> list[float]:
     """Of the balls that the block has room for; of all, where it has room for none, so that each is refused by name."""
     radii = {tool.radius_mm for tool in shop.tools}
-    return sorted({r for r in radii if 2 * r + _CLEAR_MM <= shop.margin_mm} or radii)
+    return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 
 def _planned(spec: JobSpec, shop: Shop, light: PictureLight, *, shapes_lens: bool) -> Planned:
     goal = Goal(**spec.plan.model_dump())
     try:
-        plan = make_plan(shop, light.forms, light, goal)
+        plan = make_plan(shop, light.forms, light, goal, fillings=light.fillings)
     except NoPlanError as error:
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)

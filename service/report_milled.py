@@ -37,7 +37,7 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | No
     seen = f"the tool's marks blur the picture by {pixels:.1f} pixels (rms): "
     if planned:
         return f"{seen}its finer detail will not be seen with the passes planned for this goal"
-    told = "`causticmill plan` tells with which ones this mill shows most"
+    told = "the preset `recommended` plans those that show most on this mill"
     return f"{seen}these passes cannot show its finer detail; {told}"
 
 

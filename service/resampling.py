@@ -65,3 +65,14 @@ def _sparse(weights: Array, pixels: npt.NDArray[np.int64], size: int) -> csc_arr
     rows = np.broadcast_to(np.arange(weights.shape[0])[:, None], weights.shape)
     kept = (weights != 0) & (pixels >= 0) & (pixels < size)
     return csc_array((weights[kept], (rows[kept], pixels[kept])), shape=(weights.shape[0], size))
+
+
+def resized(picture: Array, shape: tuple[int, ...]) -> Array:
+    """The whole picture on (ny, nx) cells: area averages, or cubic where it must be enlarged."""
+    if picture.shape == tuple(shape):
+        return picture
+    down, across = (
+        resampling_weights(size, Span(0.0, float(size)), count)
+        for size, count in zip(picture.shape, shape, strict=True)
+    )
+    return np.asarray((across @ (down @ picture).T).T)

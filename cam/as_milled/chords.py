@@ -100,31 +100,37 @@ def _sort(tips, joined, x0, y0, side, columns, start, member):  # type: ignore[n
 
 
 @njit(cache=True, nogil=True)
-def gather(c, k, reach, room, out):  # type: ignore[no-untyped-def]
-    """Chords other than k that come within `reach` of it in plan, about; their number, never more than `room`."""
+def gather(c, k, nx, ny, reach, room, out):  # type: ignore[no-untyped-def]
+    """Chords other than k that cut within `reach` of where it does, about; their number, never more than `room`.
+
+    nx, ny : of the surface's unit normal there. A ball that is larger by d touches the same place d (nx, ny) aside
+    """
     ax, ay = c.tips[k - 1, 0], c.tips[k - 1, 1]
     bx, by = c.tips[k, 0], c.tips[k, 1]
-    mx, my = 0.5 * (ax + bx), 0.5 * (ay + by)
     half = 0.5 * math.hypot(bx - ax, by - ay)
     far_x, far_y = reach + c.half_x + 0.5 * abs(bx - ax), reach + c.half_y + 0.5 * abs(by - ay)
-    i0 = max(int((mx - far_x - c.x0) / c.side), 0)
-    i1 = min(int((mx + far_x - c.x0) / c.side), c.columns - 1)
-    j0 = max(int((my - far_y - c.y0) / c.side), 0)
-    j1 = min(int((my + far_y - c.y0) / c.side), c.rows - 1)
     ex, ey = (bx - ax) / (2.0 * half), (by - ay) / (2.0 * half)
     count = 0
-    for j in range(j0, j1 + 1):
-        for m in range(c.start[j * c.columns + i0], c.start[j * c.columns + i1 + 1]):
-            n = c.member[m]
-            if n == k:
-                continue
-            px, py = c.tips[n - 1, 0] - mx, c.tips[n - 1, 1] - my
-            qx, qy = c.tips[n, 0] - mx, c.tips[n, 1] - my
-            u0, w0 = px * ex + py * ey, py * ex - px * ey
-            u1, w1 = qx * ex + qy * ey, qy * ex - qx * ey
-            if min(w0, w1) > reach or max(w0, w1) < -reach or min(u0, u1) > half + reach or max(u0, u1) < -half - reach:
-                continue
-            if count < room:
-                out[count] = n
-                count += 1
+    for group in range(c.radii.size):
+        larger = c.radii[group] - c.radii[c.group[k]]
+        mx, my = 0.5 * (ax + bx) + larger * nx, 0.5 * (ay + by) + larger * ny
+        i0 = max(int((mx - far_x - c.x0) / c.side), 0)
+        i1 = min(int((mx + far_x - c.x0) / c.side), c.columns - 1)
+        j0 = max(int((my - far_y - c.y0) / c.side), 0)
+        j1 = min(int((my + far_y - c.y0) / c.side), c.rows - 1)
+        for j in range(j0, j1 + 1):
+            for m in range(c.start[j * c.columns + i0], c.start[j * c.columns + max(i1, i0 - 1) + 1]):
+                n = c.member[m]
+                if n == k or c.group[n] != group:
+                    continue
+                px, py = c.tips[n - 1, 0] - mx, c.tips[n - 1, 1] - my
+                qx, qy = c.tips[n, 0] - mx, c.tips[n, 1] - my
+                u0, w0 = px * ex + py * ey, py * ex - px * ey
+                u1, w1 = qx * ex + qy * ey, qy * ex - qx * ey
+                beside = min(w0, w1) > reach or max(w0, w1) < -reach
+                if beside or min(u0, u1) > half + reach or max(u0, u1) < -half - reach:
+                    continue
+                if count < room:
+                    out[count] = n
+                    count += 1
     return count

@@ -12,7 +12,7 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
-from cam.raster import Rows, continuous_rows
+from cam.raster import Rows, continuous_rows, ordered
 from cam.tool_surface import ToolSurface
 from cam.vertices import VertexRule, finish_rule
 from optics.heightfield import Heightfield
@@ -20,7 +20,7 @@ from optics.heightfield import Heightfield
 SLOPE_ERROR_RAD = 0.5e-3
 DECIMALS = 5  # of z in most dialects
 _PLACES = (0.3, 0.7)  # of either side: the middles of samples
-_SAMPLE_MM = 10.0  # side of a sample, or a quarter of the lens
+_SAMPLE_MM, _SAMPLE_PITCHES = 10.0, 1000.0  # side of a sample, or a quarter of the lens
 
 
 def row_tracks(
@@ -71,7 +71,7 @@ def sample_facets(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     surface: ToolSurface | None = None,
 ) -> tuple[Array, ...]:
-    """(n, 4, 5) facets of four squares of the lens, a hundredth of it each: what such rows do to its slopes.
+    """(n, 4, 5) facets of four squares of the lens, a hundredth of it each at most: what such rows do to its slopes.
 
     surface : of this ball over this lens (x and y exchanged for rows along y), if the caller has it already
     """
@@ -80,16 +80,18 @@ def sample_facets(
     rule = _rule(lens, radius_mm, slope_error_rad)
     error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)
     roughness_mm = tip_error_mm(step_mm=step_mm, decimals=decimals)
-    found = []
-    for number, rows in enumerate(_small_fields(lens, radius_mm, pitch_mm)):
+
+    def sample(numbered: tuple[int, Rows]) -> Array:
+        number, rows = numbered
         noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
         tracks = _tracks(touched, rows, rule, direction, decimals).made_by(step_mm=step_mm, noise=noise)
         milled = MilledSurface.of_tracks(
             [tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, roughness_mm=roughness_mm
         )
         facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
-        found.append(_inner(facets, 3 * milled.reach_mm + pitch_mm))
-    return tuple(found)
+        return _inner(facets, 3 * milled.reach_mm + pitch_mm)
+
+    return tuple(ordered(sample, enumerate(_small_fields(lens, radius_mm, pitch_mm))))
 
 
 def tip_error_mm(*, step_mm: float, z_noise_mm: float = 0.0, decimals: int = DECIMALS) -> float:
@@ -100,7 +102,7 @@ def tip_error_mm(*, step_mm: float, z_noise_mm: float = 0.0, decimals: int = DEC
 def _small_fields(lens: Heightfield, radius_mm: float, pitch_mm: float) -> Iterator[Rows]:
     """Rows of a pass where they make one of the samples."""
     spline = lens.spline()
-    half = min(_SAMPLE_MM, lens.width_mm / 4, lens.height_mm / 4) / 2
+    half = min(_SAMPLE_MM, _SAMPLE_PITCHES * pitch_mm, lens.width_mm / 4, lens.height_mm / 4) / 2
     for v in _PLACES:
         for u in _PLACES:
             x, y = lens.x_mm[0] + u * lens.width_mm, lens.y_mm[0] + v * lens.height_mm

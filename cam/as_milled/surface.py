@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from cam.as_milled.chords import Chords, sorted_chords
-from cam.as_milled.facets import Fineness, facets_of
+from cam.as_milled.facets import facets_of
+from cam.as_milled.strips import Fineness
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from optics.heightfield import Heightfield
@@ -18,7 +19,7 @@ CHORDS_PER_PART = 20_000
 _LONGEST_MM = 0.1  # half a pixel of 512 on 100 mm
 _BOX_MM = 0.03  # smaller ones cost more memory than they save time
 _SIGMAS = 3.0
-_EVEN = 0.4  # of the pitch: roughness that hides less than this only bends the borders between tracks
+_EVEN = 0.7  # of the pitch: roughness that hides less than this hides no track (6 sigma), it only bends borders
 _PIECE, _SHORTEST_MM = 0.12, 0.005  # parts of a strip where tracks come and go: of what the roughness hides
 _SHARE = 0.1  # of its chord, where that is shorter: the ends of such parts decide how much area there is
 _BEND = 0.05  # of the pitch: borders of facets

@@ -94,7 +94,7 @@ class ContourField:
         x, y = (np.arange(-pad, ceil(side / step) + pad + 1.0) * step for side in (width_mm, height_mm))
         spline = _solved(heightfield, surface)
         jets = _jets(spline, x, y)
-        nodes = _wanted(surface, x, y, width_mm, height_mm)
+        nodes = _wanted(surface, x, y, width_mm, height_mm, _rim_tips(heightfield, surface, step))
         gradient = np.hypot(jets[1], jets[2])
         near = ndimage.minimum_filter(gradient, 3)
         greatest = float(np.quantile(gradient[nodes], 0.999))
@@ -120,10 +120,22 @@ def _jets(spline: BicubicSpline, x: Array, y: Array) -> Array:
     return out
 
 
-def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float) -> Mask:
+def _rim_tips(heightfield: Heightfield, surface: ToolSurface, step: float) -> Array:
+    """(2, n) where tips stand that touch the rim of the aperture, twice as dense as the nodes."""
+    width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
+    x, y = (np.linspace(0.0, side, 2 * ceil(side / step) + 1) for side in (width_mm, height_mm))
+    rim_x = np.concatenate([x, x, np.zeros_like(y), np.full_like(y, width_mm)])
+    rim_y = np.concatenate([np.zeros_like(x), np.full_like(x, height_mm), y, y])
+    _, hx, hy = heightfield.spline().jets(rim_x, rim_y)[:3]
+    lean = (surface.radius_mm + surface.allowance_mm) / np.sqrt(1 + hx**2 + hy**2)
+    return np.stack([rim_x - lean * hx, rim_y - lean * hy])
+
+
+def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, rim: Array) -> Mask:
     """The aperture and, around it, the places from which the ball touches it; and the nodes beside these.
 
-    So all corners of a cell are wanted that holds such a place, even where a corner of the lens is all that it holds.
+    So all corners of a cell are wanted that holds such a place. A corner of the lens may be so acute, seen from the
+    tip, that no node lies in its end: the tips of the rim (2, n) are there in any case.
     """
     slack = 1e-6
     inside = ((y >= -slack) & (y <= height_mm + slack))[:, None] & ((x >= -slack) & (x <= width_mm + slack))
@@ -131,6 +143,8 @@ def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm
     j, i = np.nonzero(~inside)
     touched_x, touched_y = surface.contacts_mm(x[i], y[j])[:, :2].T
     wanted[j, i] = (touched_x >= 0) & (touched_x <= width_mm) & (touched_y >= 0) & (touched_y <= height_mm)
+    at = np.rint((rim - [[x[0]], [y[0]]]) / (x[1] - x[0])).astype(np.int64)
+    wanted[np.clip(at[1], 0, y.size - 1), np.clip(at[0], 0, x.size - 1)] = True
     return np.asarray(ndimage.binary_dilation(wanted, np.ones((3, 3))))
 
 

@@ -17,8 +17,11 @@ import structlog
 
 from service.api.line_child import ChildDied, ChildLate, LineChild
 from service.errors import InputError, PictureError
+from service.kernel_cache import ESTIMATES, ready_mark
 from service.web.problems import Problem
 
+_NOBODY = ""  # no caller's name
+_WEDGE_PIXELS = 1 << 16
 _MODULE = "service.api.estimating_child"
 _MOST_WAITING = 8
 _START_S, _FIRST_S, _ANSWER_S = 60.0, 300.0, 30.0  # after an update the first one waits for kernels to be compiled
@@ -70,6 +73,18 @@ class Estimator:
                 self._keeper.start()
             self._bell.notify()
         return ask.answer
+
+    def prepare(self) -> None:
+        """What estimates need is compiled now, where it was not yet, so that the first person need not wait for it."""
+        if not ready_mark(ESTIMATES).exists():
+            with suppress(Problem):  # as good as busy with it
+                self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS})
+
+    @property
+    def callers(self) -> set[str]:
+        """Who waits for an answer."""
+        with self._bell:
+            return {one.caller for one in (self._running, *self._waiting) if one is not None}
 
     @property
     def child_pid(self) -> int | None:

@@ -1,23 +1,28 @@
 """The process that estimates jobs. One JSON line in, one out.
 
 In: {"path", "name", "max_pixels", "spec"}. Out: {"estimate": {...}}, {"refused": [lines], "kind"} or {"fault": text};
-first of all {"ready": true}.
+first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody reads, which compiles whatever
+is not compiled yet; the mark of `kernel_cache` says for good that it was made.
 """
 
 from __future__ import annotations
 
+import contextlib
+import tempfile
 from pathlib import Path
 from typing import Any
 
-from service.kernel_cache import use_current_kernels
+from service.kernel_cache import ESTIMATES, ready_mark, use_current_kernels
 
 use_current_kernels()  # before numba is imported
+
+from PIL import Image  # noqa: E402
 
 from service.api.line_answers import answer_lines  # noqa: E402
 from service.errors import JobError, PictureError  # noqa: E402
 from service.estimate import estimate  # noqa: E402
 from service.picture_limits import PictureLimits  # noqa: E402
-from service.spec_files import validated  # noqa: E402
+from service.spec_files import resolve_spec, validated  # noqa: E402
 
 _BESIDE_BYTES = 1_500_000_000  # kernels, arrays of a lens of 200 vertices, threads
 _BYTES_PER_PIXEL = 16
@@ -35,6 +40,8 @@ def main() -> None:
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
     try:
+        if "prepare" in asked:
+            return _prepared(limits)
         return {"estimate": estimate(validated(asked["spec"]), Path(asked["path"]), limits=limits, name=asked["name"])}
     except PictureError as error:
         return {"refused": str(error).split("\n"), "kind": "picture"}
@@ -42,6 +49,17 @@ def _answer(asked: dict[str, Any]) -> dict[str, Any]:
         return {"refused": str(error).split("\n"), "kind": "input"}
     except Exception as error:  # the process that asked says so and goes on
         return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
+
+
+def _prepared(limits: PictureLimits) -> dict[str, Any]:
+    """The usual job of a picture that goes from black to white."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "wedge.png"
+        Image.linear_gradient("L").save(path)
+        estimate(resolve_spec(preset="recommended"), path, limits=limits, name=path.name)
+    with contextlib.suppress(OSError):
+        ready_mark(ESTIMATES).touch()
+    return {"estimate": {}}
 
 
 if __name__ == "__main__":

@@ -19,7 +19,8 @@ def whole_job(services: Services, job: Job) -> dict[str, Any]:
     runs, files = book.stages(job.id), book.artifacts(job.id)
     if job.report is None and job.started_at is not None:
         job = replace(job, report=book.report_so_far(job))
-    return views.whole(job, position=position, progress=progress, runs=runs, files=files)
+    picture = book.pictures([job.id]).get(job.id)
+    return views.whole(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
 
 
 def job_list(services: Services, jobs: Sequence[Job]) -> list[dict[str, Any]]:
@@ -27,7 +28,11 @@ def job_list(services: Services, jobs: Sequence[Job]) -> list[dict[str, Any]]:
     positions = book.queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
     running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
     progress = book.latest(running).progress
-    return [views.summary(job, position=positions.get(job.id), progress=progress.get(job.id)) for job in jobs]
+    pictures = book.pictures([job.id for job in jobs])
+    return [
+        views.summary(job, position=positions.get(job.id), progress=progress.get(job.id), picture=pictures.get(job.id))
+        for job in jobs
+    ]
 
 
 _NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is asked for

@@ -49,6 +49,7 @@ _THREADS = 40
 _CONNECTIONS = 1000
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
 _HEADER_BYTES = 32 << 10
+_CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
 _TURN_S = 0.5
 _STUCK_S = 10.0
 
@@ -118,6 +119,9 @@ def open_services(settings: ServerSettings, offer: str = "") -> Iterator[Service
 
 async def _serve(services: Services, listener: socket.socket) -> None:
     server = server_of(services, on_ready=lambda: print(f"causticmill on {address.url_of(listener)}", flush=True))
+    if services.settings.prepare_estimates:
+        loop = asyncio.get_running_loop()
+        loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
     turning = asyncio.create_task(_turn())
     gc.freeze()  # what is here now stays: not worth looking at again and again
     await server.serve(sockets=[listener])

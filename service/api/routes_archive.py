@@ -50,7 +50,8 @@ _ANSWERS: Responses = {
 async def archive(
     request: Request, _: Reader, job_id: JobId, if_none_match: Annotated[str | None, Header()] = None
 ) -> Response:
-    """What the listing shows at this moment, as a zip, but for what only the operator page draws (.path, .bin).
+    """What the listing shows at this moment, as a zip, but for what only the operator page shows: .path, .bin, the
+    thumbnail.
 
     A job that still runs has more later.
     """

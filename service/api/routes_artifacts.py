@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Path, Request
+from fastapi import APIRouter, Depends, Header, Path, Request
 from starlette.responses import JSONResponse, Response
 
 from service.api import views
@@ -20,14 +21,20 @@ from service.web.problems import Problem
 
 router = APIRouter(tags=["artifacts"])
 
-_BYTES: dict[str, Any] = {kind: {"schema": {}} for kind in views.MEDIA_TYPES}
-_DOWNLOAD: Responses = {
-    200: {"description": "the file; ETag is its SHA-256", "content": _BYTES},
-    206: {"description": "the part that Range asked for", "content": _BYTES},
-    304: {"description": "the client has this file"},
-    307: {"description": "the file is at another address, for a short time (artifact store S3)"},
-    **refusals(416),
-}
+
+def byte_answers(what: str, kinds: Iterable[str]) -> Responses:
+    """What a download may answer, for the document; kinds: media types."""
+    content: dict[str, Any] = {kind: {"schema": {}} for kind in kinds}
+    return {
+        200: {"description": f"the {what}; ETag is its SHA-256", "content": content},
+        206: {"description": "the part that Range asked for", "content": content},
+        304: {"description": f"the client has this {what}"},
+        307: {"description": f"the {what} is at another address, for a short time (artifact store S3)"},
+        **refusals(416),
+    }
+
+
+_DOWNLOAD = byte_answers("file", views.MEDIA_TYPES)
 
 Ranged = Annotated[
     str | None, Header(alias="Range", description="bytes=FIRST-LAST; one range", examples=["bytes=0-99"])
@@ -35,6 +42,13 @@ Ranged = Annotated[
 IfRange = Annotated[str | None, Header(description="the ETag of the file whose beginning the client has")]
 IfNoneMatch = Annotated[str | None, Header(description="the ETag of the file that the client has")]
 FileName = Annotated[str, Path(max_length=100, description="name of an artifact", examples=["report.json"])]
+
+
+def _conditions(ranged: Ranged = None, if_range: IfRange = None, if_none_match: IfNoneMatch = None) -> Conditions:
+    return Conditions(ranged, if_range, if_none_match)
+
+
+Asked = Annotated[Conditions, Depends(_conditions)]
 Number = Annotated[int, Path(ge=1, le=999, description="number of the pass, from 1", examples=[1])]
 
 
@@ -69,19 +83,10 @@ async def artifacts(request: Request, _: Reader, job_id: JobId) -> Response:
     response_class=Response,
     responses=_DOWNLOAD,
 )
-async def artifact(
-    request: Request,
-    _: Reader,
-    job_id: JobId,
-    name: FileName,
-    ranged: Ranged = None,
-    if_range: IfRange = None,
-    if_none_match: IfNoneMatch = None,
-) -> Response:
+async def artifact(request: Request, _: Reader, job_id: JobId, name: FileName, asked: Asked) -> Response:
     """The file's bytes. To go on after a break, ask for the rest with Range, and If-Range with the ETag."""
-    services = services_of(request)
-    file = await asyncio.to_thread(services.book.artifact, str(job_id), name)
-    return await _answer(request, file, Conditions(ranged, if_range, if_none_match))
+    file = await asyncio.to_thread(services_of(request).book.artifact, str(job_id), name)
+    return await sent(request, file, asked)
 
 
 @_get_and_head(
@@ -90,29 +95,22 @@ async def artifact(
     response_class=Response,
     responses=_DOWNLOAD,
 )
-async def program(
-    request: Request,
-    _: Reader,
-    job_id: JobId,
-    n: Number,
-    ranged: Ranged = None,
-    if_range: IfRange = None,
-    if_none_match: IfNoneMatch = None,
-) -> Response:
+async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: Asked) -> Response:
     """The program of pass n, as soon as every program of the job has been checked."""
     services = services_of(request)
     found = views.programs(await asyncio.to_thread(services.book.artifacts, str(job_id)))
     if n not in found:
         offered = ", ".join(map(str, found)) or "none yet"
         raise Problem(404, f"the job offers no program {n}; offered: {offered}", field="n")
-    return await _answer(request, found[n], Conditions(ranged, if_range, if_none_match))
+    return await sent(request, found[n], asked)
 
 
-async def _answer(request: Request, file: Artifact, conditions: Conditions) -> Response:
+async def sent(request: Request, file: Artifact, asked: Conditions) -> Response:
+    """The file as it was asked for; a browser gets it from here, whatever store it is in."""
     store, with_body = services_of(request).store, request.method == "GET"
-    return await download(store, file, conditions, with_body=with_body, elsewhere=not _by_browser(request))
+    return await download(store, file, asked, with_body=with_body, elsewhere=not _by_browser(request))
 
 
 def _by_browser(request: Request) -> bool:
-    """A browser saves a file under the name it has where it comes from; in a bucket that is a hash."""
+    """Its scripts may not follow to another site, and it saves a file under the name that it has there: a hash."""
     return "sec-fetch-mode" in request.headers or "text/html" in request.headers.get("accept", "")

@@ -9,10 +9,9 @@ from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse, Response
 
 from machines.profiles import ProfileError, load_profile, profile_names
-from service.api.answers import Responses, answers, example, refusals
+from service.api.answers import answers, example
 from service.api.auth import Reader
-from service.api.download import Conditions, download
-from service.api.routes_artifacts import IfNoneMatch, IfRange, Ranged
+from service.api.routes_artifacts import Asked, byte_answers, sent
 from service.api.routes_jobs import JobId
 from service.api.schemas import JOB_EXAMPLE, ProfileList, RequestView
 from service.api.services import services_of
@@ -31,13 +30,6 @@ _REQUEST = {
     "name": "portrait.png",
     "spec": {"preset": "draft", "optics": {"width_mm": 40.0}},
     "image": f"/v1/jobs/{JOB_EXAMPLE['id']}/image",
-}
-_BYTES: Responses = {
-    200: {"description": "the picture; ETag is its SHA-256", "content": {"application/octet-stream": {"schema": {}}}},
-    206: {"description": "the part that Range asked for", "content": {"application/octet-stream": {"schema": {}}}},
-    304: {"description": "the client has this picture"},
-    307: {"description": "the picture is at another address, for a short time (artifact store S3)"},
-    **refusals(416),
 }
 
 
@@ -72,19 +64,11 @@ async def asked(request: Request, _: Reader, job_id: JobId) -> Response:
     tags=["jobs"],
     summary="The picture a job was made from",
     response_class=Response,
-    responses=_BYTES,
+    responses=byte_answers("picture", ["application/octet-stream"]),
 )
-async def image(
-    request: Request,
-    _: Reader,
-    job_id: JobId,
-    ranged: Ranged = None,
-    if_range: IfRange = None,
-    if_none_match: IfNoneMatch = None,
-) -> Response:
+async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Response:
     """The very bytes that were uploaded. They are a stranger's: no browser shows them as a page of ours."""
-    services = services_of(request)
-    job = await asyncio.to_thread(services.book.get, str(job_id))
+    job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
     file = Artifact(
         job_id=job.id,
         name=_PICTURE,
@@ -93,9 +77,7 @@ async def image(
         stage="",
         created_at=job.created_at,
     )
-    by_script = "sec-fetch-mode" in request.headers  # which may not follow to another site
-    conditions = Conditions(ranged, if_range, if_none_match)
-    return await download(services.store, file, conditions, with_body=True, elsewhere=not by_script)
+    return await sent(request, file, asked)
 
 
 def _profiles() -> list[dict[str, Any]]:

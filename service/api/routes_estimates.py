@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Header, Request
 from starlette.responses import JSONResponse, Response
 
 from service.api.answers import answers, example
@@ -18,6 +19,11 @@ from service.api.space import Space
 
 router = APIRouter()
 
+Tab = Annotated[
+    str,
+    Header(alias="Causticmill-Tab", max_length=64, pattern=r"^[!-~]*$", description="any word; one for each window"),
+]
+
 
 @router.post(
     "/v1/estimates",
@@ -27,8 +33,10 @@ router = APIRouter()
     responses=answers({200: example(ESTIMATE_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=JOB_FORM,
 )
-async def estimated(request: Request, principal: Writer) -> Response:
-    """Relief, hours and blur, from a coarse picture. A caller who asks again ends the request before with 409."""
+async def estimated(request: Request, principal: Writer, tab: Tab = "") -> Response:
+    """Relief, hours and blur, from a coarse picture. A caller who asks again ends the request before with 409; several
+    windows of one caller name themselves, and do not end each other's.
+    """
     services = services_of(request)
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
@@ -43,7 +51,7 @@ async def estimated(request: Request, principal: Writer) -> Response:
             "max_pixels": int(settings.max_megapixels * 1e6),
             "spec": wanted.spec,
         }
-        caller = principal.id or principal.name
+        caller = f"{principal.id or principal.name} {tab}"
         found = await asyncio.wrap_future(services.estimates.ask(caller, asked))
     return JSONResponse({**found, "spec": wanted.spec}, headers={"Cache-Control": "no-store"})
 

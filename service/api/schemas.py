@@ -94,7 +94,9 @@ class JobSummary(Body):
     ended_at: str | None
     error: JobError | None
     image: ImageView
-    links: dict[str, str]
+    links: Annotated[
+        dict[str, str], Field(description="`picture`: what the light is to paint, small, once it is there")
+    ]
     etag: str
 
 

@@ -29,10 +29,13 @@ _OTHER_TYPE = "application/octet-stream"
 MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values(), _PROGRAM_TYPE, _OTHER_TYPE)})
 
 
-def summary(job: Job, *, position: int | None, progress: Progress | None) -> Json:
-    """A job as the list shows it."""
+def summary(job: Job, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
+    """A job as the list shows it; `picture` is the artifact to show for it."""
     address = f"/v1/jobs/{job.id}"
-    links = {"self": address, "events": f"{address}/events", "artifacts": f"{address}/artifacts"}
+    links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
+    links["archive"] = f"{address}/archive.zip"
+    if picture is not None:
+        links["picture"] = f"{address}/artifacts/{picture}"
     return {
         "id": job.id,
         "name": job.name,
@@ -48,16 +51,22 @@ def summary(job: Job, *, position: int | None, progress: Progress | None) -> Jso
         "ended_at": iso_or_none(job.ended_at),
         "error": job.error,
         "image": {"sha256": job.image_sha256, "bytes": job.image_bytes},
-        "links": links | {"archive": f"{address}/archive.zip"},
+        "links": links,
         "etag": etag(job, position=position, progress=progress),
     }
 
 
 def whole(
-    job: Job, *, position: int | None, progress: Progress | None, runs: Sequence[StageRun], files: Sequence[Artifact]
+    job: Job,
+    *,
+    position: int | None,
+    progress: Progress | None,
+    picture: str | None,
+    runs: Sequence[StageRun],
+    files: Sequence[Artifact],
 ) -> Json:
     """A job with its report, spec, stages and programs."""
-    return summary(job, position=position, progress=progress) | {
+    return summary(job, position=position, progress=progress, picture=picture) | {
         "report": job.report,
         "spec": job.spec,
         "stages": _stages(job, runs),

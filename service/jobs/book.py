@@ -5,13 +5,14 @@ What workers change is in service/jobs/work_book.py. Both lock the job's row bef
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 from uuid import uuid4
 
 import sqlalchemy as sa
 
 from service.errors import printable
+from service.job_files import TARGET_PICTURE, THUMBNAIL
 from service.jobs.database import clock, insert_new, reading, writing
 from service.jobs.events import BATCH, read_events, read_news, write_event
 from service.jobs.files import offered_artifacts
@@ -32,6 +33,7 @@ from service.stages.order import merge_reports
 from service.store.store import Store
 
 NAME_CHARS = 255
+_PICTURES = (THUMBNAIL, TARGET_PICTURE)  # jobs of earlier versions have only the large one
 
 
 class JobBook:
@@ -138,6 +140,16 @@ class JobBook:
             if artifact.name == name:
                 return artifact
         raise UnknownArtifactError(job_id, name)
+
+    def pictures(self, job_ids: Collection[str]) -> dict[str, str]:
+        """By job, where it has one: the smallest picture of what its light is to paint, by its name."""
+        query = (
+            sa.select(artifacts.c.job_id, artifacts.c.name)
+            .where(artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES))
+            .order_by(artifacts.c.bytes.desc())
+        )
+        with reading(self.database) as connection:
+            return {row.job_id: row.name for row in connection.execute(query)}  # the last one stays
 
     def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[Event]:
         """Events after the one numbered `after`, at most 500 of them."""

@@ -4,6 +4,7 @@ import { api } from "./lib/api.js";
 import { h, replace } from "./lib/dom.js";
 import { askForKey, showWho } from "./lib/key.js";
 import { shape } from "./lib/state.js";
+import { sentence } from "./lib/words.js";
 
 /** [address, place in the navigation, how the view is loaded] */
 const ROUTES = [
@@ -82,7 +83,7 @@ function decoded(groups = {}) {
 function showFault(error, place, app) {
   const expected = error.name === "ProblemError";
   if (!expected) console.error(error);
-  const words = expected ? error.detail : `This view cannot be shown (${error.message}). Load the page again.`;
+  const words = expected ? sentence(error.detail) : `This view cannot be shown (${error.message}). Load the page again.`;
   app.title("Not shown");
   replace(
     place,
@@ -92,6 +93,8 @@ function showFault(error, place, app) {
       "p",
       { class: "row" },
       h("button", { type: "button", class: "primary", onclick: () => show() }, "Try again"),
+      error.status === 401 &&
+        h("button", { type: "button", onclick: () => askForKey("jobs:read") }, "Enter the key"),
       h("a", { class: "button", href: "#/" }, "All jobs"),
     ),
   );

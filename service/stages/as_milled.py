@@ -49,7 +49,7 @@ def as_milled(shop: Workshop) -> None:
         surface = _surface(shop, passes, heightfield, reached)
     with shop.watch.stage("as milled: light") as reached:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
-        found = deviations(list(_sampled(surface)), heightfield, bench, shape)
+        found = deviations(_sampled(surface), heightfield, bench, shape)
     del surface
     with shop.watch.stage("as milled: causes") as reached:
         designed = simulate_caustic(heightfield, bench, pixels=shape)

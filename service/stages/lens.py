@@ -17,7 +17,7 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.settings import LensSettings
 from service.drawing.surface import surface_bytes
-from service.job_files import HEIGHTFIELD, MAP, SOLID, SURFACE
+from service.job_files import HEIGHTFIELD, MAP, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
 from service.lens_facts import LensFacts, measure_lens
 from service.picture import read_picture
 from service.spec import MIN_FLOOR_MM, JobSpec
@@ -49,8 +49,9 @@ def image(shop: Workshop) -> None:
 
 
 def irradiance(shop: Workshop) -> None:
-    """Linear light -> target irradiance (ny, nx) in the work frame; target.png."""
+    """Linear light -> target irradiance (ny, nx) in the work frame; target.png, and small for the operator page."""
     from service import figures
+    from service.drawing.thumbnail import thumbnail_png
 
     linear = shop.receive(PICTURE, arrays.load_picture)
     viewed_from = shop.spec.optics.viewed_from
@@ -58,7 +59,9 @@ def irradiance(shop: Workshop) -> None:
         target = target_irradiance(linear, viewed_from=viewed_from)
         shop.hand_over(TARGET, target, arrays.target_bytes)
         seen = picture_from_irradiance(target, viewed_from=viewed_from)
-        shop.save("target.png", figures.picture_png(seen, white=float(target.max())))
+        shop.save(TARGET_PICTURE, figures.picture_png(seen, white=float(target.max())))
+        if shop.is_shown:
+            shop.save(THUMBNAIL, thumbnail_png(seen, white=float(target.max())))
 
 
 def transport_map(shop: Workshop) -> None:

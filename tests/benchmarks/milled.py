@@ -1,108 +1,130 @@
-"""The picture as milled: time and memory of the whole part, slopes against brute force, the quick form's error."""
+"""The picture as milled, 100 x 100 mm: the stage that a job runs, on programs as they are written.
+
+Each case runs in a fresh process of its own (`python -m tests.benchmarks.milled FOLDER`), compiled kernels at hand as
+an installed program has them: it reads the program, works out the surface, shines light through it, asks what costs
+most and draws. Its memory is that process's. Then the surface against brute force on windows (`milled_windows`).
+"""
 
 from __future__ import annotations
 
-import resource
+import json
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from cam.as_milled.noise import Noise
-from cam.as_milled.rows import row_tracks, sample_facets, tip_error_mm
-from cam.as_milled.surface import CHORDS_PER_PART, MilledSurface
-from cam.as_milled.tracks import Tracks
-from cam.checking.removal import RemovalGrid
-from cam.reading.gcode import MoveBatch
+from cam.posts.grbl import GRBL
+from cam.program import generate_program
 from cam.stock_grid import StockGrid
-from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
-from optics.metrics import score_caustic
-from optics.milled import simulate_milled
-from optics.milled_blur import deviations, predicted_light
-from tests.benchmarks.pictures import PAPER_SETTING, target
+from service.job_files import HEIGHTFIELD, MAP, SPEC
+from service.passes import cam_passes_of, cam_stock_of
+from service.progress import QuietReporter, Stopwatch
+from service.spec import JobSpec
+from service.spec_files import resolve_spec, validated
+from service.stages.arrays import heightfield_bytes, target_bytes
+from service.stages.as_milled import as_milled
+from service.stages.optical_task import branch_of, lens_settings
+from service.stages.workshop import Workshop, peak_rss_mb
+from tests.benchmarks import milled_windows
+from tests.benchmarks.pictures import target
 from tests.benchmarks.timing import Figure
 
-# radius, pitch, step, noise [mm]
-CASES = ((0.5, 0.02, 0.0, 0.0), (0.5, 0.02, 0.0, 0.0005), (3.0, 0.1, 0.002, 0.0005))
-_WINDOW_MM, _CELL_MM = 0.4, 0.001
+FINISH = "passes.2."
+STILL = ("machine.step_mm=0.000001", "machine.z_noise_mm=0")
+MILL = ("machine.step_mm=0.002", "machine.z_noise_mm=0.0005")
+PROGRAM = "finish.nc"
+SKIN_MM = 0.03  # what the pass before leaves
 
 
-def figures(pixels: int = 512) -> Iterator[Figure]:
-    goal, bench = target("camera", pixels), PAPER_SETTING.bench
-    lens = design_lens(goal, PAPER_SETTING).heightfield
-    designed = simulate_caustic(lens, bench, pixels=goal.shape).irradiance
-    for radius, pitch, step, noise in CASES:
-        name = f"R {radius:g}, pitch {pitch:g}, step {1000 * step:g} um, noise {1000 * noise:g} um"
-        plain = row_tracks(lens, radius_mm=radius, pitch_mm=pitch)
-        started, cpu = time.perf_counter(), time.process_time()
-        tracks = plain.made_by(step_mm=step, noise=Noise(sigma_mm=noise))
-        surface = _surface(tracks, lens, pitch, step, noise)
-        light = simulate_milled(surface.part, surface.parts, lens, bench, pixels=goal.shape).irradiance
-        wall, cpu = time.perf_counter() - started, time.process_time() - cpu
-        peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
-        score = score_caustic(light, goal)
-        found = deviations([surface.part(k) for k in range(0, surface.parts, 25)], lens, bench, goal.shape)
-        note = f"{surface.chords.joined.size / 1e6:.1f} M chords, {cpu:.0f} s CPU, peak {peak_mb:.0f} MB so far"
-        yield Figure(f"as milled, whole part, {name}", wall, "s", note)
-        words = f"SSIM {score.ssim:.3f}, slopes {found.slope_mrad:.1f} mrad, blur {found.blur_px:.2f} px"
-        yield Figure(f"camera {pixels} as milled, {name}", score.psnr_db, "dB", words)
-        started = time.perf_counter()
-        samples = sample_facets(lens, radius_mm=radius, pitch_mm=pitch, step_mm=step, z_noise_mm=noise)
-        quick = score_caustic(predicted_light(designed, samples, lens, bench), goal)
-        wall = time.perf_counter() - started
-        yield Figure(f"quick form less full, {name}", quick.psnr_db - score.psnr_db, "dB", f"{wall:.1f} s")
-        mine, brute = _against_brute_force(tracks, surface, lens)
-        yield Figure(f"slope rms over brute force, {name}", mine / brute, "", f"{1e3 * brute:.2f} mrad, 1 um cells")
+class Case(NamedTuple):
+    name: str
+    settings: tuple[str, ...]
 
 
-def _surface(tracks: Tracks, lens: Heightfield, pitch: float, step: float, noise: float) -> MilledSurface:
-    error, roughness = tip_error_mm(step_mm=step, z_noise_mm=noise), tip_error_mm(step_mm=step)
-    return MilledSurface.of_tracks([tracks], lens, pitch_mm=pitch, error_mm=error, roughness_mm=roughness)
+CASES = (
+    Case("rows, pitch 0.02", STILL),
+    Case("rows, pitch 0.005", (*STILL, f"{FINISH}pitch_mm=0.005")),
+    Case("rows, pitch 0.02, step 2 um, noise 0.5 um", MILL),
+    Case("contour, pitch 0.02, step 2 um, noise 0.5 um", (*MILL, f"{FINISH}strategy=contour")),
+)
 
 
-def _against_brute_force(tracks: Tracks, surface: MilledSurface, lens: Heightfield) -> tuple[float, float]:
-    """rms of slopes added to the lens's, in a window in the middle: of facets, and of stock removed cell by cell.
-
-    The cells' own differences miss the creases by about cell / pitch: the brute force comes out that much too smooth.
-    """
-    low = np.array([lens.width_mm, lens.height_mm]) / 2
-    n = round(_WINDOW_MM / _CELL_MM)
-    grid = RemovalGrid(
-        StockGrid(x0_mm=low[0], y0_mm=low[1], cell_mm=_CELL_MM, top_mm=np.full((n, n), 1.0)),
-        radius_mm=tracks.radius_mm,
-    )
-    tips = tracks.tips_mm
-    near = (np.abs(tips[:, :2] - low - _WINDOW_MM / 2) < _WINDOW_MM + tracks.radius_mm).all(axis=1)
-    for first, last in _runs(near & tracks.joined):
-        count = last - first
-        grid.cut(
-            MoveBatch(
-                points_mm=np.ascontiguousarray(tips[first - 1 : last]),
-                is_rapid=np.zeros(count, dtype=np.bool_),
-                feed_mm_per_min=np.ones(count),
-                line=np.arange(1, count + 1),
-                spindle_on=np.ones(count, dtype=np.bool_),
-                pause_s=np.full(count, -1.0),
-                lines_read=count,
-                bytes_read=count,
-                ended=False,
+def figures(pixels: int = 512, side_mm: float = 100.0) -> Iterator[Figure]:
+    whole = (f"image.pixels={pixels}", *(f"optics.{side}_mm={side_mm:g}" for side in ("width", "height", "throw")))
+    goal = target("camera", pixels)
+    spec = resolve_spec(preset="paper", overrides=whole)
+    lens = design_lens(goal, lens_settings(spec, branch=branch_of(spec, goal))).heightfield
+    _compile()
+    for case in CASES:
+        with tempfile.TemporaryDirectory() as path:
+            written_s = _prepare(
+                Path(path), resolve_spec(preset="paper", overrides=(*whole, *case.settings)), lens, goal
             )
-        )
-    x = low[0] + (np.arange(n) + 0.5) * _CELL_MM
-    y = low[1] + (np.arange(n) + 0.5) * _CELL_MM
-    over = grid.top_mm - lens.spline().heights_mm(x[None, :], y[:, None])
-    slopes = np.diff(over, axis=0)[:, :-1] / _CELL_MM, np.diff(over, axis=1)[:-1] / _CELL_MM
-    brute = float(np.sqrt(np.mean(slopes[0] ** 2 + slopes[1] ** 2)))
-    around = (np.abs(surface.chords.tips[:, :2] - low - _WINDOW_MM / 2) < _WINDOW_MM + tracks.radius_mm).all(axis=1)
-    facets = [surface.part(k) for k in np.unique(np.flatnonzero(around) // CHORDS_PER_PART).tolist()]
-    middles = [part[:, :, :2].mean(axis=1) for part in facets]
-    inside = [((middle > low) & (middle < low + _WINDOW_MM)).all(axis=1) for middle in middles]
-    chosen = [part[kept] for part, kept in zip(facets, inside, strict=True)]
-    return 1e-3 * deviations(chosen, lens, PAPER_SETTING.bench, (512, 512)).slope_mrad, brute
+            size_mb = (Path(path) / PROGRAM).stat().st_size / 1e6
+            yield from _as_figures(case.name, _run_apart(Path(path)), f"{size_mb:.0f} MB, written in {written_s:.0f} s")
+    yield from milled_windows.figures(lens)
 
 
-def _runs(wanted: np.ndarray) -> Iterator[tuple[int, int]]:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], wanted, [False]]).astype(int)))
-    yield from zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+def _compile() -> None:
+    """On a small lens, in a process of its own."""
+    overrides = ("image.pixels=32", *(f"optics.{side}_mm=8" for side in ("width", "height")), "optics.throw_mm=40")
+    spec, goal = resolve_spec(preset="paper", overrides=overrides), target("camera", 32)
+    lens = design_lens(goal, lens_settings(spec, branch=branch_of(spec, goal))).heightfield
+    with tempfile.TemporaryDirectory() as path:
+        _prepare(Path(path), spec, lens, goal)
+        _run_apart(Path(path))
+
+
+def _prepare(folder: Path, spec: JobSpec, lens: Heightfield, goal: Any) -> float:
+    """What the stage reads, in the folder; seconds that the program took."""
+    (folder / HEIGHTFIELD).write_bytes(heightfield_bytes(lens))
+    (folder / MAP).write_bytes(target_bytes(goal))
+    (folder / SPEC).write_text(json.dumps(spec.plain()))
+    stock, started = cam_stock_of(spec), time.perf_counter()
+    block = StockGrid.block(stock, 0.25)
+    skin = lens.spline().extended(12.0).heights_mm(block.x_mm[None, :], block.y_mm[:, None]) + SKIN_MM
+    top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=block.cell_mm, top_mm=skin.clip(max=0.0))
+    with (folder / PROGRAM).open("wb") as file:
+        for piece in generate_program(lens, cam_passes_of(spec)[-1], stock, stock_top=top, post=GRBL):
+            file.write(piece)
+    return time.perf_counter() - started
+
+
+def _run_apart(folder: Path) -> dict[str, Any]:
+    command = [sys.executable, "-m", "tests.benchmarks.milled", str(folder)]
+    found: dict[str, Any] = json.loads(subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True).stdout)
+    return found
+
+
+def run(folder: Path) -> dict[str, Any]:
+    """The stage on what is in the folder: seconds, memory, and what it says of the picture."""
+    spec, watch = validated(json.loads((folder / SPEC).read_text())), Stopwatch(QuietReporter())
+    rows = [{"file": PROGRAM} for _ in spec.passes]
+    shop = Workshop(spec=spec, folder=folder, watch=watch, so_far={"passes": rows})
+    started, cpu = time.perf_counter(), time.process_time()
+    as_milled(shop)
+    return {
+        "wall_s": time.perf_counter() - started,
+        "cpu_s": time.process_time() - cpu,
+        "peak_gb": peak_rss_mb() / 1e3,
+        "parts_s": watch.timings_s,
+        "report": shop.report["as_milled"],
+    }
+
+
+def _as_figures(name: str, found: dict[str, Any], program: str) -> Iterator[Figure]:
+    said, spent = found["report"], found["parts_s"]
+    parts = ", ".join(f"{part.partition(': ')[2]} {seconds:.0f}" for part, seconds in spent.items())
+    note = f"CPU {found['cpu_s']:.0f} s, peak {found['peak_gb']:.2f} GB; {parts}; {program}; asked: 120"
+    yield Figure(f"as milled, {name}", found["wall_s"], "s", note)
+    words = f"SSIM {said['ssim']:.3f}, slopes {said['slope_rms_mrad']:.1f} mrad, blur {said['blur_px']:.2f} px"
+    yield Figure("  the picture", said["psnr_db"], "dB", words)
+
+
+if __name__ == "__main__":
+    print(json.dumps(run(Path(sys.argv[1]))))

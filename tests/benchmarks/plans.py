@@ -8,12 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from math import sqrt
 
 import numpy as np
 
 from cam.as_milled.noise import Noise
-from cam.as_milled.rows import row_tracks
+from cam.as_milled.rows import row_tracks, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.contour.path import contour_path
@@ -85,8 +84,13 @@ def as_milled(lens: Heightfield, goal: np.ndarray, finish: PassSpec, mill: Machi
     if mill.whole_steps:
         tracks = _on_whole_steps(tracks, mill, finish)
     tracks = tracks.made_by(step_mm=mill.step_mm, noise=Noise.of_pass(finish, mill.z_noise_mm))
-    error_mm = sqrt(mill.z_noise_mm**2 + mill.step_mm**2 / 12)
-    surface = MilledSurface.of_tracks([tracks], lens, pitch_mm=finish.pitch_mm, error_mm=error_mm)
+    surface = MilledSurface.of_tracks(
+        [tracks],
+        lens,
+        pitch_mm=finish.pitch_mm,
+        error_mm=tip_error_mm(step_mm=mill.step_mm, z_noise_mm=mill.z_noise_mm),
+        roughness_mm=tip_error_mm(step_mm=mill.step_mm),
+    )
     light = simulate_milled(surface.part, surface.parts, lens, PAPER_SETTING.bench, pixels=goal.shape)
     return score_caustic(light.irradiance, goal)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.reading.gcode import read_program
 from optics.heightfield import Heightfield
+from tests.cam.facet_points import rms, spread_over
 
 SIDE_MM = 2.0
 
@@ -41,53 +43,6 @@ def facets_of(surface):
     return np.concatenate([surface.part(number) for number in range(surface.parts)])
 
 
-def areas(facets):
-    x, y = facets[..., 0], facets[..., 1]
-    return np.abs((x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (x[:, 3] - x[:, 1]) * (y[:, 2] - y[:, 0])) / 2
-
-
-def spread_over(facets, low, high, parts=40):
-    """(points (n, 5), weights): places, heights and slopes all over the facets, those within the window."""
-    middle = facets[:, :, :2].mean(axis=1)
-    near = ((middle > low - np.full(2, 0.3)) & (middle < high + np.full(2, 0.3))).all(axis=1)
-    rng, chosen, points = np.random.default_rng(7), facets[near], []
-    for _ in range(parts):
-        u, v = rng.random((2, len(chosen)))
-        shares = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=1)
-        points.append(np.einsum("nkd,nk->nd", chosen, shares))
-    found, weight = np.concatenate(points), np.tile(areas(chosen) / parts, parts)
-    inside = ((found[:, :2] > low) & (found[:, :2] < high)).all(axis=1)
-    return found[inside], weight[inside]
-
-
-def rms(values, weights=None):
-    return float(np.sqrt(np.average(values**2, weights=weights)))
-
-
-def lowest_ball(tracks, x_mm, y_mm):
-    """(n,) height of the lowest ball of the path above points, by asking every move; nothing is left out."""
-    z = np.full(x_mm.size, np.inf)
-    r = tracks.radius_mm
-    for k in np.flatnonzero(tracks.joined):
-        (ax, ay, az), (bx, by, bz) = tracks.tips_mm[k - 1 : k + 1]
-        length = math.hypot(bx - ax, by - ay)
-        ex, ey, m = (bx - ax) / length, (by - ay) / length, (bz - az) / length
-        u, w = (x_mm - ax) * ex + (y_mm - ay) * ey, (y_mm - ay) * ex - (x_mm - ax) * ey
-        rho2 = r * r - w * w
-        with np.errstate(invalid="ignore"):
-            s = np.clip(u - np.sqrt(rho2) * m / math.hypot(1, m), 0.0, length)
-            z = np.fmin(z, az + m * s + r - np.sqrt(rho2 - (u - s) ** 2))
-    return z
-
-
-def brute_slopes(tracks, x_mm, y_mm, step_mm=1e-6):
-    here = lowest_ball(tracks, x_mm, y_mm)
-    return (
-        (lowest_ball(tracks, x_mm + step_mm, y_mm) - here) / step_mm,
-        (lowest_ball(tracks, x_mm, y_mm + step_mm) - here) / step_mm,
-    )
-
-
 @given(radius=st.floats(0.4, 3.0), share=st.floats(0.03, 0.1), direction=st.sampled_from("xy"))
 @settings(max_examples=5, deadline=None)
 def test_even_rows_on_a_plane_have_evenly_spread_slopes(radius, share, direction):
@@ -106,57 +61,14 @@ def test_even_rows_on_a_plane_have_evenly_spread_slopes(radius, share, direction
     assert np.allclose(np.abs(slopes), slopes.max(), rtol=0.03)  # each facet reaches from one end to the other
 
 
-def test_facets_share_the_aperture_among_them():
-    over = lens(tilt=(0.2, -0.1), bend=(0.03, -0.04))
+@pytest.mark.parametrize("bend", [(0.03, -0.04), (-0.04, 0.03)])
+def test_facets_share_the_aperture_among_them(bend):
+    """In a valley balls at corners show between two chords, on a hill two chords meet where their balls cross."""
+    over = lens(tilt=(0.2, -0.1), bend=bend)
     tracks = row_tracks(over, radius_mm=1.0, pitch_mm=0.05)
     points, weights = spread_over(facets_of(surface_of(tracks, over, pitch_mm=0.05)), np.zeros(2), np.full(2, SIDE_MM))
     assert weights.sum() == pytest.approx(SIDE_MM**2, rel=2e-3)
     assert len(points) > 1000
-
-
-def crossed(over, radius, pitch):
-    """Rows along x, and coarser ones along y across them."""
-    one, two = (
-        row_tracks(over, radius_mm=radius, pitch_mm=p, direction=d) for p, d in ((pitch, "x"), (3.3 * pitch, "y"))
-    )
-    return Tracks(
-        radius_mm=radius,
-        tips_mm=np.concatenate([one.tips_mm, two.tips_mm]),
-        joined=np.concatenate([one.joined, two.joined]),
-    )
-
-
-@pytest.mark.parametrize(
-    ("radius", "pitch", "step", "noise", "is_crossed"),
-    [
-        (0.5, 0.02, 0.0, 0.0, False),
-        pytest.param(0.5, 0.02, 0.0, 0.0005, False, marks=pytest.mark.thorough),
-        pytest.param(0.5, 0.02, 0.002, 0.0005, False, marks=pytest.mark.thorough),
-        (3.0, 0.05, 0.002, 0.0, False),
-        pytest.param(3.0, 0.05, 0.002, 0.0005, True, marks=pytest.mark.thorough),
-        (0.5, 0.02, 0.0, 0.0, True),
-    ],
-)
-def test_slopes_are_those_of_brute_force(radius, pitch, step, noise, is_crossed):
-    """rms and histogram of what is added to the lens's slopes, within 5 %."""
-    over = lens(tilt=(0.15, -0.1), bend=(0.03, -0.05))
-    tracks = crossed(over, radius, pitch) if is_crossed else row_tracks(over, radius_mm=radius, pitch_mm=pitch)
-    tracks = tracks.made_by(step_mm=step, noise=Noise(sigma_mm=noise))
-    facets = facets_of(surface_of(tracks, over, pitch_mm=pitch, step_mm=step, z_noise_mm=noise))
-    low, high = np.array([0.7, 0.8]), np.array([1.1, 1.2])
-    points, weights = spread_over(facets, low, high)
-    spline = over.spline()
-    x, y = np.random.default_rng(5).uniform(low, high, (6000, 2)).T
-    brute = brute_slopes(tracks, x, y)
-    for axis in (0, 1):
-        mine = points[:, 3 + axis] - spline.jets(points[:, 0], points[:, 1])[1 + axis]
-        theirs = brute[axis] - spline.jets(x, y)[1 + axis]
-        assert rms(mine, weights) == pytest.approx(rms(theirs), rel=0.05)
-        edges = np.quantile(theirs, np.linspace(0, 1, 11))
-        edges[[0, -1]] = -1.0, 1.0
-        counts, _ = np.histogram(mine, edges, weights=weights)
-        assert np.abs(counts / counts.sum() - 0.1).sum() / 2 < 0.05
-    assert weights.sum() == pytest.approx(0.16, rel=0.02)
 
 
 @given(step=st.sampled_from([0.001, 0.002, 0.004, 0.02]), chord=st.floats(0.003, 0.03), seed=st.integers(0, 1000))
@@ -213,6 +125,33 @@ def test_only_cuts_leave_a_surface_and_a_lift_parts_two_chains():
     assert tracks.joined.tolist() == [False, True, True, False, True]
     assert tracks.tips_mm[:, 0].tolist() == [0.0, 1.0, 1.0, 3.0, 4.0]
     assert (tracks.tips_mm[:, 2] == -1.0).all()
+
+
+@given(parting=st.integers(1, 4))
+@settings(max_examples=4, deadline=None)
+def test_a_program_that_is_read_in_batches_leaves_the_same_tracks(parting):
+    (batch,) = read_program([b"G21 G90\nM3 S1000\nG0 Z5\nG0 X0 Y0\nG1 Z-1 F100\nX1\nY1\nX2\nG0 Z5\nM5\nM2\n"])
+    assert len(batch) > 5
+    parts = [
+        replace(
+            batch,
+            points_mm=batch.points_mm[first : last + 1],
+            **{name: getattr(batch, name)[first:last] for name in ("is_rapid", "feed_mm_per_min", "line", "pause_s")},
+            spindle_on=batch.spindle_on[first:last],
+        )
+        for first, last in ((0, parting), (parting, len(batch)))
+    ]
+    whole, parted = (Tracks.of_program(batches, radius_mm=0.5) for batches in ([batch], parts))
+    assert whole.joined.sum() == 3
+    np.testing.assert_array_equal(parted.joined, whole.joined)
+    np.testing.assert_array_equal(parted.tips_mm, whole.tips_mm)
+
+
+def test_of_a_move_that_steps_have_made_vertical_the_deeper_end_counts():
+    tips = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, -1.0], [1.0, 0.0, -1.5], [2.0, 0.0, -1.0]])
+    tracks = Tracks(radius_mm=0.5, tips_mm=tips, joined=np.array([False, True, True, True])).divided(10.0)
+    assert tracks.tips_mm[:, 2].tolist() == [-1.0, -1.5, -1.0]
+    assert tracks.joined.tolist() == [False, True, True]
 
 
 def test_the_deeper_of_two_programs_counts():

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RectBivariateSpline
 
 from optics.bench import Bench
-from optics.caustic import simulate_caustic
+from optics.caustic import share_by_way_of, simulate_caustic
 from optics.heightfield import Heightfield
 from optics.refraction import refracted_tangent
 from optics.screen import Screen
@@ -153,3 +153,16 @@ def test_more_tubes_converge() -> None:
         for k in (4, 8)
     ]
     assert math.sqrt(np.mean((pictures[0] - pictures[1]) ** 2)) < 0.01
+
+
+def test_light_by_way_of_some_cells_is_theirs_alone(screen: Screen) -> None:
+    """Through a flat lens each pixel's light comes from the cells in front of it; of any lens parts and rest make 1."""
+    flat, curved = lens_of(lambda x, y: 0 * x - 0.3), lens_of(lambda x, y: -0.3 - 0.002 * (x - 8) ** 2 - 0.001 * y**2)
+    bench, pixels = facing(screen, throw_mm=40), (20, 16)
+    left = np.broadcast_to(np.arange(80) < 40, (80, 80)).astype(float)
+    share = share_by_way_of(left, flat, bench, pixels=pixels)
+    np.testing.assert_allclose(share, np.broadcast_to(np.arange(16) < 8, pixels), atol=1e-9)
+    one, other = (share_by_way_of(cells, curved, bench, pixels=pixels) for cells in (left, 1.0 - left))
+    lit = simulate_caustic(curved, bench, pixels=pixels).irradiance > 0
+    np.testing.assert_allclose((one + other)[lit], 1.0, atol=1e-9)
+    assert 0.3 < one[lit].mean() < 0.7

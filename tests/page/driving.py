@@ -45,7 +45,7 @@ def release(page: Page) -> None:
 def give_up(page: Page) -> None:
     """Whatever an earlier test has left on the mill is stopped, and the mill free."""
     expect(machine_state(page)).not_to_have_text("asking the server")
-    if machine_state(page).inner_text() in ("running", "held"):
+    if machine_state(page).inner_text() in ("running", "starting", "held"):
         page.get_by_role("button", name="STOP").click()
     loading = page.get_by_role("heading", name="Load a program")
     offers = [page.get_by_role("button", name=name, exact=True) for name in ("Give it up", "Take it off the mill")]

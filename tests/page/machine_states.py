@@ -119,6 +119,8 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
         _STOPPED | {"state": "interrupted", "words": "port lost: the device is gone"},
     ),
     "no-agent": ({"agent": {"reachable": False, "words": f"machine '{NAME}' has no agent at present"}}, {}, None),
+    "finished": ({}, {}, _CUT | {"state": "finished", "share": 1.0, "executed_line": 41210}),
+    "refused": ({}, {}, {"state": "refused", "words": "the program leaves the travel: X 312.4 of 300 mm at line 120"}),
     "bad-profile": ({"problem": 'shop.toml: extends = "grlb": allowed: "grbl", "grbl-3018"'}, {}, None),
 }
 
@@ -136,9 +138,13 @@ def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
     return machine, whole
 
 
-def told(page: Page, state: str) -> None:
-    """From now on this page hears of one machine in this state."""
+def told(page: Page, state: str, *, operator: str = "") -> None:
+    """From now on this page hears of one machine in this state; whoever takes control of it is that operator."""
     machine, run = machine_in(state)
+    if operator:
+        machine["control"] = {"operator": operator, "since": _SINCE}
+        control = machine["control"] | {"control": "a secret"}
+        page.route("**/v1/machines/shop/control", lambda route: route.fulfill(json=control))
     entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone"}
     events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))

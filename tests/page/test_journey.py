@@ -75,6 +75,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     page.get_by_label("Pixels across").fill("64")
     page.get_by_label("Set every pass by hand").check()
     page.get_by_label("Pitch").last.fill("0.25")
+    page.get_by_label("Step down").last.fill("0.4")
     page.get_by_role("button", name="Make the lens").click()
     page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=4 * WAIT_MS)
     page.get_by_role("button", name="Take control").click()

@@ -13,7 +13,6 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Locator, Page, Route, expect
 
-from service.api.schemas_estimates import ESTIMATE_EXAMPLE
 from service.asked_spec import asked_spec
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
@@ -338,33 +337,6 @@ def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent
     new_job.locator("input[type=file]").first.set_input_files(content)
     expect(new_job.get_by_text("cannot show scan.tif")).to_be_visible()
     assert pressed(new_job, sent)[1] == file.getvalue()
-
-
-def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Opened) -> None:
-    page = opened("#/machines", errors=("status of 422",))
-
-    def example(route: Route) -> None:
-        spec, _ = parts(route)
-        route.fallback() if "throw_mm" in spec.get("optics", {}) else route.fulfill(json=ESTIMATE_EXAMPLE)
-
-    page.route("**/v1/estimates", example)
-    page.evaluate("location.hash = '#/new'")
-    choose(page, picture())
-    estimate = page.get_by_role("region", name="Estimate")
-    expect(estimate).to_contain_text("Machine time")
-    expect(estimate.get_by_role("list", name="Passes").get_by_role("listitem")).to_have_count(
-        len(ESTIMATE_EXAMPLE["passes"])
-    )
-    for words in (*ESTIMATE_EXAMPLE["warnings"], *ESTIMATE_EXAMPLE["refusals"]):
-        expect(estimate).to_contain_text(words[1:])
-    expect(page.locator(".submit-bar")).to_contain_text("of milling")
-    sharp = page.get_by_label("with the blur that the tool's marks will leave")
-    blurred = wall(page).evaluate("one => one.toDataURL()")
-    sharp.uncheck()
-    page.wait_for_function("before => document.querySelector('canvas.wall').toDataURL() !== before", arg=blurred)
-    fill(page, Distance_to_the_wall="0")
-    expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("more than 0"))
-    expect(estimate.get_by_text("Machine time")).to_have_count(0)
 
 
 def test_the_way_to_a_job_needs_no_mouse(new_job: Page, sent: list[Any]) -> None:

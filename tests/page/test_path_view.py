@@ -109,9 +109,9 @@ def view(opened: Opened, shop: Shop, small: Path) -> Iterator[Drawn]:
 
 
 def shares(picture: Image.Image) -> tuple[float, float]:
-    """Of the middle and of the left edge, what is not the colour of the corner."""
+    """Of the middle and of the left edge, what is not the colour of the ground, as it is near the corner."""
     pixels = np.asarray(picture, dtype=int)
-    other = np.abs(pixels - pixels[2, 2]).sum(axis=2) > 30
+    other = np.abs(pixels - pixels[12, 12]).sum(axis=2) > 30
     height, width = other.shape
     middle = other[height // 3 : -height // 3, width // 2 - height // 5 : width // 2 + height // 5]
     return float(middle.mean()), float(other[10 : height // 2, 10 : width // 20].mean())

@@ -98,6 +98,14 @@ def test_the_trade_is_a_curve(planned: Planned) -> None:
         assert before["psnr_db"] < after["psnr_db"]
 
 
+def test_a_foretold_figure_is_told_with_its_margin(planned: Planned) -> None:
+    """And where the wall is near for the ball, that there is none."""
+    told = planned.figures()["hopeful_db"]
+    assert f"as milled up to {told:g} dB less" in planned.why()[0]
+    form = planned.light.forms[planned.chosen.finish.radius_mm]
+    assert planned.chosen.finish.radius_mm <= 0.15 * planned.light.reach_mm(form)
+
+
 def test_what_the_person_decided_stays(planned: Planned) -> None:
     given = resolve_spec(
         preset="recommended", overrides=[*SIZE, "optics.min_radius_mm=1", "optics.foreseen_blur_mm=[0.1, 0.2]"]

@@ -27,8 +27,8 @@ def test_the_sheet_says_what_to_expect_and_what_costs_most():
 
 def test_a_blur_of_more_than_a_pixel_is_a_warning():
     assert "2.9 pixels" in (detail_lost(MILLED) or "")
-    assert "causticmill plan" in (detail_lost(MILLED) or "")
-    assert "causticmill plan" not in (detail_lost(MILLED, planned=True) or "")  # it was asked already
+    assert "recommended" in (detail_lost(MILLED) or "")
+    assert "recommended" not in (detail_lost(MILLED, planned=True) or "")  # it was asked already
     assert detail_lost({**MILLED, "blur_y_px": 0.9}) is None
 
 

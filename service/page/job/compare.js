@@ -6,6 +6,7 @@ import { shape } from "../lib/state.js";
 import { hours, mm } from "../lib/words.js";
 import { KINDS, pictureShelf } from "./pictures.js";
 import { millSeconds, passesOf, smallestDetail } from "./figures.js";
+import { settingWords, valueWords } from "./setting_words.js";
 import { wipe } from "./wipe.js";
 
 export default async function view(root, params, app) {
@@ -18,7 +19,7 @@ export default async function view(root, params, app) {
   replace(
     root,
     h(
-      "div", { class: "job" },
+      "div", { class: "job-view" },
       h("header", { class: "job-head" }, h("h1", {}, "Compare"), h("p", { class: "row" }, links, turn)),
       h("div", { class: "job-columns" }, pictures(sides, names, shelf), figures(sides, names)),
       settings(sides, names),
@@ -73,7 +74,7 @@ const FIGURES = [
   ["The lens itself", db, 1, ({ job }) => job.report?.optics?.psnr_db],
   ["Relief", mm, 0, ({ job }) => job.report?.optics?.relief_mm],
   ["Steepest slope", (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
-  ["Lines of all programs", String, 0, ({ job }) => linesOf(job.report)],
+  ["Lines of all programs", (count) => count.toLocaleString(), 0, ({ job }) => linesOf(job.report)],
 ];
 
 function linesOf(report) {
@@ -106,9 +107,11 @@ function winner(text) {
 }
 
 function settings(sides, names) {
-  const cell = (value) => h("td", {}, value === undefined ? "–" : said(value));
+  const cell = (key) => (value) => h("td", {}, valueWords(key, value));
+  const named = sides.find(({ job }) => passesOf(job).length)?.job ?? sides[0].job;
+  const spec = { ...named.spec, passes: passesOf(named) };
   const rows = differences(...sides.map(({ job }) => specOf(job))).map(([key, ...values]) =>
-    h("tr", {}, h("th", { scope: "row" }, h("code", {}, key)), values.map(cell)),
+    h("tr", {}, h("th", { scope: "row" }, settingWords(key, spec)), values.map(cell(key))),
   );
   const title = h("h2", { id: "compare-settings" }, "Settings that differ");
   const told = rows.length ? table(names, rows) : h("p", {}, "None: both were made with the same settings.");
@@ -131,8 +134,4 @@ export function differences(a, b, key = "") {
   if (!nested(a) || !nested(b)) return JSON.stringify(a) === JSON.stringify(b) ? [] : [[key, a, b]];
   const keys = [...new Set([...Object.keys(a), ...Object.keys(b)])];
   return keys.flatMap((each) => differences(a[each], b[each], key ? `${key}.${each}` : each));
-}
-
-function said(value) {
-  return typeof value === "string" ? value : JSON.stringify(value);
 }

@@ -1,12 +1,13 @@
 /** The figures of a job in words, and what to look out for. */
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
+import { sentence } from "../lib/words.js";
 import { headlines, mainCause } from "./figures.js";
 
 /** {node, update(job)} */
 export function factsPart() {
   const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
-  const wait = h("p", { class: "dim" }, "Figures come as the steps are done.");
+  const wait = h("p", { class: "dim soon" }, "Figures come as the steps are done.");
   const title = h("h2", { id: "facts-title" }, "What to expect");
   const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, cause);
   let shown = "";
@@ -39,14 +40,10 @@ export function warningsPart() {
     node.hidden = told.length === 0;
     if (key === shown) return;
     shown = key;
-    const words = (text) => h("span", {}, withCode(capital(text)));
+    const words = (text) => h("span", {}, withCode(sentence(text)));
     replace(list, told.map((text) => h("p", { class: "notice warn" }, shape("warn"), words(text))));
   }
   return { node, update };
-}
-
-function capital(text) {
-  return text.charAt(0).toUpperCase() + text.slice(1);
 }
 
 /** What stands between backticks as code. */

@@ -1,6 +1,6 @@
 /** Programs, with the way to the mill, and every other file of a job. */
 import { api } from "../lib/api.js";
-import { h, replace } from "../lib/dom.js";
+import { h, replace, write } from "../lib/dom.js";
 import { bytes, hours } from "../lib/words.js";
 import { passWords, passesOf } from "./figures.js";
 import { saveLink, sheetLink } from "./save.js";
@@ -13,10 +13,12 @@ const OFFERED = [
   ["spec.json", "Settings (JSON)", "the job again from a terminal"],
 ];
 
+const GOING = ["queued", "running"];
+
 /** {node, update(job)}: each program with what it does, and the mills it may go to. */
 export function programsPart() {
   const list = h("ol", { class: "programs" });
-  const wait = h("p", { class: "dim" }, "The programs are offered here once all of them have been checked.");
+  const wait = h("p", { class: "dim" });
   const setUp = h("a", { href: "#/machines" }, "set one up");
   const noMill = h("p", { hidden: true }, "No mill is known here yet: ", setUp, ", or save the programs.");
   const title = h("h2", { id: "programs-title" }, "Programs");
@@ -24,15 +26,26 @@ export function programsPart() {
   let shown = "", mills = null;
 
   async function update(job) {
-    wait.hidden = job.programs.length > 0;
-    const key = JSON.stringify([job.programs, job.report?.passes?.map((row) => row.time_s)]);
+    write(wait, waitWords(job));
+    wait.hidden = !wait.textContent;
+    wait.classList.toggle("soon", !job.programs.length);
+    const key = JSON.stringify([job.state, job.programs, job.report?.passes?.map((row) => row.time_s)]);
     if (key === shown) return;
     shown = key;
-    if (job.programs.length && !mills) mills = await machines();
-    noMill.hidden = !job.programs.length || mills.length > 0;
+    if (sendable(job) && !mills) mills = await machines();
+    noMill.hidden = !sendable(job) || mills.length > 0;
     replace(list, job.programs.map((program) => row(job, program, mills ?? [])));
   }
   return { node, update };
+}
+
+/** Why nothing can be sent to a mill yet: it takes programs of jobs that are done, and of no others. */
+function waitWords({ state, programs }) {
+  if (state === "succeeded") return "";
+  if (!programs.length) return "The programs are offered here once all of them have been checked.";
+  return GOING.includes(state)
+    ? "All of them have been checked. They can be sent to a mill when the job is done."
+    : "The job was not finished: try again, and they can be sent to a mill when it is done.";
 }
 
 async function machines() {
@@ -43,11 +56,16 @@ async function machines() {
   }
 }
 
+function sendable(job) {
+  return job.state === "succeeded" && job.programs.length > 0;
+}
+
 function row(job, program, mills) {
   const checked = job.report?.passes?.find(({ file }) => file === program.name);
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
   const facts = [seconds && hours(seconds), lines && `${spaced(lines)} lines`, bytes(program.bytes)];
+  const sends = sendable(job) && mills.map((mill) => sendLink(job, program, mill, mills.length));
   const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: "Save" });
   return h(
     "li", {},
@@ -55,7 +73,7 @@ function row(job, program, mills) {
       "div", { class: "program-what" }, h("strong", {}, program.name),
       h("span", { class: "dim" }, facts.filter(Boolean).join(", ")), pass && h("span", {}, passWords(pass)),
     ),
-    h("div", { class: "row" }, mills.map((mill) => sendLink(job, program, mill, mills.length)), save),
+    h("div", { class: "row" }, sends, save),
   );
 }
 

@@ -3,8 +3,9 @@ import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { confirm, toast } from "../lib/dialog.js";
 import { shape, stateMark } from "../lib/state.js";
-import { ago } from "../lib/words.js";
+import { ago, sentence } from "../lib/words.js";
 import { setUpWords, stageWords } from "./figures.js";
+import { settingWords } from "./setting_words.js";
 
 /** {node, update(job)}; `changed(job)` after something was done, `app` to go elsewhere. */
 export function headPart(app, changed) {
@@ -76,28 +77,14 @@ function noticeOf(job) {
   if (job.state !== "failed" || !job.error) return null;
   const { stage, detail, field } = job.error, where = stage ? stageWords(stage, job.spec) : "the start";
   const duplicate = h("a", { href: `#/new?from=${job.id}` }, "duplicate with changes");
+  const what = field && settingWords(field.replace(/^spec\./, ""), job.spec);
   const next = field
-    ? h("span", {}, "Change ", h("strong", {}, fieldWords(field, job.spec)), ": ", duplicate, ".")
+    ? h("span", {}, "Change ", h("strong", {}, what), ": ", duplicate, ".")
     : "Try again goes on with the steps that were finished. If it fails again, the server's log says more.";
   return h(
     "div", { class: "notice bad" }, shape("bad"),
     h("div", {}, h("p", {}, h("strong", {}, `Stopped at: ${where}.`)), h("p", {}, sentence(detail)), h("p", {}, next)),
   );
-}
-
-function sentence(text) {
-  const first = text.charAt(0).toUpperCase() + text.slice(1);
-  return /[.!?]$/.test(first) ? first : `${first}.`;
-}
-
-/** "spec.passes.1.radius_mm" as "pass 2 (finish), radius_mm". */
-export function fieldWords(field, spec) {
-  const path = field.replace(/^spec\./, "").split(".");
-  if (path[0] === "passes" && path.length > 1) {
-    const name = spec.passes?.[path[1]]?.name;
-    return [`pass ${Number(path[1]) + 1}${name ? ` (${name})` : ""}`, ...path.slice(2)].join(", ");
-  }
-  return path.join(", ");
 }
 
 /** Lets a person choose a finished job to set beside this one. */

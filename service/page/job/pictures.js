@@ -31,7 +31,7 @@ export function picturesPart() {
   const row = h("div", { class: "pictures-row" });
   const left = chooser("Left", () => draw()), right = chooser("Right", () => draw());
   const compared = h("div", {}, both.node, h("div", { class: "wipe-choice" }, left.node, right.node));
-  const wait = h("p", { class: "dim" }, "The pictures appear here as they are made.");
+  const wait = h("p", { class: "dim soon" }, "The pictures appear here as they are made.");
   const title = h("h2", { id: "pictures-title" }, "Pictures");
   const node = h("section", { class: "card", "aria-labelledby": "pictures-title" }, title, wait, compared, row);
   let there = [], key = "";

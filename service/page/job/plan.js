@@ -1,12 +1,12 @@
 /** The trade of hours against sharpness: every plan worth having as a point that one takes. */
 import { h, replace, svg } from "../lib/dom.js";
-import { mark } from "../lib/state.js";
-import { hours, mm } from "../lib/words.js";
+import { shape } from "../lib/state.js";
+import { hours, mm, sentence } from "../lib/words.js";
 import { detailOfPlan, eyeWords, passWords } from "./figures.js";
 
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
 const HEIGHT = 300;
-const LEAST_WIDTH = 280;
+const LEAST_WIDTH = 240;
 const MARKS_H = [1 / 60, 2 / 60, 5 / 60, 10 / 60, 0.25, 0.5, 1, 2, 3, 5, 8, 12, 24, 48, 96, 200];
 
 /** {node, update(job)} */
@@ -138,7 +138,7 @@ function inWords(job, row, k, made) {
   return [
     h("h3", {}, `${hours(row.hours * 3600)}: details under ${mm(detailOfPlan(job.spec, row))} will blur`),
     h("p", {}, `${row.psnr_db.toFixed(1)} dB, ${eyeWords(row.psnr_db)}.`),
-    row.warning && h("p", { class: "notice warn" }, mark("warn", ""), h("span", {}, row.warning)),
+    row.warning && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, sentence(row.warning))),
     h("ol", { class: "plan-passes" }, passes.map((pass, n) => passRow(pass, row.hours_by_pass?.[n]))),
     own
       ? h("p", { class: "dim" }, "This is the plan of this job.")

@@ -34,6 +34,7 @@ export default async function view(root, params, app) {
 
   function show() {
     const { job, artifacts, live, link } = watched;
+    root.firstChild?.classList.toggle("ended", ["failed", "cancelled"].includes(job.state));
     parts.head.update(job);
     parts.progress.update(job, live, link);
     parts.facts.update(job);
@@ -112,7 +113,7 @@ function layout(parts, spec) {
   const screen = screenOf(spec), { width_mm: width, height_mm: height } = spec.optics;
   const column = (...names) => h("div", { class: "stack" }, names.map((name) => parts[name].node));
   return h(
-    "div", { class: "job", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
+    "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
     parts.head.node, parts.progress.node,
     h("div", { class: "job-columns" }, column("pictures", "warnings"), column("facts", "programs")),
     parts.plan.node,

@@ -40,10 +40,8 @@ export function jobCard(first) {
 function stateWords(job) {
   if (job.cancel_requested && job.state === "running") return "being cancelled";
   if (job.state === "running") return `working, ${percent(job.progress)}`;
-  if (job.state === "queued")
-    return job.queue_position
-      ? `waiting, ${job.queue_position === 1 ? "next" : `place ${job.queue_position}`}`
-      : "waiting";
+  if (job.state === "queued" && job.queue_position)
+    return `waiting, ${job.queue_position === 1 ? "next" : `${job.queue_position - 1} before it`}`;
   return undefined;
 }
 

@@ -2,13 +2,10 @@
 
 import { api } from "../lib/api.js";
 
-const SMALL = "thumbnail.png";
-const WANTED = [SMALL, "target.png"];
-
 /** {show(image, job), forget(image), close()}: fills image elements; `close` gives everything back. */
 export function thumbnails() {
   const wanted = new WeakMap(); // image -> job
-  const shown = new Map(); // image -> path
+  const shown = new Map(); // image -> path of its picture
   const sight = new IntersectionObserver(
     (entries) => {
       for (const { isIntersecting, target } of entries) if (isIntersecting) fetchInto(target);
@@ -20,15 +17,9 @@ export function thumbnails() {
     const job = wanted.get(image);
     sight.unobserve(image);
     if (!job || shown.has(image)) return;
-    shown.set(image, null);
+    shown.set(image, job.links.picture);
     try {
-      const { artifacts } = await api.get(job.links.artifacts);
-      const names = new Set(artifacts.map((file) => file.name));
-      const name = WANTED.find((one) => names.has(one));
-      if (!name) return shown.delete(image); // asked again when the job has changed
-      const path = `${job.links.artifacts}/${name}`;
-      shown.set(image, path);
-      image.src = await api.blob(path);
+      image.src = await api.blob(job.links.picture);
       image.classList.add("there");
     } catch {
       forget(image); // a picture is no reason for an alarm
@@ -37,7 +28,7 @@ export function thumbnails() {
 
   function show(image, job) {
     wanted.set(image, job);
-    if (!shown.has(image) && mayHave(job)) sight.observe(image);
+    if (!shown.has(image) && job.links.picture) sight.observe(image);
   }
 
   function forget(image) {
@@ -55,9 +46,4 @@ export function thumbnails() {
       for (const image of [...shown.keys()]) forget(image);
     },
   };
-}
-
-/** Not before the picture has been read. */
-function mayHave(job) {
-  return job.state !== "queued" && !(job.state === "running" && job.progress === 0);
 }

@@ -5,7 +5,8 @@ import { freshId, h } from "./dom.js";
 const TOAST_MS = 6000;
 
 /**
- * A modal dialog; resolves with what `close(value)` was given, null where it was dismissed (Escape).
+ * A dialog; resolves with what `close(value)` was given, null where it was dismissed (Escape). It takes all other
+ * controls away, but never from a screen that stops a mill.
  * body: nodes, or (close) => nodes. actions: [{words, value, kind: "primary"|"danger"|""}], in the order shown.
  */
 export function open({ title, body, actions = [], wide = false }) {
@@ -15,9 +16,15 @@ export function open({ title, body, actions = [], wide = false }) {
       answered(value);
       dialog.close();
     };
+    const dismiss = (event) => event.key === "Escape" && close(null);
     const dialog = h(
       "dialog",
-      { class: wide ? "wide" : "", "aria-labelledby": id, onclose: () => (answered(null), dialog.remove()) },
+      {
+        class: wide ? "wide" : "",
+        "aria-labelledby": id,
+        onclose: () => (answered(null), dialog.remove()),
+        onkeydown: dismiss,
+      },
       h("h2", { id }, title),
       typeof body === "function" ? body(close) : body,
       actions.length > 0 &&
@@ -28,7 +35,8 @@ export function open({ title, body, actions = [], wide = false }) {
         ),
     );
     document.body.append(dialog);
-    dialog.showModal();
+    if (document.querySelector(".stops")) dialog.show();
+    else dialog.showModal();
   });
 }
 

@@ -60,7 +60,8 @@ function form(scope, close) {
       h(
         "small",
         { id: hint },
-        "The code stands in the terminal where the server runs. A new one: causticmill token pair",
+        "The code stands in the terminal where the server runs. A new one: ",
+        h("code", {}, "causticmill token pair"),
       ),
       wrong,
     ),

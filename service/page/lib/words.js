@@ -73,3 +73,15 @@ export function percent(share) {
 export function count(number, word, several = `${word}s`) {
   return `${number} ${number === 1 ? word : several}`;
 }
+
+/** A word that nobody else has: "page-" and 32 digits. */
+export function freshKey() {
+  const words = crypto.getRandomValues(new Uint32Array(4));
+  return `page-${[...words].map((word) => word.toString(16).padStart(8, "0")).join("")}`;
+}
+
+/** Words of the server as a sentence: "no such job" is "No such job."; a name at the beginning stays as it is. */
+export function sentence(words) {
+  const first = /^[a-z]+[ ,:']/.test(words) ? words.charAt(0).toUpperCase() + words.slice(1) : words;
+  return /[.!?]$/.test(first) ? first : `${first}.`;
+}

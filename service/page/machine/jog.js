@@ -1,13 +1,16 @@
 /**
- * Jogging: one press is one step, never more. The keyboard steps only while it is armed, and it is armed only as long
- * as the focus stays in the pad; a key that is held down does nothing further.
+ * Jogging: one press is one step, never more; or, where a person has chosen that, the mill moves while it is pressed.
+ * The keyboard jogs only while it is armed, and it is armed only as long as the focus stays in the pad; a key that is
+ * held down does nothing further.
  */
 
 import { h, write } from "../lib/dom.js";
+import { holding } from "./held.js";
 import { enable, said } from "./said.js";
 import { whyNot } from "./words.js";
 
 const STEPS_MM = [0.01, 0.1, 1, 10];
+const HELD = "while pressed";
 const KEYS = {
   ArrowRight: [1, 0, 0],
   ArrowLeft: [-1, 0, 0],
@@ -28,18 +31,28 @@ const PAD = [
 
 export function jog(link) {
   const words = said();
-  const steps = stepChoice();
+  const steps = stepChoice(() => pad.style.setProperty("touch-action", steps.held() ? "none" : "manipulation"));
   const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });
-  const step = (direction) => words.during(() => link.order("jog", { by_mm: direction.map((one) => one * steps.value()), feed_mm_per_min: feed.valueAsNumber }));
-  const buttons = PAD.map(([place, label, arrow, direction]) => h("button", { type: "button", class: `big ${place}`, "aria-label": label, onclick: () => step(direction) }, arrow));
+  const go = (by_mm) => words.during(() => link.order("jog", { by_mm, feed_mm_per_min: feed.valueAsNumber }));
+  const hold = holding(link, { go, feed: () => feed.valueAsNumber });
+  const step = (direction) => !steps.held() && go(direction.map((one) => one * steps.mm()));
+  const begin = (direction) => (steps.held() ? hold.begin(direction) : step(direction));
+  const press = (event, direction) => event.button === 0 && steps.held() && hold.begin(direction);
+  const buttons = PAD.map(([place, label, arrow, direction]) =>
+    h("button", {
+      type: "button", class: `big ${place}`, "aria-label": label,
+      onclick: () => step(direction), onpointerdown: (event) => press(event, direction),
+      oncontextmenu: (event) => steps.held() && event.preventDefault(), // that a long touch would open
+    }, arrow),
+  );
   const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.urgent("jog-cancel") }, "End jog");
-  const arm = armed(step);
+  const arm = armed({ begin, end: hold.end });
   const pad = h("div", { class: "pad", role: "group", "aria-label": "Jog" }, buttons, cancel);
   const node = h(
     "section",
     { class: "card jog", "aria-labelledby": "jog-title" },
     h("h2", { id: "jog-title" }, "Jog"),
-    h("div", { class: "jog-keys", onkeydown: arm.onKey, onfocusout: (event) => arm.left(event) }, pad, arm.node),
+    h("div", { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.left(event) }, pad, arm.node),
     steps.node,
     h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))),
     words.node,
@@ -53,11 +66,15 @@ export function jog(link) {
       // A step takes a moment; buttons that flicker off and on lose the finger.
       if (able || !isStep(link)) enable(buttons, able);
       enable([arm.button], why === "" || isStep(link));
-      if (why && !isStep(link)) arm.off();
+      if (why && !isStep(link)) {
+        arm.off();
+        hold.end();
+      }
       cancel.disabled = link.machine?.mill?.state !== "jog";
       words.why(isStep(link) ? "" : why);
       if (!fitted && link.machine?.profile) fitted = fit(feed, link.machine.profile);
     },
+    close: hold.close,
   };
 }
 
@@ -74,14 +91,18 @@ function fit(feed, profile) {
   return true;
 }
 
-function stepChoice() {
-  const inputs = STEPS_MM.map((mm) => h("input", { type: "radio", name: "jog-step", value: String(mm), checked: mm === 1 }));
-  const node = h("fieldset", { class: "steps" }, h("legend", {}, "Step, mm"), h("div", { class: "choice" }, inputs.map((input) => h("label", {}, input, input.value))));
-  return { node, value: () => Number(inputs.find((input) => input.checked).value) };
+/** {node, mm(), held()}: how far one press goes, or as long as it lasts. */
+function stepChoice(changed) {
+  const choice = (value) => h("input", { type: "radio", name: "jog-step", value, checked: value === "1", onchange: changed });
+  const inputs = [...STEPS_MM.map(String), HELD].map(choice);
+  const labels = inputs.map((input) => h("label", {}, input, input.value));
+  const node = h("fieldset", { class: "steps" }, h("legend", {}, "Step, mm"), h("div", { class: "choice" }, labels));
+  const chosen = () => inputs.find((input) => input.checked).value;
+  return { node, mm: () => Number(chosen()), held: () => chosen() === HELD };
 }
 
 /** Arrow keys, once a person has armed them. */
-function armed(step) {
+function armed({ begin, end }) {
   const words = h("span", {});
   const button = h("button", { type: "button", class: "arm", "aria-pressed": "false", onclick: () => set(!isOn()) }, words);
   const isOn = () => button.getAttribute("aria-pressed") === "true";
@@ -94,12 +115,17 @@ function armed(step) {
     node: button,
     button,
     off: () => isOn() && set(false),
-    left: (event) => event.currentTarget.contains(event.relatedTarget) || set(false),
+    left(event) {
+      if (event.currentTarget.contains(event.relatedTarget)) return;
+      set(false);
+      end();
+    },
     onKey(event) {
       const direction = KEYS[event.key];
       if (!direction || !isOn()) return;
       event.preventDefault();
-      if (!event.repeat) step(direction);
+      if (!event.repeat) begin(direction);
     },
+    onKeyUp: (event) => event.key in KEYS && end(),
   };
 }

@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
 import { percent } from "../lib/words.js";
-import { standing } from "./words.js";
+import { runStanding, sentence, standing } from "./words.js";
 
 const EVERY_MS = 3000;
 
@@ -52,10 +52,16 @@ function card(machine) {
     { class: "card" },
     h("div", { class: "row spread" }, h("h2", {}, h("a", { href: `#/machines/${encodeURIComponent(machine.name)}` }, machine.name)), mark(kind, word)),
     machine.simulated ? h("p", {}, mark("warn", "Simulated: no real mill moves")) : h("p", { class: "dim" }, machine.profile?.description ?? ""),
-    words && h("p", {}, words),
-    run && h("p", {}, `${run.program}: ${run.state === "parked" ? "waits for a start" : `${run.state}, ${percent(run.share)}`}`),
+    words && h("p", {}, sentence(words)),
+    run && h("p", {}, runWords(run, machine)),
     machine.control && h("p", {}, `${machine.control.operator} has control.`),
   );
+}
+
+function runWords(run, machine) {
+  const { program, share } = run;
+  const [, words] = runStanding(run, machine);
+  return share > 0 && share < 1 ? `${program}: ${words}, ${percent(share)} cut` : `${program}: ${words}`;
 }
 
 function empty() {

@@ -24,6 +24,7 @@ export class MillLink {
     this.looking = false;
     this.log = [];
     this.commands = 0; // that have ended, as the log tells
+    this.closed = false;
     this.away = "";
     this.gone = "";
     this.urgentWords = "";
@@ -53,6 +54,7 @@ export class MillLink {
   }
 
   close() {
+    this.closed = true;
     this.pause();
     this.lease.close();
     for (const stop of this.stopListening) stop();
@@ -62,6 +64,7 @@ export class MillLink {
   // ---------------------------------------------------------------- what comes
 
   listen() {
+    if (this.closed) return;
     this.stream ??= follow(`${this.path}/events`, {
       onEvent: (kind, data) => this.heard(kind, data),
       onState: (state, words) => this.streamed(state, words),

@@ -15,7 +15,7 @@ export function overrides(link) {
   const words = said();
   const set = (what, percent) => words.during(() => link.order("override", { what, percent }));
   const rows = ROWS.map(([what, label, place, range]) => row(what, label, range, set, () => link.machine?.mill?.overrides?.[place] ?? 100));
-  const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, "Overrides"), rows.map((one) => one.node), words.node);
+  const node = h("section", { class: "card overrides", "aria-labelledby": "override-title" }, h("h2", { id: "override-title" }, "Overrides, %"), rows.map((one) => one.node), words.node);
   return {
     node,
     update() {

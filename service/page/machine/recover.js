@@ -38,7 +38,7 @@ export function recover(link) {
       steps,
       step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${plan.executed_line.toLocaleString()} are cut for certain.`)),
       step("First", plan.ready, needs(link, plan, words), plan.ready ? null : h("button", { type: "button", onclick: ask }, "Look again")),
-      step("What will happen", plan.ready, whatHappens(plan)),
+      step("What will happen", false, whatHappens(plan)),
       step("Your word", false, list?.node ?? h("p", { class: "dim" }, "When everything above is done.")),
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
@@ -89,7 +89,7 @@ function remedy(link, code, words) {
   if (code === "stand still") return h("div", { class: "row" }, guarded("Reset", { words: "The controller forgets what it still holds. From standstill it keeps its position.", yes: "Reset it", act: () => order("reset") }).node);
   if (code !== "position") return null;
   const trust = guarded("The position is right", {
-    words: () => `The readout says X ${coordinate(link.machine.mill?.work_mm?.[0])}, Y ${coordinate(link.machine.mill?.work_mm?.[1])}, Z ${coordinate(link.machine.mill?.work_mm?.[2])} in work coordinates. Have you measured that it is so?`,
+    words: () => `The readout says X ${coordinate(link.machine.mill?.work_mm?.[0])}, Y ${coordinate(link.machine.mill?.work_mm?.[1])}, Z ${coordinate(link.machine.mill?.work_mm?.[2])} mm in work coordinates. Have you measured that it is so?`,
     yes: "Yes, I have measured it",
     act: () => order("trust-position"),
   });
@@ -98,7 +98,7 @@ function remedy(link, code, words) {
 
 function whatHappens(plan) {
   const place = plan.position_mm && plan.position_mm.map((value, k) => `${"XYZ"[k]} ${coordinate(value)}`).join(", ");
-  const way = place ? `The tool rises, travels above the stock, the spindle starts, and the tool goes down slowly at ${place}.` : "The program starts from its top.";
+  const way = place ? `The tool rises, travels above the stock, the spindle starts, and the tool goes down slowly at ${place} mm.` : "The program starts from its top.";
   const again = plan.recut_lines ? `${count(plan.recut_lines, "line")} before the break ${plan.recut_lines === 1 ? "is" : "are"} cut again, so that no mark is left.` : "";
   return [
     h("p", {}, `${way} ${again}`),

@@ -1,12 +1,12 @@
 /** The program that is on the mill: waiting for its start, under way, or over. */
 
 import { h, replace, write } from "../lib/dom.js";
-import { mark } from "../lib/state.js";
+import { mark, shape } from "../lib/state.js";
 import { hours, percent } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guarded } from "./ask.js";
 import { said } from "./said.js";
-import { RUN_WORDS, sentence, whyNot } from "./words.js";
+import { RUN_WORDS, runStanding, sentence, whyNot } from "./words.js";
 
 export function running(link, { onNext }) {
   const words = said();
@@ -21,7 +21,6 @@ export function running(link, { onNext }) {
 
   const fill = (run) => {
     list = run.state === "parked" ? checklist(run, { label: `Start ${run.program.name}`, act: (said) => words.during(() => link.toRun("start", said)) }) : null;
-    replace(state, mark(...(RUN_WORDS[run.state] ?? ["off", run.state])));
     replace(more, notes(run), run.state === "parked" && waiting(link, run, list, words), run.state === "finished" && finished(link, run, onNext));
   };
   return {
@@ -33,6 +32,8 @@ export function running(link, { onNext }) {
       const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words}`;
       if (now !== shown) fill(run);
       shown = now;
+      const [kind, word] = runStanding(run, link.machine);
+      if (state.textContent !== word) replace(state, mark(kind, word));
       write(title, `${run.program.name}${run.setup?.tool ? `, ball R ${run.setup.tool.radius_mm} mm` : ""}`);
       progress.update(run);
       const stands = link.machine?.mill?.state === "idle";
@@ -64,7 +65,9 @@ function meter() {
 
 function notes(run) {
   const own = run.words && !["interrupted", "aborted"].includes(run.state) ? [run.words] : []; // said above, with what to do
-  return [...own, ...(run.warnings ?? [])].map((text) => h("p", { class: "notice warn" }, sentence(text)));
+  const kind = RUN_WORDS[run.state]?.[0] === "bad" ? "bad" : "warn";
+  const notice = (look, text) => h("p", { class: `notice ${look}` }, shape(look), h("span", {}, sentence(text)));
+  return [...own.map((text) => notice(kind, text)), ...(run.warnings ?? []).map((text) => notice("warn", text))];
 }
 
 function waiting(link, run, list, words) {
@@ -73,7 +76,7 @@ function waiting(link, run, list, words) {
     yes: "Take it off",
     act: () => words.during(() => link.toRun("abort")),
   });
-  return [run.setup?.change && h("p", { class: "notice busy" }, `Before this pass: ${run.setup.change.words}.`), list.node, back.node];
+  return [run.setup?.change && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, `Before this pass: ${run.setup.change.words}.`)), list.node, back.node];
 }
 
 function finished(link, run, onNext) {

@@ -1,6 +1,7 @@
 /** Before a program: home, the work zero by hand or by probe, unlock and reset. */
 
 import { h, write } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
 import { guarded } from "./ask.js";
 import { enable, said } from "./said.js";
 import { sentence, whyNot } from "./words.js";
@@ -24,7 +25,7 @@ export function setup(link) {
   const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, `${[...axes].join(" and ")} = 0 here`));
   const probe = probing(order);
   const hint = h("p", { class: "dim" });
-  const needs = h("p", { class: "notice warn", role: "status", hidden: true });
+  const needs = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}));
   const node = h(
     "section",
     { class: "card setup", "aria-labelledby": "setup-title" },
@@ -45,7 +46,7 @@ export function setup(link) {
       const homing = link.machine?.profile?.homing;
       write(hint, homing === false ? "This mill has no homing switches: jog to the corner of the block and set the zero there." : "");
       needs.hidden = !link.machine?.mill?.needs?.length;
-      write(needs, (link.machine?.mill?.needs ?? []).map(sentence).join(" "));
+      write(needs.lastChild, (link.machine?.mill?.needs ?? []).map(sentence).join(" "));
       enable([home], locked === "" && homing !== false && !link.busy);
       enable([unlock.button], locked === "" && !link.busy);
       enable([reset.button], whyNot(link, STANDS) === "" && !link.busy);

@@ -11,7 +11,7 @@ export function troubleOf(link) {
   if (away) return ["bad", "The server does not answer. What is shown is what it said last.", "The mill goes on with what it has. To stop it, use the button on the mill. This page goes on by itself when the server is back."];
   if (!machine) return null;
   if (machine.problem) return ["bad", machine.problem, "Correct the file of this machine; this page sees it at once."];
-  if (!machine.agent.reachable) return ["bad", machine.agent.words || "The mill's agent does not answer.", "Start the server again: it starts the agent. The mill may still be moving: look at it, and use its own button to stop it."];
+  if (!machine.agent.reachable) return ["bad", sentence(machine.agent.words) || "The mill's agent does not answer.", "Start the server again: it starts the agent. The mill may still be moving: look at it, and use its own button to stop it."];
   return troubleOfMill(machine) ?? troubleOfRun(machine, run);
 }
 
@@ -20,7 +20,7 @@ function troubleOfMill({ mill, run }) {
   if (!mill.connected) return unplugged(mill, run);
   switch (mill.state) {
     case "alarm":
-      return ["bad", `The mill is locked. ${sentence(mill.detail)}`, "Free the tool if it is stuck, then home the mill. Unlock it only if you know where it is."];
+      return ["bad", `The mill is locked. ${/^locked/i.test(mill.detail) ? "" : sentence(mill.detail)}`, "Free the tool if it is stuck, then home the mill. Unlock it only if you know where it is."];
     case "door":
       return ["warn", "The safety door is open.", "Close it, then resume; or stop."];
     case "tool":

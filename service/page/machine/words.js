@@ -1,5 +1,7 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
+import { sentence as inWords } from "../lib/words.js";
+
 const STATES = {
   disconnected: ["bad", "not connected"],
   connecting: ["busy", "connecting"],
@@ -18,6 +20,7 @@ const STATES = {
 
 const MOVING = new Set(["run", "holding", "jog", "homing"]);
 const LIVE = new Set(["running", "holding", "held", "stopping", "recovering"]);
+const PASSING = new Set(["stopping", "recovering"]);
 
 export const RUN_WORDS = {
   preparing: ["busy", "being handed to the mill"],
@@ -39,8 +42,26 @@ export function standing(machine) {
   if (machine.problem) return { kind: "bad", word: "cannot be used", words: machine.problem };
   if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: machine.agent.words };
   const { mill } = machine;
-  const [kind, word] = STATES[mill.state] ?? ["off", mill.state];
+  const [kind, word] = doing(mill, machine.run);
   return { kind, word, words: mill.connected ? mill.detail : mill.problem };
+}
+
+/**
+ * Mill and program in one word. The controller calls itself idle until the first move has come to it, and whenever it
+ * waits for the next one: while a program is on it, the program says what is going on.
+ */
+function doing(mill, run) {
+  const own = STATES[mill.state] ?? ["off", mill.state];
+  if (!LIVE.has(run?.state)) return mill.state === "run" ? ["busy", "moving"] : own;
+  if (mill.state === "idle" && run.state === "running" && !run.executed_line) return ["busy", "starting"];
+  if (mill.state === "idle") return RUN_WORDS[run.state];
+  return mill.state === "run" && PASSING.has(run.state) ? RUN_WORDS[run.state] : own;
+}
+
+/** How the run that is shown stands, in the words that its mill has while it is on it. */
+export function runStanding(run, machine) {
+  const live = machine?.run?.id === run.id && LIVE.has(run.state) && machine.agent.reachable;
+  return live ? doing(machine.mill, machine.run) : (RUN_WORDS[run.state] ?? ["off", run.state]);
 }
 
 /** Whether the mill is known to hear us. */
@@ -105,7 +126,5 @@ export function checkWords(check, run) {
 /** The server's or the agent's words as a sentence, without the codes of the controller in them. */
 export function sentence(words) {
   if (!words) return "";
-  const plain = words.replaceAll(/ \(\$\w+\)/g, "");
-  const first = plain[0].toUpperCase() + plain.slice(1);
-  return /[.!?]$/.test(first) ? first : `${first}.`;
+  return inWords(words.replaceAll(/ \(\$\w+\)/g, ""));
 }

@@ -15,6 +15,11 @@ export function dropPlace({ words, onFile, compact = false }) {
   };
   const chosen = pick({ accept: KINDS }, take);
   const photographed = pick({ accept: "image/*", capture: "environment" }, take);
+  async function photo() {
+    if (isHandheld()) return photographed.click();
+    const file = await (await import("./camera.js")).photograph();
+    if (file && place.isConnected) onFile(file);
+  }
   const place = h(
     "div",
     { class: compact ? "drop compact" : "drop" },
@@ -29,7 +34,7 @@ export function dropPlace({ words, onFile, compact = false }) {
       ),
       h(
         "button",
-        { type: "button", class: compact ? "photo" : "photo big", onclick: () => photographed.click() },
+        { type: "button", class: compact ? "photo" : "photo big", hidden: !hasCamera(), onclick: photo },
         "Take a photo",
       ),
     ),
@@ -66,6 +71,15 @@ function pick(props, take) {
     event.target.value = "";
   };
   return h("input", { type: "file", hidden: true, onchange: changed, ...props });
+}
+
+/** Phones and tablets have a program of their own for their camera, and a browser without TLS shows no other one. */
+function hasCamera() {
+  return isHandheld() || Boolean(navigator.mediaDevices?.getUserMedia);
+}
+
+function isHandheld() {
+  return matchMedia("(pointer: coarse)").matches;
 }
 
 function isPicture(file) {

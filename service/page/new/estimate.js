@@ -3,14 +3,21 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
-import { figures, hours, mm } from "../lib/words.js";
+import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 
 const CALM_MS = 400;
-const AGAIN_MS = 3000;
+const AGAIN_MS = 5000;
+const BUSY = "Working it out…";
+const FIRST = "The first one after an installation or an update takes up to a minute; all others are quick.";
+const TRIES = 3;
+const SLOW_MS = 4000;
+// A newer question of one tab ends its older one, not that of another tab beside it.
+const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
  * {ask(), stop()}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none" nothing
- * to say, "busy", "known" with `estimate`, "problems" with `problems`, "fault" with `words`, "absent" no such service.
+ * to say, "busy" (`slow`: for some time now), "known" with `estimate`, "problems" with `problems`, "fault" with `words`,
+ * "absent" no such service.
  */
 export function estimator({ make, tell }) {
   let timer = 0;
@@ -29,19 +36,22 @@ export function estimator({ make, tell }) {
     asking.abort();
   }
 
-  async function run(signal) {
+  async function run(signal, tries = TRIES) {
+    let slow = 0;
     try {
       const form = await make();
       if (signal.aborted) return;
       if (!form) return tell({ kind: "none" });
       tell({ kind: "busy" });
-      const estimate = await api.upload("/v1/estimates", form, { signal, quiet: true });
+      slow = setTimeout(() => signal.aborted || tell({ kind: "busy", slow: true }), SLOW_MS);
+      const estimate = await api.upload("/v1/estimates", form, { headers: HEADERS, signal, quiet: true });
       if (!signal.aborted) tell({ kind: "known", estimate });
     } catch (error) {
       if (signal.aborted) return;
-      if (error.status === 409)
-        timer = setTimeout(() => run(signal), AGAIN_MS); // another page of this person asked
-      else tell(told(error));
+      tell(told(error));
+      if (error.status === 503 && tries > 1) timer = setTimeout(() => run(signal, tries - 1), AGAIN_MS);
+    } finally {
+      clearTimeout(slow);
     }
   }
 
@@ -95,11 +105,6 @@ export function estimateLine(estimate) {
   return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}`;
 }
 
-export function sentence(words) {
-  const first = words.charAt(0).toUpperCase() + words.slice(1);
-  return /[.!?]$/.test(first) ? first : `${first}.`;
-}
-
 function figure(name, value, more) {
   return h("div", {}, h("dt", {}, name), h("dd", {}, h("strong", {}, value), more && h("small", {}, more)));
 }
@@ -117,14 +122,14 @@ export function estimateCard() {
   );
   const words = {
     none: "It appears as soon as there is a picture.",
-    busy: "Working it out…",
+    busy: BUSY,
     known: "",
     problems: "A value cannot be used; it is marked.",
   };
   function show(told) {
     element.hidden = told.kind === "absent";
     element.setAttribute("aria-busy", String(told.kind === "busy"));
-    state.textContent = words[told.kind] ?? `No estimate now. ${told.words ?? ""}`;
+    state.textContent = told.slow ? `${BUSY} ${FIRST}` : (words[told.kind] ?? `No estimate now. ${told.words ?? ""}`);
     state.hidden = !state.textContent;
     if (told.kind === "known") replace(body, estimateWords(told.estimate));
     else if (told.kind !== "busy") replace(body);

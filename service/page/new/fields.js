@@ -8,7 +8,7 @@
  */
 
 const XYZ = ["X", "Y", "Z"];
-const OF_MACHINE = "the machine's";
+const OF_MACHINE = "machine's";
 
 const number = (key, label, unit, usual, more) => ({ key, label, kind: "number", unit, usual, ...more });
 const whole = (key, label, usual, more) => ({ key, label, kind: "whole", usual, ...more });
@@ -65,9 +65,9 @@ export const PICTURE = [
   tick("image.invert", "Negative"),
 ];
 
-const VIEWS = [["lens", "on a wall"], ["behind", "through a screen, from behind"]];
+const VIEWS = [["lens", "on a wall"], ["behind", "from behind"]];
 const METHODS = [["transport", "optical path"], ["paper", "as published"]];
-const BRANCHES = [["auto", "whichever suits"], ["direct", "straight to the wall"], ["inverted", "cross before it"]];
+const BRANCHES = [["auto", "automatic"], ["direct", "straight"], ["inverted", "crossing"]];
 const SHAPES = [["rectangle", "rectangle"], ["ellipse", "ellipse"]];
 const SURFACES = [["lens", "lens"], ["mirror", "mirror"]];
 const PIXELS = { hint: "More shows finer detail where the mill can cut it, and takes longer to compute." };
@@ -101,7 +101,7 @@ const STOCK = [
   choice("stock.material", "Material", [["pmma", "acrylic (PMMA)"]], "pmma"),
 ];
 
-const YES_NO = [[null, "as the machine says"], [true, "yes"], [false, "no"]];
+const YES_NO = [[null, OF_MACHINE], [true, "yes"], [false, "no"]];
 
 const MACHINE = [
   numbers("machine.travel_mm", "Travel", "mm", XYZ),
@@ -135,8 +135,8 @@ export const PASS = [
   number("stock_to_leave_mm", "Stock to leave", "mm", 0),
   choice("strategy", "Strategy", [["raster", "rows"], ["contour", "contour lines"]], "raster"),
   choice("direction", "Rows along", [["x", "X"], ["y", "Y"]], "x"),
-  choice("link", "Between rows", [["u-turn", "turn on the surface"], ["retract", "retract"]], "u-turn"),
-  choice("where", "Where", [["everywhere", "everywhere"], ["rest", "where stock is left"]], "everywhere"),
+  choice("link", "Between rows", [["u-turn", "turn"], ["retract", "lift"]], "u-turn"),
+  choice("where", "Where", [["everywhere", "everywhere"], ["rest", "only the rest"]], "everywhere"),
   number("step_down_mm", "Step down", "mm", "usual"),
   number("feed_mm_per_min", "Feed", "mm/min", "usual"),
   number("plunge_mm_per_min", "Plunge", "mm/min", "usual"),

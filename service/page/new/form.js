@@ -108,7 +108,7 @@ export function specForm({ profiles, onChange, planned }) {
 
 function withProfiles(field, profiles) {
   return field.named === "profiles" && profiles.length
-    ? { ...field, choices: profiles.map(({ name, description }) => [name, `${name}: ${description}`]) }
+    ? { ...field, choices: profiles.map(({ name, description }) => [name, `${name}: ${description.split(/[,;]/)[0]}`, description]) }
     : field;
 }
 

@@ -59,7 +59,7 @@ export function pictureSide({ spec, values, onChange }) {
     now.edits = { ...UNTOUCHED, ...edits };
     name.value = called ?? stem(picture.file.name);
     write(fault, "");
-    const words = `This browser cannot show ${picture.file.name}. It is sent as it is; the job will show it.`;
+    const words = `This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
     const shown = picture.shown
       ? [h("div", { class: "wall-frame" }, seen.element), h("small", {}, HOW), blur, tools.element]
       : h("p", { class: "notice" }, h("span", {}, words));

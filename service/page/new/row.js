@@ -162,15 +162,19 @@ function select(field, { described, onChange }) {
     { id, "aria-describedby": described, onchange: onChange },
     field.choices.map(([, words], at) => h("option", { value: String(at) }, words)),
   );
+  const more = h("small");
+  const tell = () => write(more, field.choices[Number(input.value)]?.[2] ?? "");
+  input.addEventListener("change", tell);
   const show = (value) => {
     input.value = String(values.indexOf(value ?? field.usual));
+    tell();
   };
   const read = () => {
     const value = values[Number(input.value)];
     return value === field.usual ? undefined : value;
   };
   show(undefined);
-  return { id, element: input, controls: [input], read, show };
+  return { id, element: [input, more], controls: [input], read, show };
 }
 
 function cards(field, { described, onChange }) {

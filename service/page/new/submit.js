@@ -1,6 +1,7 @@
 /** A job on its way to the server: sent once, however often the button is pressed or an answer is lost. */
 
 import { api } from "../lib/api.js";
+import { freshKey } from "../lib/words.js";
 
 /** {send({blob, name}, spec, priority) -> job}. The same request keeps its key: the server makes one job of it. */
 export function sender({ onWait }) {
@@ -62,9 +63,4 @@ async function digest(blob) {
   let sum = 0x811c9dc5;
   for (let at = 0; at < bytes.length; at += 1) sum = Math.imul(sum ^ bytes[at], 0x01000193);
   return `${bytes.length}-${sum >>> 0}`;
-}
-
-function freshKey() {
-  const words = crypto.getRandomValues(new Uint32Array(4));
-  return `page-${[...words].map((word) => word.toString(16).padStart(8, "0")).join("")}`;
 }

@@ -129,6 +129,16 @@ def test_any_shape_is_covered_by_one_path_on_the_surface(name):
     judge(tips, heightfield, pass_of())
 
 
+@pytest.mark.parametrize("twist", [-0.14, -0.11, 0.11])
+def test_places_up_to_the_end_of_an_acute_corner_are_wanted(twist):
+    """Where a lens is twisted and the ball large, tips that touch its right corner fill an acute one, between nodes."""
+    heightfield, spec = lens(lambda x, y: twist * x * y * np.exp(-(x**2 + y**2) / 20) + 0.2 * x), pass_of(0.2, 6.0)
+    surface = surface_with(heightfield, spec)
+    made = field.ContourField.over(heightfield, surface, pitch_mm=spec.pitch_mm)
+    i, j = np.floor((tips_on_the_rim(heightfield, surface) - (made.x0_mm, made.y0_mm)).T / made.step_mm).astype(int)
+    assert made.wanted[j, i].all()
+
+
 @pytest.mark.parametrize("name", ["flat", "ramp", "peak", "cone"])
 def test_where_contours_are_simple_the_path_is_rows_and_turns(name):
     """A hundred pitches wide, a lens has a turn of some pitches to every one of its rows, and a rim that the ball

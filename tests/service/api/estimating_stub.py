@@ -11,7 +11,7 @@ def main() -> None:
     _say({"ready": True})
     for line in sys.stdin:
         asked = json.loads(line)
-        name = asked["name"]
+        name = "prepared" if "prepare" in asked else asked["name"].removesuffix(".png")
         if name == "dies":
             sys.exit(1)
         if name.startswith("takes"):

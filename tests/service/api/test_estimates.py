@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
-from tests.service.api.server import ApiServer, api_server, png
+from service.api.estimating import Estimator
+from service.kernel_cache import ESTIMATES, ready_mark
+from tests.service.api.server import ApiServer, api_server, png, wait_for
+from tests.service.api.test_estimating import STUB
 
 SMALL = {"preset": "draft", "image": {"pixels": 64}, "optics": {"width_mm": 20, "height_mm": 20, "throw_mm": 40}}
 PATIENCE_S = 300.0  # kernels may have to be compiled
@@ -67,6 +72,28 @@ def test_a_bad_picture_is_refused_as_a_job_is(estimating: ApiServer, image: tupl
     ours, theirs = (sent(estimating, path, spec=SMALL, image=image) for path in ("/v1/estimates", "/v1/jobs"))
     assert 400 <= ours.status_code < 500
     assert (ours.status_code, ours.json()) == (theirs.status_code, theirs.json())
+
+
+def test_a_caller_s_windows_do_not_end_each_other_s(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one window the newest question wins, as ever."""
+    monkeypatch.setattr("service.api.main.Estimator", partial(Estimator, module=STUB))
+    with api_server(tmp_path / "data") as server, ThreadPoolExecutor(3) as threads:
+
+        def asked(tab: str) -> Future[httpx.Response]:
+            files = {"image": ("takes 0.5.png", png())}
+            return threads.submit(server.client.post, "/v1/estimates", files=files, headers={"Causticmill-Tab": tab})
+
+        one, other = asked("one"), asked("other")
+        wait_for(lambda: server.services.estimates.child_pid is not None)
+        wait_for(lambda: len(server.services.estimates.callers) == 2)
+        newer = asked("one")
+        assert [answer.result().status_code for answer in (one, other, newer)] == [409, 200, 200]
+
+
+def test_what_the_first_estimate_needs_can_be_compiled_before_it(estimating: ApiServer) -> None:
+    ready_mark(ESTIMATES).unlink(missing_ok=True)
+    estimating.services.estimates.prepare()
+    wait_for(ready_mark(ESTIMATES).exists, patience_s=PATIENCE_S)
 
 
 def test_what_only_the_lens_tells_is_told(estimating: ApiServer, tmp_path: Path) -> None:

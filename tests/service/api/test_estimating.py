@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from service.api.estimating import Estimator
 from service.errors import PictureError
+from service.kernel_cache import ESTIMATES, ready_mark
 from service.web.problems import Problem
 from tests.service.api.server import wait_for
 
@@ -53,6 +55,26 @@ def test_the_newest_ask_of_a_caller_wins(estimator: Estimator) -> None:
 def test_callers_do_not_end_each_other_s(estimator: Estimator) -> None:
     answers = [ask(estimator, f"of {caller}", caller) for caller in ("ann", "bob", "eve")]
     assert [answer.result(PATIENCE_S)["name"] for answer in answers] == ["of ann", "of bob", "of eve"]
+
+
+def test_what_is_made_ready_ends_nobody_s_estimate(
+    estimator: Estimator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    answer = ask(estimator, "takes 0.3")
+    estimator.prepare()
+    assert answer.result(PATIENCE_S) == {"name": "takes 0.3"}
+
+
+def test_it_is_made_ready_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    with closing(Estimator(module=STUB)) as estimator:
+        estimator.prepare()
+        wait_for(lambda: estimator.child_pid is not None, patience_s=PATIENCE_S)
+    ready_mark(ESTIMATES).touch()
+    with closing(Estimator(module=STUB)) as estimator:
+        estimator.prepare()
+        assert not [thread for thread in threading.enumerate() if thread.name == "estimates"]
 
 
 def test_too_many_callers_are_told_to_come_back(estimator: Estimator) -> None:

@@ -175,3 +175,16 @@ def test_what_is_not_there_is_a_problem_too(server: ApiServer, method: str, path
 def test_numbers_that_no_lens_has_are_refused_or_taken_but_are_no_fault(server: ApiServer, spec: str) -> None:
     answer = server.client.post("/v1/jobs", files={"image": png()}, data={"spec": spec})
     assert answer.status_code in (202, 422), answer.text
+
+
+def test_a_job_s_picture_is_the_smallest_it_has(server: ApiServer) -> None:
+    """So that a list need not ask for the files of each job."""
+    job = server.submit()["id"]
+    address = f"/v1/jobs/{job}"
+    assert "picture" not in server.client.get(address).json()["links"]
+    for name, content in (("caustic.png", b"1"), ("target.png", b"the large one"), ("thumbnail.png", b"small")):
+        server.put_artifact(job, name, content, stage="irradiance")
+        listed = next(one for one in server.client.get("/v1/jobs").json()["jobs"] if one["id"] == job)
+        looked = server.client.get(address).json()
+        wanted = None if name == "caustic.png" else f"{address}/artifacts/{name}"
+        assert listed["links"].get("picture") == looked["links"].get("picture") == wanted

@@ -15,7 +15,7 @@ from service.job_files import is_drawing, is_known, is_program
 from tests.service.api.server import ApiServer, api_server
 from tests.service.drawing.paths import batch_of, cut_in, header, level, rows, written
 
-DRAWINGS = ("surface.bin", "focus.bin", "pass-1.path", "pass-12.path")
+DRAWINGS = ("surface.bin", "focus.bin", "thumbnail.png", "pass-1.path", "pass-12.path")
 
 
 @pytest.fixture(scope="module")

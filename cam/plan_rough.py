@@ -1,0 +1,105 @@
+"""The quickest way from a block to a lens's finish: one rough pass in layers, or two."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import atan, ceil, cos, sqrt
+
+import numpy as np
+
+from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
+from cam.passes import PassSpec
+from cam.shop import CLEAR_MM, Shop
+from cam.tools import Tool, tool_pass
+
+_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
+_SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Before:
+    """Passes before the finish, and the deepest stock that they leave to it, measured along Z."""
+
+    passes: tuple[PassSpec, ...]
+    seconds: tuple[float, ...]
+    depth_mm: float
+
+
+class Roughing:
+    """The quickest way from the block to a lens's finish, asked for again and again."""
+
+    def __init__(self, *, form: LensForm, shop: Shop) -> None:
+        self.form, self.shop = form, shop
+        self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
+        self._firsts: dict[Tool, Before] = {}
+        self._rough: dict[float, Before | None] = {}
+        self._known: dict[tuple[float, float], Before | None] = {}
+
+    def before(self, finish: PassSpec) -> Before | None:
+        """Rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
+        key = (finish.radius_mm, finish.step_down_mm)
+        if key not in self._known:
+            self._known[key] = self._quickest(finish)
+        return self._known[key]
+
+    def _quickest(self, finish: PassSpec) -> Before | None:
+        rough = self._roughed(finish)
+        if rough is None:
+            return None
+        ways = [rough, *self._with_second(rough, finish)]
+        return min(
+            ways,
+            key=lambda way: sum(way.seconds) + finish_layers_s(self.form, finish, way.depth_mm, self.shop.mill),
+        )
+
+    def _roughed(self, finish: PassSpec) -> Before | None:
+        """By the ball that is quickest; beside its walls the shank of the finish must have room."""
+        if finish.radius_mm not in self._rough:
+            room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
+            ways = [
+                self._first(tool)
+                for tool in self.shop.tools
+                if tool.radius_mm >= finish.radius_mm
+                and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM)
+                and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
+                and tool.reaches(self.form.deepest_mm)
+            ]
+            self._rough[finish.radius_mm] = min(ways, key=lambda way: sum(way.seconds), default=None)
+        return self._rough[finish.radius_mm]
+
+    def _first(self, tool: Tool) -> Before:
+        if tool not in self._firsts:
+            pitch_mm = _ROUGH_PITCH_SHARE * tool.radius_mm
+            self._firsts[tool] = self._way((), tool, pitch_mm=pitch_mm, leaves_mm=_rough_leaves(tool))
+        return self._firsts[tool]
+
+    def _with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
+        for tool in self.shop.tools:
+            if finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
+                yield self._way(
+                    (rough,), tool, pitch_mm=sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM), leaves_mm=_SEMI_LEAVES_MM
+                )
+
+    def _way(self, after: tuple[Before, ...], tool: Tool, *, pitch_mm: float, leaves_mm: float) -> Before:
+        speeds = self.shop.speeds(tool)
+        pitch_mm = max(0.01, ceil(pitch_mm * 100 - 1e-9) / 100)
+        spec = tool_pass(
+            "rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=speeds.step_down_mm
+        )
+        if after:
+            depth_mm = after[0].depth_mm
+            seconds = rows_s(self.form, spec, self.shop.mill)
+            seconds += finish_layers_s(self.form, spec, depth_mm, self.shop.mill)
+        else:
+            seconds = layers_s(self.form, spec, self.shop.mill)
+        cusp_mm = spec.pitch_mm**2 / (8 * spec.radius_mm)
+        return Before(
+            passes=(*(spec for way in after for spec in way.passes), spec),
+            seconds=(*(part for way in after for part in way.seconds), seconds),
+            depth_mm=(leaves_mm + cusp_mm) / self._steep,
+        )
+
+
+def _rough_leaves(tool: Tool) -> float:
+    return min(_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE * tool.radius_mm)

@@ -1,0 +1,33 @@
+/** Settings of a job in the words that their fields have in the form of a new one. */
+import { EXPERT, LENS, LIGHT, MILL, PASS, PICTURE } from "../new/fields.js";
+
+const ROWS = [...LENS, ...LIGHT, ...MILL, ...PICTURE, ...EXPERT.flatMap(([, rows]) => rows)];
+
+/** "passes.1.radius_mm" as "ball radius of pass 2 (finish)"; a key that has no field as it is. */
+export function settingWords(key, spec) {
+  const { pass, own } = parted(key), row = rowOf(key), label = row ? row.label.toLowerCase() : own;
+  if (pass === null) return label;
+  const name = spec.passes?.[pass]?.name;
+  return `${label ? `${label} of ` : ""}pass ${pass + 1}${name ? ` (${name})` : ""}`;
+}
+
+/** Its value with its unit, or the words of its choice; what counts where there is none. */
+export function valueWords(key, value) {
+  const row = rowOf(key);
+  if (value === undefined || value === null) return typeof row?.usual === "string" ? row.usual : "–";
+  const choice = row?.choices?.find(([each]) => each === value);
+  if (choice) return choice[1];
+  const told = typeof value === "string" ? value : JSON.stringify(value);
+  return row?.unit ? `${told} ${row.unit}` : told;
+}
+
+function rowOf(key) {
+  const { pass, own } = parted(key);
+  return (pass === null ? ROWS : PASS).find((row) => row.key === own);
+}
+
+/** The number of the pass that a key belongs to, or null, and the key within. */
+function parted(key) {
+  const found = /^passes\.(\d+)\.?(.*)$/.exec(key);
+  return found ? { pass: Number(found[1]), own: found[2] } : { pass: null, own: key };
+}

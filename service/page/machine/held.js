@@ -1,0 +1,69 @@
+/**
+ * Jogging for as long as something is held down: a finger, a button of the mouse, a key.
+ *
+ * The mill is told to go a little way and no farther, so that it stops by itself even if nothing more ever reaches it.
+ * Whatever ends the hold tells it to stop at once, and tells it again until it is seen to stand: a word to stop that
+ * overtakes the word to go would stop nothing.
+ */
+
+const MOST_S = 3; // of one hold
+const MOST_MM = 20;
+const AGAIN_MS = 250;
+const TRIES = 6;
+const ENDS = ["pointerup", "pointercancel", "blur", "pagehide"];
+
+/** {begin(direction), end(), close()}. go(by_mm): orders a jog, true where it was taken; feed(): mm/min. */
+export function holding(link, { go, feed }) {
+  let held = false;
+  let asking = false;
+  let timer = 0;
+
+  async function begin(direction) {
+    if (held || asking) return;
+    clearTimeout(timer);
+    held = asking = true;
+    const far = Math.min(MOST_MM, (feed() / 60) * MOST_S);
+    const taken = await go(direction.map((one) => one * far));
+    asking = false;
+    if (!held) stop(TRIES);
+    else if (!taken) held = false;
+  }
+
+  function end() {
+    if (!held) return;
+    held = false;
+    stop(TRIES);
+  }
+
+  function stop(tries) {
+    clearTimeout(timer);
+    link.urgent("jog-cancel");
+    const again = () => (asking || link.machine?.mill?.state === "jog") && stop(tries - 1);
+    if (tries > 1) timer = setTimeout(again, AGAIN_MS);
+  }
+
+  /** A jog of a whole step ends, too, when nobody can see it any more. */
+  function unseen() {
+    if (!document.hidden) return;
+    if (held) end();
+    else if (link.mine && link.machine?.mill?.state === "jog") stop(TRIES);
+  }
+
+  /** The focus goes from one control to another all the time: only that of the whole window counts. */
+  const over = (event) => (event.type !== "blur" || event.target === window) && end();
+
+  for (const kind of ENDS) addEventListener(kind, over, { capture: true });
+  document.addEventListener("visibilitychange", unseen);
+  return {
+    begin,
+    end,
+    get held() {
+      return held;
+    },
+    close() {
+      end();
+      for (const kind of ENDS) removeEventListener(kind, over, { capture: true });
+      document.removeEventListener("visibilitychange", unseen);
+    },
+  };
+}

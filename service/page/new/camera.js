@@ -1,0 +1,48 @@
+/** A photograph by this computer's camera: what it sees, until a person takes it. */
+
+import { open, toast } from "../lib/dialog.js";
+import { h } from "../lib/dom.js";
+
+const WANTED = { video: { facingMode: "environment", width: { ideal: 1920 }, height: { ideal: 1440 } } };
+const REFUSED = {
+  NotAllowedError: "This page may not use the camera. Allow it beside the address, or choose a file.",
+  NotFoundError: "No camera is connected here. Choose a file.",
+  NotReadableError: "The camera is in use by another program.",
+};
+
+/** The photograph as a File; null where none was taken, for which a sentence has said why. */
+export async function photograph() {
+  let stream = null;
+  try {
+    stream = await navigator.mediaDevices.getUserMedia(WANTED);
+  } catch (error) {
+    toast(REFUSED[error.name] ?? `The camera cannot be used. ${error.message}`, { kind: "bad" });
+    return null;
+  }
+  try {
+    return await open({ title: "Take a photo", body: (close) => finder(stream, close), wide: true });
+  } finally {
+    for (const track of stream.getTracks()) track.stop();
+  }
+}
+
+function finder(stream, close) {
+  const shutter = h("button", { type: "button", class: "primary", disabled: true, onclick: () => take() }, "Take it");
+  const video = h("video", {
+    style: { "max-width": "100%", "max-height": "60vh" },
+    srcObject: stream,
+    muted: true,
+    autoplay: true,
+    playsInline: true,
+    "aria-label": "What the camera sees",
+    onloadeddata: () => (shutter.disabled = false),
+  });
+  async function take() {
+    const canvas = new OffscreenCanvas(video.videoWidth, video.videoHeight);
+    canvas.getContext("2d").drawImage(video, 0, 0);
+    const name = `photo ${new Date().toISOString().slice(0, 16).replace("T", " ").replace(":", ".")}.png`;
+    close(new File([await canvas.convertToBlob({ type: "image/png" })], name, { type: "image/png" }));
+  }
+  const cancel = h("button", { type: "button", onclick: () => close(null) }, "Cancel");
+  return [video, h("div", { class: "actions" }, cancel, shutter)];
+}

@@ -1,0 +1,174 @@
+"""Moving the mill by hand: a press that is held, by finger and key, and the probe. What ends a hold stops the mill."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+
+import pytest
+from playwright.sync_api import Browser, CDPSession, Page, Route, expect
+
+from tests.page.browser import Watched
+from tests.page.conftest import sign_in
+from tests.page.driving import WAIT_MS, go_to_machine, homed, machine_state, readout, release, say, take_control
+from tests.page.shop import Shop
+
+SLOWER = 40  # a jog goes so much farther than it was ordered, so that one can see where it is stopped
+FEED = 60
+FAR_MM = 120.0  # three seconds at this feed, times that
+STOPPED_MS = 3000  # all of it takes twice as long
+PLATE_MM, RETRACT_MM = 1.5, 2.0
+
+
+class Finger:
+    """On one button of a page, wherever that is by then."""
+
+    def __init__(self, page: Page, button: str) -> None:
+        self._session: CDPSession = page.context.new_cdp_session(page)
+        self._button = page.get_by_role("button", name=button, exact=True)
+        self._is_down = False
+
+    def down(self) -> None:
+        self._button.evaluate("one => one.scrollIntoView({block: 'center'})")
+        box = self._button.bounding_box()
+        assert box is not None
+        point = {"x": box["x"] + box["width"] / 2, "y": box["y"] + box["height"] / 2}
+        self._session.send("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": [point]})
+        self._is_down = True
+
+    def gone(self, how: str = "touchEnd") -> None:
+        if self._is_down:
+            self._session.send("Input.dispatchTouchEvent", {"type": how, "touchPoints": []})
+        self._is_down = False
+
+
+@pytest.fixture(scope="module")
+def phone(browser: Browser, shop: Shop) -> Iterator[Page]:
+    """A phone with control of a homed mill; jogs are held."""
+    watched = Watched(browser, shop.url, size="phone")
+    page = watched.page()
+    page.goto("/")
+    sign_in(page, shop.key("Ada"))
+    go_to_machine(page)
+    take_control(page)
+    homed(page)
+    page.get_by_label("while pressed").check()
+    page.get_by_role("region", name="Jog").get_by_label("Feed").fill(str(FEED))
+    yield page
+    release(page)
+    watched.close()
+
+
+@pytest.fixture
+def at_mill(phone: Page) -> Iterator[Page]:
+    yield phone
+    phone.unroute_all()
+
+
+def farther(route: Route) -> None:
+    asked = route.request.post_data_json
+    route.continue_(post_data=json.dumps(asked | {"by_mm": [SLOWER * mm for mm in asked["by_mm"]]}))
+
+
+def place_mm(page: Page, axis: str) -> float:
+    return float(readout(page, axis, own=True).inner_text().replace("−", "-"))
+
+
+def hidden(page: Page, now: bool) -> None:
+    page.evaluate("""now => {
+        Object.defineProperty(document, "hidden", {get: () => now, configurable: true});
+        document.dispatchEvent(new Event("visibilitychange"));
+    }""", now)  # fmt: skip
+
+
+def unfold_probe(page: Page) -> None:
+    if not page.get_by_label("Plate thickness").is_visible():
+        page.get_by_text("Probe Z with a plate").click()
+
+
+def unfocused(page: Page) -> None:
+    page.evaluate("window.dispatchEvent(new Event('blur'))")
+
+
+def test_whatever_ends_the_hold_stops_the_mill(at_mill: Page) -> None:
+    at_mill.route("**/control/jog", farther)
+    finger = Finger(at_mill, "X minus")
+
+    def key_down() -> None:
+        at_mill.get_by_role("button", name="Use the keyboard").click()
+        at_mill.keyboard.down("ArrowLeft")
+
+    ends: dict[str, tuple[Callable[[], None], Callable[[], None]]] = {
+        "key up": (key_down, lambda: at_mill.keyboard.up("ArrowLeft")),
+        "lifted": (finger.down, finger.gone),
+        "cancelled": (finger.down, lambda: finger.gone("touchCancel")),
+        "window without focus": (finger.down, lambda: unfocused(at_mill)),
+        "tab out of sight": (finger.down, lambda: hidden(at_mill, now=True)),
+    }
+    ended = at_mill.locator(".log li", has_text=re.compile("Jog: done"))
+    for how, (begin, end) in ends.items():
+        before, count = place_mm(at_mill, "X"), ended.count()
+        begin()
+        expect(machine_state(at_mill)).to_have_text("jogging")
+        end()
+        hidden(at_mill, now=False)
+        expect(machine_state(at_mill)).to_have_text("idle", timeout=STOPPED_MS)
+        assert 0 < before - place_mm(at_mill, "X") < FAR_MM - 20, how
+        finger.gone()
+        expect(ended).to_have_count(count + 1)
+        homed(at_mill)
+
+
+def test_a_word_to_stop_that_overtakes_the_word_to_go_is_said_again(at_mill: Page) -> None:
+    waiting: list[Route] = []
+    at_mill.route("**/control/jog", lambda route: waiting.append(route))
+    ended = at_mill.locator(".log li", has_text=re.compile("Jog: done"))
+    before = ended.count()
+    finger = Finger(at_mill, "X minus")
+    with at_mill.expect_request("**/control/jog"):
+        finger.down()
+    with at_mill.expect_response("**/control/jog-cancel"):
+        finger.gone()
+    farther(waiting[0])
+    expect(ended).to_have_count(before + 1, timeout=STOPPED_MS)
+    expect(machine_state(at_mill)).to_have_text("idle")
+    assert place_mm(at_mill, "X") > -FAR_MM
+
+
+def test_a_hold_that_nothing_ends_is_short(at_mill: Page) -> None:
+    """The order itself goes no farther than some seconds of feed, and a second finger changes nothing."""
+    sent: list[str] = []
+    at_mill.on("request", lambda asked: sent.append(asked.post_data or "") if asked.url.endswith("/jog") else None)
+    before = place_mm(at_mill, "X")
+    finger = Finger(at_mill, "X minus")
+    finger.down()
+    expect(readout(at_mill, "X", own=True)).to_have_text(f"−{3 - before:.3f}")
+    expect(machine_state(at_mill)).to_have_text("idle")
+    finger.gone()
+    assert len(sent) == 1
+
+
+def test_a_probe_sets_the_zero_by_the_plate(at_mill: Page) -> None:
+    """The plate is felt at machine Z -25; from there the tool rises, and its height over the block is known."""
+    say(at_mill, "G53 G0 Z-20")
+    expect(readout(at_mill, "Z", own=True)).to_have_text("−20.000", timeout=WAIT_MS)
+    unfold_probe(at_mill)
+    at_mill.get_by_label("Plate thickness").fill(str(PLATE_MM))
+    at_mill.get_by_role("button", name="Probe Z", exact=True).click()
+    question = at_mill.get_by_role("group", name="Probe Z")
+    expect(question).to_contain_text("goes down by up to 10 mm")
+    question.get_by_role("button", name="Probe", exact=True).click()
+    expect(readout(at_mill, "Z")).to_have_text(f"{PLATE_MM + RETRACT_MM:.3f}", timeout=WAIT_MS)
+    expect(readout(at_mill, "Z", own=True)).to_have_text("−23.000")
+    expect(machine_state(at_mill)).to_have_text("idle")
+
+
+def test_a_probe_that_touches_nothing_is_said_with_what_to_do(at_mill: Page) -> None:
+    unfold_probe(at_mill)
+    at_mill.get_by_label("Down at most").fill("1")
+    at_mill.get_by_role("button", name="Probe Z", exact=True).click()
+    at_mill.get_by_role("group", name="Probe Z").get_by_role("button", name="Probe", exact=True).click()
+    expect(at_mill.locator(".trouble")).to_contain_text(re.compile("probe", re.IGNORECASE), timeout=WAIT_MS)
+    expect(at_mill.locator(".trouble")).to_contain_text("Next:")
+    homed(at_mill)
