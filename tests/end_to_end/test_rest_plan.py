@@ -1,0 +1,43 @@
+"""A lens that may not change, and a ball too large for its valleys: planned, cut, checked and judged as milled."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]
+PICTURE = Path(__file__).parents[2] / "examples" / "camera.png"
+HOPEFUL_DB = 3.0  # by which a plan may promise too much where a rest pass blends into what surrounds it
+VALUES = {
+    "image.pixels": 48,
+    "optics.width_mm": 12,
+    "optics.height_mm": 12,
+    "optics.throw_mm": 12,
+    "optics.min_radius_mm": 0.25,
+    "machine.step_mm": 0.0005,
+    "machine.z_noise_mm": 0.0001,
+}
+
+
+@pytest.mark.thorough
+def test_a_planned_rest_pass_is_cut_where_the_big_ball_left_stock(tmp_path: Path) -> None:
+    settings = [part for key, value in VALUES.items() for part in ("--set", f"{key}={value}")]
+    job = tmp_path / "job"
+    done = subprocess.run(
+        [*COMMAND, "make", PICTURE, "-o", job, "--preset", "recommended", *settings],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    report = json.loads((job / "report.json").read_text())
+    foretold, (finish, cleared) = report["plan"]["rest"], report["passes"][-2:]
+    assert cleared["settings"]["where"] == "rest"
+    assert cleared["settings"]["radius_mm"] < finish["settings"]["radius_mm"]
+    assert cleared["rest"]["area_mm2"] == pytest.approx(foretold["area_mm2"], rel=0.1)
+    assert foretold["area_share"] < 0.3
+    assert report["as_milled"]["psnr_db"] > report["plan"]["psnr_db"] - HOPEFUL_DB
