@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from machines.errors import MachineError, ProgramRefusedError
-from machines.gcode.limits import MillLimits, limits_of, placement_problems
+from machines.gcode.limits import AT_PRESENT_ZERO, MillLimits, limits_of, placement_problems
 from machines.gcode.preflight import Preflight
 from machines.grbl.settings import ControllerSettings
 from machines.profiles import MachineProfile
@@ -74,7 +74,7 @@ def preflight(
     except OSError as error:
         raise PreflightError(sentence_of_os_error(error, doing="pre-flight")) from None
     problems = placement_problems(found, settings) if settings else ()
-    return replace(found, warnings=(*found.warnings, *(f"at the present work zero {words}" for words in problems)))
+    return replace(found, warnings=(*found.warnings, *(f"{AT_PRESENT_ZERO} {words}" for words in problems)))
 
 
 def _computed(

@@ -20,7 +20,7 @@ from optics.heightfield import Heightfield
 SLOPE_ERROR_RAD = 0.5e-3
 DECIMALS = 5  # of z in most dialects
 _PLACES = (0.3, 0.7)  # of either side: the middles of samples
-_SAMPLE_MM, _SAMPLE_PITCHES = 10.0, 1000.0  # side of a sample, or a quarter of the lens
+_SAMPLE_MM, _SAMPLE_PITCHES = 10.0, 150.0  # side of a sample; no more than a quarter of the lens's
 
 
 def row_tracks(
@@ -71,7 +71,7 @@ def sample_facets(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     surface: ToolSurface | None = None,
 ) -> tuple[Array, ...]:
-    """(n, 4, 5) facets of four squares of the lens, a hundredth of it each at most: what such rows do to its slopes.
+    """(n, 4, 5) facets of four squares of the lens, of 150 rows each at most: what such rows do to its slopes.
 
     surface : of this ball over this lens (x and y exchanged for rows along y), if the caller has it already
     """

@@ -66,6 +66,10 @@ def _usable(triple: Triple | None) -> Triple | None:
     return triple if triple is not None and min(triple) > 0 else None
 
 
+AT_PRESENT_ZERO = "at the present work zero"
+"""So begins a warning that holds until the work zero is set again."""
+
+
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:
     """Where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
 

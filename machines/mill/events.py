@@ -136,3 +136,6 @@ class MillEvents(MillFollowing):
                 vouched = "".join(sorted({*str(run.record.get("zeroed", "")), *axes}))
                 run.write("zeroed", zeroed=vouched)
                 self._rest(run)
+            for run in (one for one in self._runs.values() if one.state is RunState.PARKED):
+                run.write("zeroed", warnings=run.lasting_warnings)  # its start asks again, at the new zero
+            self._publish()

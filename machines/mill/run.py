@@ -9,6 +9,7 @@ from typing import Any
 
 from machines.driver import MillStatus, StreamProgress
 from machines.errors import JournalError
+from machines.gcode.limits import AT_PRESENT_ZERO
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
@@ -70,6 +71,11 @@ class Run:
             self.facts = folders.load_facts(self.id)
             self.reader = reader(self.facts)
         return self.facts, self.reader
+
+    @property
+    def lasting_warnings(self) -> list[str]:
+        """Those that hold wherever the work zero is."""
+        return [one for one in self.record.get("warnings", ()) if not one.startswith(AT_PRESENT_ZERO)]
 
     # ------------------------------------------------------------------ what is written
 

@@ -174,7 +174,7 @@ class MillStarting(MillEvents):
         known = answer or {}
         if placement.problems:
             self._say("notice", f"not certain that the program fits: {'; '.join(placement.problems)}")
-        warnings = [*run.record.get("warnings", ()), *placement.problems]
+        warnings = [*run.lasting_warnings, *placement.problems]
         return {
             "operator": confirmation.operator, "checks": sorted(confirmation.checks), "offsets": known.get("offsets"),
             "settings": known.get("settings"), "parser_state": known.get("parser_state"), "restarted": False,

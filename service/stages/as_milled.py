@@ -31,7 +31,7 @@ from service.stages.optical_task import bench_of
 from service.stages.plain import plain
 from service.stages.workshop import Workshop
 
-_SAMPLES = 24  # parts of the surface whose slopes are measured
+_SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; of a small one a quarter, but not fewer
 _FINER = 4.0  # a quarter of the pitch: as good as no grooves
 
 
@@ -84,7 +84,8 @@ def _decimals(machine: MachineProfile) -> int:
 
 
 def _sampled(surface: MilledSurface) -> Iterator[Array]:
-    for number in np.unique(np.linspace(0, surface.parts - 1, _SAMPLES).astype(int)):
+    samples = min(_SAMPLES, max(_FEW, surface.parts // 4))
+    for number in np.unique(((np.arange(samples) + 0.5) / samples * surface.parts).astype(int)):
         yield surface.part(int(number))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ import pytest
 
 from machines.driver import MillState, Override, SendBlock, SetZero, TrustPosition
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
+from machines.gcode.limits import AT_PRESENT_ZERO
 from machines.journal.disk import InlineSyncer
 from machines.journal.journal import Journal, read_journal
 from machines.runs import START_CHECKS, Confirmation, RunState
@@ -35,6 +37,18 @@ def test_after_a_program_z_is_to_be_touched_off_until_it_was(shop: Shop) -> None
     shop.bench.until_state(MillState.IDLE)
     shop.bench.command_done(SetZero("Z"))
     assert shop.mill.snapshot.needs == ()
+
+
+def test_what_is_said_of_the_work_zero_is_forgotten_when_it_is_set_again(shop: Shop) -> None:
+    lasting, passing = "the feed is above what the profile knows", f"{AT_PRESENT_ZERO} X would go from -3 to 23 mm"
+    second = shop.mill.park(replace(shop.facts, warnings=(lasting, passing)), shop.path, "part 2").id
+
+    def warnings() -> tuple[str, ...]:
+        return next(one.warnings for one in shop.mill.snapshot.runs if one.id == second)
+
+    assert warnings() == (lasting, passing)
+    shop.bench.command_done(SetZero("XYZ"))
+    assert warnings() == (lasting,)
 
 
 @pytest.mark.parametrize("missing", sorted(START_CHECKS))

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.page.browser import Scheme, layout_faults, serious_faults
 from tests.page.conftest import Opened
-from tests.page.driving import homed, machine_state, readout, release, take_control
+from tests.page.driving import WAIT_MS, homed, machine_state, readout, release, take_control
 from tests.page.machine_states import STATES, machine_in, told
 from tests.page.shop import MILL, Shop
 
@@ -73,6 +73,7 @@ def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(op
         with page.expect_response(lambda answer: "/control/" in answer.url) as told:
             page.get_by_role("button", name=name).click()
         assert told.value.status == 202
+    expect(machine_state(page)).to_have_text("idle", timeout=WAIT_MS)
 
 
 def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened, shop: Shop) -> None:
@@ -119,6 +120,23 @@ def test_mill_and_program_are_one_state_in_words(opened: Opened) -> None:
     assert page.evaluate(script, ["idle", "running", 0]) == ["starting", "starting"]
     assert page.evaluate(script, ["run", "parked", 0]) == ["moving", "waits for your start"]
     assert page.evaluate(script, ["idle", "finished", 9]) == ["idle", "finished"]
+
+
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_hold_and_stop_never_move_and_nothing_comes_into_their_place(opened: Opened, size: str) -> None:
+    """A second press of a frightened hand must not resume."""
+    page = opened("#/machines", size=size)
+    found = []
+    for state in ("running", "held"):
+        told(page, state)
+        page.evaluate(f"location.hash = '{SCREEN}'")
+        expect(page.locator(".running .mark")).to_be_visible()
+        found.append([page.get_by_role("button", name=name).bounding_box() for name in ("HOLD", "STOP")])
+        expect(page.get_by_role("button", name="Resume")).to_be_visible(visible=state == "held")
+        if state == "running":
+            page.evaluate("location.hash = '#/machines'")
+            expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize(("size", "scheme"), [("wide", "light"), ("tablet", "light"), ("phone", "dark")])

@@ -47,8 +47,9 @@ def test_every_plan_worth_having_is_a_point_and_the_chosen_one_is_marked(
     points = page.get_by_role("radio", name="will blur")
     expect(points).to_have_count(len(rows))
     assert len(rows) > 1
-    boxes = [box for point in points.all() if (box := point.locator(".plan-dot").bounding_box())]
-    places = [(box["x"], -box["y"]) for box in boxes]
+    boxes = "dots => dots.map((dot) => dot.getBoundingClientRect()).map(({x, y}) => [x, -y])"
+    places = page.locator("[role=radio] .plan-dot").evaluate_all(boxes)  # all at once: pictures that come move the page
+    assert len(places) == len(rows)
     assert places == sorted(places) and [y for _, y in places] == sorted(y for _, y in places)
     expect(points.nth(planned["report"]["plan"]["chosen"])).to_have_accessible_name(re.compile("this job's plan"))
     assert serious_faults(page) == []

@@ -1,5 +1,6 @@
 /**
- * HOLD and STOP: always in sight, taken from everybody, without control and whatever else is on its way.
+ * HOLD and STOP: always in sight, always in the same place (Resume has one of its own, empty while nothing is held), taken
+ * from everybody, without control and whatever else is on its way.
  *
  * Keys: while something moves Space holds wherever the focus is, but in a field one writes in; Escape stops. A mill that
  * stands leaves both keys to the controls. A mill of which nothing is known may move.
@@ -16,9 +17,9 @@ export function stops(link) {
   const words = said();
   const hold = big("hold", "HOLD", "Space", () => link.urgent("hold"));
   const stop = big("stop", "STOP", "Escape", () => link.urgent("abort"));
-  const resume = h("button", { type: "button", class: "big primary resume", onclick: () => words.during(() => resumed(link)) }, "Resume");
+  const resume = h("button", { type: "button", class: "big primary", onclick: () => words.during(() => resumed(link)) }, "Resume");
   const alarm = h("p", { class: "arrived", role: "alert" });
-  const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, h("div", { class: "stop-row" }, hold, resume, stop), words.node);
+  const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, words.node, h("div", { class: "stop-row" }, hold, stop, h("div", { class: "resume-place" }, resume)));
   const keys = (event) => onKey(event, link);
   addEventListener("keydown", keys, { capture: true });
   return {

@@ -20,7 +20,7 @@ def job(report: dict[str, object] | None) -> Job:
 
 
 def passes_shown(report: dict[str, object] | None) -> list[str]:
-    shown = whole(job(report), position=None, progress=None, runs=(), files=())["stages"]
+    shown = whole(job(report), position=None, progress=None, picture=None, runs=(), files=())["stages"]
     assert abs(sum(stage["share"] for stage in shown) - 1.0) < 1e-3
     return [stage["name"] for stage in shown if stage["name"].startswith("pass-")]
 
