@@ -36,7 +36,10 @@ class WrongCodeError(Exception):
         if left:
             words = f"this is not the code; {left} {'tries' if left > 1 else 'try'} left"
         else:
-            words = "no code is valid any more: say `causticmill token pair` on the server's computer for a new one"
+            words = (
+                "no code is valid any more; a new one, on the server's computer: `causticmill token pair --data DIR` "
+                "(DIR: the folder that `serve` was given)"
+            )
         super().__init__(words)
         self.left = left
 

@@ -155,6 +155,9 @@ def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(open
     assert token
     kept = page.evaluate("[localStorage, sessionStorage].map(one => JSON.stringify(one)).join() + document.cookie")
     assert token not in kept + page.url and not page.context.cookies()
+    page.get_by_role("button", name="Grace").click()
+    page.get_by_role("button", name="Keep it").click()
+    expect(page.get_by_role("button", name="Grace")).to_be_visible()
     page.reload()
     expect(page.get_by_role("button", name="Enter key")).to_be_visible()
 

@@ -61,7 +61,8 @@ function form(scope, close) {
         "small",
         { id: hint },
         "The code stands in the terminal where the server runs. A new one: ",
-        h("code", {}, "causticmill token pair"),
+        h("code", {}, "causticmill token pair --data DIR"),
+        " with the server's folder."
       ),
       wrong,
     ),
@@ -77,6 +78,26 @@ async function exchange(text, name) {
   throw new Error("A code is eight digits like 4831-2207; a token begins with cm_.");
 }
 
+/** A touch on one's own name must not take the mill out of one's hands. */
+async function giveBack() {
+  const sure = await open({
+    title: "Give the key back?",
+    body: (close) =>
+      h(
+        "div",
+        { class: "stack" },
+        h("p", {}, "This page cannot run a mill then, until a key is entered again."),
+        h(
+          "div",
+          { class: "actions" },
+          h("button", { type: "button", onclick: () => close(false) }, "Keep it"),
+          h("button", { type: "button", class: "primary", onclick: () => close(true) }, "Give it back"),
+        ),
+      ),
+  });
+  if (sure === true) api.forget();
+}
+
 /** Keeps a button up to date that says who is here, and takes a key or gives it back. */
 export function showWho(button) {
   const show = (who) => {
@@ -84,7 +105,7 @@ export function showWho(button) {
     button.textContent = known ? who.name : "Enter key";
     button.title = known ? "Give the key back" : "A key is needed to run a mill";
   };
-  button.addEventListener("click", () => (api.token ? api.forget() : api.need("machine:run")));
+  button.addEventListener("click", () => (api.token ? giveBack() : api.need("machine:run")));
   api.onWho(show);
   show(api.who);
 }
