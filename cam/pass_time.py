@@ -220,3 +220,10 @@ def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinem
     length_mm, across_mm = form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm
     rows = across_mm / max(spec.pitch_mm, LAYER_STRIDE * spec.radius_mm)
     return layers * rows * (length_mm / feed + feed / min(mill.acceleration_mm_per_s2[:2]))
+
+
+def layers_where_s(form: LensForm, spec: PassSpec, stock_mm: Array, mill: Kinematics) -> float:
+    """The same layers where stock (ny, nx) of different heights stands above the lens."""
+    deepest = ceil(float(stock_mm.max()) / spec.step_down_mm - 1e-9)
+    share = sum(float((stock_mm > number * spec.step_down_mm).mean()) for number in range(1, deepest))
+    return share * finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from cam.duration import Kinematics
-from cam.pass_time import LensForm, entry_s, finish_layers_s, slowness_s_per_mm, turn_s
+from cam.pass_time import LensForm, entry_s, layers_where_s, slowness_s_per_mm, turn_s
 from cam.passes import Direction, PassSpec
 from cam.rest import BLEND_MM, CUSPS, LEAST_MM
 from cam.row_slopes import RowSlopes
@@ -93,7 +93,7 @@ class RestExtent:
         regions, length_mm = int(ndimage.label(near, structure=np.ones((3, 3)))[1]), area_mm2 / spec.pitch_mm
         seconds = length_mm * slowness_s_per_mm(filled.form_near(form), spec, mill) + regions * entry_s(spec)
         seconds += _turns(filled.lens, near, spec) * turn_s(spec, mill)
-        seconds += _layers(filled, spec) * finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)
+        seconds += layers_where_s(form, spec, filled.over_mm, mill)
         return cls(area_mm2=area_mm2, length_mm=length_mm, regions=regions, seconds=seconds)
 
 
@@ -182,9 +182,3 @@ def _turns(lens: Heightfield, near: Mask, spec: PassSpec) -> float:
     along, spacing_mm = (near, lens.dy_mm) if spec.direction == "x" else (near.T, lens.dx_mm)
     starts = along[:, 0].sum() + (along[:, 1:] & ~along[:, :-1]).sum()
     return float(starts) * spacing_mm / spec.pitch_mm
-
-
-def _layers(filled: Filled, spec: PassSpec) -> float:
-    """Areas of the lens that layers go over before the exact rows."""
-    deepest = ceil(float(filled.over_mm.max()) / spec.step_down_mm - 1e-9)
-    return sum(float((filled.over_mm > number * spec.step_down_mm).mean()) for number in range(1, deepest))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
+from cam.pass_time import LensForm, layers_s, layers_where_s, rows_s
 from cam.passes import PassSpec
 from cam.plan_rest import Filled, RestExtent
 from cam.posts.dialects import POSTS
@@ -160,8 +160,7 @@ def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
     form, mill = quick.form, kinematics_of(machine_of(quick.spec))
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
-    one_layer_s = finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)
-    return rows_s(form, spec, mill) + one_layer_s * _layers(depth_mm, spec)
+    return rows_s(form, spec, mill) + layers_where_s(form, spec, depth_mm, mill)
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
@@ -171,12 +170,6 @@ def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
     normal_mm = spec.stock_to_leave_mm + spec.pitch_mm**2 / (8 * spec.radius_mm)
     return np.asarray(filled + normal_mm * np.sqrt(1.0 + slope**2))
-
-
-def _layers(depth_mm: Array, spec: PassSpec) -> float:
-    """How many times the lens's area is gone over before the exact rows."""
-    deepest = ceil(float(depth_mm.max()) / spec.step_down_mm - 1e-9)
-    return sum(float((depth_mm > number * spec.step_down_mm).mean()) for number in range(1, deepest))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import os
 import shutil
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
@@ -53,6 +54,7 @@ def _folder() -> Path:
     return home / "causticmill" / f"kernels-{_state_of_sources()}"
 
 
+@cache
 def _state_of_sources() -> str:
     root = Path(__file__).parents[1]
     digest = hashlib.sha256()

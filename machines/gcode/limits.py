@@ -9,6 +9,9 @@ from machines.gcode.preflight import Preflight, Triple
 from machines.grbl.settings import ControllerSettings
 from machines.profiles import MachineProfile
 
+AT_PRESENT_ZERO = "at the present work zero"
+"""So begins a warning that holds until the work zero is set again."""
+
 _AXES = "XYZ"
 
 
@@ -64,10 +67,6 @@ def limits_of(profile: MachineProfile, settings: ControllerSettings | None = Non
 
 def _usable(triple: Triple | None) -> Triple | None:
     return triple if triple is not None and min(triple) > 0 else None
-
-
-AT_PRESENT_ZERO = "at the present work zero"
-"""So begins a warning that holds until the work zero is set again."""
 
 
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:

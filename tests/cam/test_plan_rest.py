@@ -19,18 +19,11 @@ from cam.stock_grid import StockGrid
 from cam.tools import Tool
 from optics.closing import closed_to_radius
 from optics.heightfield import Heightfield
+from tests.cam.balls import tool
 from tests.cam.checking import MILL, checked
 
 SIDE = 14.0
 STOCK = Stock(width_mm=SIDE, height_mm=SIDE, thickness_mm=20.0, margin_mm=8.0)
-
-
-def tool(radius_mm: float, **changes: float) -> Tool:
-    usual = Tool(
-        name=f"r{radius_mm:g}", radius_mm=radius_mm, flutes=2, flute_length_mm=20.0, shank_radius_mm=radius_mm,
-        stick_out_mm=30.0, max_rpm=30_000, cost_class=1,
-    )  # fmt: skip
-    return replace(usual, **changes)
 
 
 BIG, MIDDLE, SMALL = tool(3.0), tool(1.5), tool(0.5)

@@ -24,6 +24,7 @@ from cam.stock_grid import StockGrid
 from cam.tool_surface import ToolSurface
 from cam.tools import Tool
 from optics.heightfield import Heightfield
+from tests.cam.balls import tool
 
 MILL = Kinematics(
     max_rate_mm_per_min=(5000.0, 5000.0, 1500.0),
@@ -33,14 +34,6 @@ MILL = Kinematics(
     lines_per_s=400.0,
 )
 SIDE_MM = 20.0
-
-
-def tool(radius_mm: float, **changes: object) -> Tool:
-    usual = Tool(
-        name=f"r{radius_mm:g}", radius_mm=radius_mm, flutes=2, flute_length_mm=20.0, shank_radius_mm=radius_mm,
-        stick_out_mm=30.0, max_rpm=30_000, cost_class=1,
-    )  # fmt: skip
-    return replace(usual, **changes)
 
 
 def shop(*tools: Tool, noise_mm: float = 0.0005, step_mm: float = 0.002, margin_mm: float = 14.0) -> Shop:

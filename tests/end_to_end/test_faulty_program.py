@@ -13,9 +13,17 @@ from PIL import Image
 
 from cam.program import generate_parts
 from service.cli import run
+from tests.end_to_end.command import settings
 
-VALUES = ("image.pixels=32", "image.tone=linear", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=40")
-SETTINGS = [part for value in VALUES for part in ("--set", value)]
+SETTINGS = settings(
+    {
+        "image.pixels": 32,
+        "image.tone": "linear",
+        "optics.width_mm": 10,
+        "optics.height_mm": 10,
+        "optics.throw_mm": 40,
+    }
+)
 
 
 def spoiled(how: str) -> Any:

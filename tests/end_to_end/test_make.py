@@ -8,7 +8,6 @@ import re
 import resource
 import signal
 import subprocess
-import sys
 import time
 from functools import cache
 from pathlib import Path
@@ -22,11 +21,18 @@ from pygcode import Line, Machine
 
 from optics.heightfield import Heightfield
 from service.stages.arrays import load_heightfield
+from tests.end_to_end.command import COMMAND, ran, settings
 
 SIDE_MM = 10.0
-COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]
-VALUES = ("image.pixels=64", "image.tone=linear", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=40")
-SETTINGS = [part for value in VALUES for part in ("--set", value)]
+SETTINGS = settings(
+    {
+        "image.pixels": 64,
+        "image.tone": "linear",
+        "optics.width_mm": 10,
+        "optics.height_mm": 10,
+        "optics.throw_mm": 40,
+    }
+)
 PICTURES = (
     "target.png", "caustic.png", "through-focus.png", "toolpath.png", "caustic-as-milled.png", "as-milled.png",
 )  # fmt: skip
@@ -48,9 +54,7 @@ def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def job(picture: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The finished job's folder and what the command printed."""
     out = tmp_path_factory.mktemp("job") / "out"
-    done = subprocess.run(
-        [*COMMAND, "make", picture, "-o", out, *SETTINGS], capture_output=True, text=True, check=False
-    )
+    done = ran("make", picture, "-o", out, *SETTINGS)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return out, done.stdout
@@ -197,9 +201,7 @@ def test_check_accepts_the_programs_and_sees_a_gouge(job: tuple[Path, str], tmp_
     """The same program, one line of it 50 µm deeper, is refused with exit code 1 and that line's number."""
     out, _ = job
     lens = ["--heightfield", out / "heightfield.npz"]
-    good = subprocess.run(
-        [*COMMAND, "check", out / "pass-1-rough.nc", *lens], capture_output=True, text=True, check=False
-    )
+    good = ran("check", out / "pass-1-rough.nc", *lens)
     assert (good.returncode, good.stderr) == (0, "")
     assert "no fault" in good.stdout
     lines = (out / "pass-3-finish.nc").read_text().splitlines()
@@ -209,8 +211,7 @@ def test_check_accepts_the_programs_and_sees_a_gouge(job: tuple[Path, str], tmp_
     for name in ("spec.json", "report.json", "pass-1-rough.nc", "pass-2-rough.nc"):
         (tmp_path / name).write_bytes((out / name).read_bytes())
     (tmp_path / "pass-3-finish.nc").write_text("\n".join(lines) + "\n")
-    command = [*COMMAND, "check", tmp_path / "pass-3-finish.nc", *lens, "--quiet"]
-    bad = subprocess.run(command, capture_output=True, text=True, check=False)
+    bad = ran("check", tmp_path / "pass-3-finish.nc", *lens, "--quiet")
     assert bad.returncode == 1
     assert all(line.startswith("error: ") for line in bad.stderr.splitlines())
     assert f"line {middle + 1} " in bad.stderr or f"line {middle + 2} " in bad.stderr
@@ -225,7 +226,7 @@ def test_cam_alone_makes_the_same_programs_again(job: tuple[Path, str], report: 
         (copy / path.name).write_bytes(path.read_bytes())
     for name in ("pass-3-finish.nc", "toolpath.png", "report.html"):
         (copy / name).unlink()
-    done = subprocess.run([*COMMAND, "cam", copy, "--quiet"], capture_output=True, text=True, check=False)
+    done = ran("cam", copy, "--quiet")
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     again = json.loads((copy / "report.json").read_text())
     assert [row["sha256"] for row in again["passes"]] == [row["sha256"] for row in report["passes"]]
@@ -255,8 +256,8 @@ def test_a_disk_that_takes_no_more_leaves_nothing(picture: Path, tmp_path: Path)
 
     earlier = tmp_path / "out"
     earlier.mkdir()
-    command = [*COMMAND, "make", picture, "-o", earlier, *SETTINGS, "--set", "optics.corrections=0", "--quiet"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, preexec_fn=limit)
+    fewer = settings({"optics.corrections": 0})
+    done = ran("make", picture, "-o", earlier, *SETTINGS, *fewer, "--quiet", preexec_fn=limit)
     assert done.returncode == 1
     assert len(done.stderr.splitlines()) == 1
     assert "the file is larger than this system allows" in done.stderr

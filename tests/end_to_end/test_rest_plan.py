@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]
+from tests.end_to_end.command import ran, settings
+
 PICTURE = Path(__file__).parents[2] / "examples" / "camera.png"
 HOPEFUL_DB = 3.0  # by which a plan may promise too much where a rest pass blends into what surrounds it
 VALUES = {
@@ -25,14 +24,8 @@ VALUES = {
 
 @pytest.mark.thorough
 def test_a_planned_rest_pass_is_cut_where_the_big_ball_left_stock(tmp_path: Path) -> None:
-    settings = [part for key, value in VALUES.items() for part in ("--set", f"{key}={value}")]
     job = tmp_path / "job"
-    done = subprocess.run(
-        [*COMMAND, "make", PICTURE, "-o", job, "--preset", "recommended", *settings],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    done = ran("make", PICTURE, "-o", job, "--preset", "recommended", *settings(VALUES))
     assert done.returncode == 0, done.stderr
     report = json.loads((job / "report.json").read_text())
     foretold, (finish, cleared) = report["plan"]["rest"], report["passes"][-2:]

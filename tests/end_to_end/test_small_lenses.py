@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-COMMAND = [sys.executable, "-c", "from service.cli import main; main()"]
+from tests.end_to_end.command import ran, settings
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
@@ -29,7 +28,5 @@ def test_a_small_steep_lens_passes_its_check(tmp_path, picture, preset, side_mm,
     values = {"image.pixels": 48, "optics.throw_mm": throw_mm, "optics.width_mm": side_mm, "optics.height_mm": side_mm}
     if preset == "recommended":
         values["plan.hours"] = 0.1  # the best picture would take rows 0.015 mm apart
-    settings = [part for key, value in values.items() for part in ("--set", f"{key}={value}")]
-    job = [*COMMAND, "make", EXAMPLES / f"{picture}.png", "-o", tmp_path / "job", "--preset", preset, *settings]
-    done = subprocess.run(job, capture_output=True, text=True, check=False)
+    done = ran("make", EXAMPLES / f"{picture}.png", "-o", tmp_path / "job", "--preset", preset, *settings(values))
     assert done.returncode == 0, done.stderr

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +12,8 @@ from PIL import Image
 from cam.reading.gcode import read_program
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_pty
+from tests.end_to_end.command import ran
 
-COMMAND = [sys.executable, "-m", "service.cli"]
 SPEC = """
 image.pixels = 32
 optics = {width_mm = 6, height_mm = 6, throw_mm = 30}
@@ -42,8 +40,8 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     y, x = np.mgrid[0:32, 0:32] / 31
     Image.fromarray(np.rint(120 + 60 * np.sin(3 * x + y) * y).astype(np.uint8)).save(folder / "p.png")
     (folder / "spec.toml").write_text(SPEC)
-    arguments = ["make", str(folder / "p.png"), "-o", str(folder / "job"), "--spec", str(folder / "spec.toml"), "-q"]
-    subprocess.run([*COMMAND, *arguments], check=True)
+    done = ran("make", folder / "p.png", "-o", folder / "job", "--spec", folder / "spec.toml", "-q")
+    assert done.returncode == 0, done.stderr
     return sorted((folder / "job").glob("pass-*.nc"))
 
 
@@ -55,14 +53,8 @@ def test_the_path_cut_is_the_path_programmed(programs: list[Path], tmp_path: Pat
     folders = {"CAUSTICMILL_CONFIG_DIR": str(tmp_path / "config"), "XDG_STATE_HOME": str(tmp_path)}
     mill = SimulatedMill(GRBL_11)
     with serve_pty(mill, SPEEDUP) as endpoint:
-        done = subprocess.run(
-            [*COMMAND, "stream", str(programs[number]), "--port", endpoint.url, "--machine", "bench", "--yes"],
-            env={**os.environ, **folders},
-            capture_output=True,
-            text=True,
-            check=False,
-            timeout=300,
-        )
+        told = ["--port", endpoint.url, "--machine", "bench", "--yes"]
+        done = ran("stream", programs[number], *told, env={**os.environ, **folders}, timeout=300)
     assert done.returncode == 0, done.stderr
     assert "finished" in done.stdout
     batches = list(read_program([programs[number].read_bytes()]))

@@ -99,10 +99,23 @@ def of_a_plan(opened: Opened, shop: Shop) -> Page:
 
 
 def of_two_jobs(opened: Opened, shop: Shop) -> Page:
+    page = compared(opened, shop)
+    expect(page.get_by_role("slider", name="Wipe between")).to_be_visible()
+    return page
+
+
+def of_two_jobs_without_pictures(opened: Opened, shop: Shop) -> Page:
+    """They are on their way, and stay there."""
+    return compared(opened, shop, pictures="**/*.png")
+
+
+def compared(opened: Opened, shop: Shop, pictures: str = "") -> Page:
     job, files = jobs.of_shop(shop)
     other = jobs.like(job, 3, name=LONG_NAME, spec=job["spec"] | {"image": job["spec"]["image"] | {"pixels": 128}})
     page = opened("#/machines")
     jobs.answer(page, other, files)
+    if pictures:
+        page.route(pictures, lambda _route: None)
     page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
     expect(page.get_by_role("heading", level=1, name="Compare")).to_be_visible()
     return page
@@ -164,6 +177,7 @@ SCREENS: dict[str, Screen] = {
     "job-running": of_a_job("running", progress=0.4, report=None, programs=[]),
     "job-planned": of_a_plan,
     "two-jobs": of_two_jobs,
+    "two-jobs-waiting": of_two_jobs_without_pictures,
     "question": of_a_question,
     "machines": of_machines,
     "machine-key": of_the_key_beside_a_mill,

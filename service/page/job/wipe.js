@@ -5,12 +5,12 @@ const COARSE_PIXELS = 256;
 
 /** {node, show(left, right)}; a side is {words, url, alt}. */
 export function wipe() {
-  const under = h("img", { class: "wipe-picture", draggable: false });
-  const over = h("img", { class: "wipe-picture wipe-over", draggable: false });
+  const under = h("img", { class: "wipe-picture", alt: "", draggable: false });
+  const over = h("img", { class: "wipe-picture wipe-over", alt: "", draggable: false });
   const names = [h("span", { class: "wipe-name" }), h("span", { class: "wipe-name wipe-name-right" })];
   const bar = h("div", { class: "wipe-bar", "aria-hidden": "true" });
   const frame = h("div", { class: "wipe-frame" }, under, over, bar, names);
-  const range = h("input", { type: "range", min: 0, max: 100, step: 0.5, value: 50, class: "wipe-range" });
+  const range = h("input", { type: "range", min: 0, max: 100, step: 0.5, value: 50, class: "wipe-range", "aria-label": "Wipe" });
   const node = h("div", { class: "wipe" }, frame, range);
 
   function set(percent) {

@@ -1,7 +1,7 @@
 /** The key: a code that the server printed where it runs, exchanged for a token that this page's memory holds. */
 
 import { api } from "./api.js";
-import { open } from "./dialog.js";
+import { confirm, open } from "./dialog.js";
 import { freshId, h, replace } from "./dom.js";
 
 const CODE = /^\s*(\d{4})[\s-]?(\d{4})\s*$/;
@@ -80,22 +80,13 @@ async function exchange(text, name) {
 
 /** A touch on one's own name must not take the mill out of one's hands. */
 async function giveBack() {
-  const sure = await open({
+  const sure = await confirm({
     title: "Give the key back?",
-    body: (close) =>
-      h(
-        "div",
-        { class: "stack" },
-        h("p", {}, "This page cannot run a mill then, until a key is entered again."),
-        h(
-          "div",
-          { class: "actions" },
-          h("button", { type: "button", onclick: () => close(false) }, "Keep it"),
-          h("button", { type: "button", class: "primary", onclick: () => close(true) }, "Give it back"),
-        ),
-      ),
+    words: "This page cannot run a mill then, until a key is entered again.",
+    yes: "Give it back",
+    no: "Keep it",
   });
-  if (sure === true) api.forget();
+  if (sure) api.forget();
 }
 
 /** Keeps a button up to date that says who is here, and takes a key or gives it back. */
