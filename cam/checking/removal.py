@@ -6,10 +6,12 @@ s* = u - rho m / q (m = dz/ds, q = sqrt(1 + m^2)): inside the move the swept cyl
 the ball at the nearer end.
 
 Theory of operation. Over a whole path a point gets its lowest cut at an s* inside some move, or at a corner that is a
-local minimum from both sides. So a move visits only the cells whose s* lies in it (a strip as long as the move, not the
-ball's whole disc), plus, before it, the wedge its corner with the move before opens; after a sharp turn, a stop or a
-change between rapid and feed, the whole disc of the corner, on the account of the move that ends there. Nothing is
-lost by this, and the drop found at a cell is the full depth of cut there, not the sliver that one short move adds.
+local minimum from both sides. So a move visits only the cells whose s* lies in it (a strip as long as the move, bent
+where the move is steep, as s* depends on rho; not the ball's whole disc), plus, before it, the wedge its corner with
+the move before opens; after a sharp turn, a stop or a change between rapid and feed, the whole disc of the corner, on
+the account of the move that ends there. Nothing is lost by this, and the drop found at a cell is the full depth of cut
+there, not the sliver that one short move adds. Tiles of cells whose highest stock, their crown, lies under the whole
+ball are passed over.
 Two threads share a grid by rows (even, odd): every cell is written by one thread, so the result does not depend on
 them.
 """
@@ -22,7 +24,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import maximum_filter1d
 
-from cam.checking.sweep import REACH, STRIKE, TALLIES, cap, sweep
+from cam.checking.sweep import REACH, STRIKE, TALLIES, cap, crowns_of, sweep
 from cam.reading.gcode import MoveBatch
 from cam.stock_grid import StockGrid
 from optics.heightfield import Array
@@ -64,6 +66,7 @@ class RemovalGrid:
         self._keep_off_mm = rapid_clearance_mm
         self._tile_cells = max(1, round(radius_mm / 2 / stock.cell_mm))
         self._corners = np.zeros((shares, 5))
+        self._crowns = [crowns_of(self.top_mm, share, shares) for share in range(shares)]
         self._owner_line = 0
         self._last_point = np.full(3, np.nan)
         self._shank_reach_mm, self._flutes_mm = shank or (0.0, math.inf)
@@ -90,7 +93,7 @@ class RemovalGrid:
         tally = np.zeros((len(batch) + 1, TALLIES))
         sweep(
             *(self.top_mm, self.cut_by_line, self.x0_mm, self.y0_mm, self.cell_mm),
-            *(self._ceiling, self._tile_cells * self.cell_mm),
+            *(self._ceiling, self._tile_cells * self.cell_mm, self._crowns[share]),
             *(batch.points_mm, batch.is_rapid, batch.line, self._owner_line, self.radius_mm, self._keep_off_mm),
             *((self._shank_reach_mm, self._flutes_mm, self._shank_ceiling),),
             *(share, self.shares, self._corners[share], drops, cells, tally),

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 _SMOOTH_COS = 0.9  # corners sharper than this (26 degrees) get their whole disc
+_SLACK = 1e-9
+_NO_WEDGE = 2.0  # no sine of a slope
+_TIMES, _PARALLEL = 3, 1e-3  # turns of narrowing a strip down; one does where the way is parallel to an axis
+TILE = 8  # cells a side, whose highest one is known
 _STILL_MM = 1e-9  # a move shorter than this in plan is vertical
 # Columns of a tally, per move: volume taken off left and right of the travel, how high above the tip stock was cut, and
 # how far stock stood above the flutes within the shank's reach, at which cell.
@@ -114,6 +119,92 @@ def _strike(top, x0, y0, cell, a, b, reach, flutes, first_row, row_step):  # typ
 
 
 @njit(cache=True, nogil=True)
+def crown(top, tile_row, tile_column, first_row, row_step):  # type: ignore[no-untyped-def]
+    """The highest stock in one tile, in rows first_row, first_row + row_step, ... only."""
+    ny, nx = top.shape
+    high = -math.inf
+    j0 = tile_row * TILE
+    for j in range(j0 + (first_row - j0) % row_step, min(j0 + TILE, ny), row_step):
+        for i in range(tile_column * TILE, min(tile_column * TILE + TILE, nx)):
+            high = max(high, top[j, i])
+    return high
+
+
+@njit(cache=True, nogil=True)
+def crowns_of(top, first_row, row_step):  # type: ignore[no-untyped-def]
+    """The highest stock in each tile."""
+    ny, nx = top.shape
+    crowns = np.empty((-(-ny // TILE), -(-nx // TILE)))
+    for j in range(crowns.shape[0]):
+        for i in range(crowns.shape[1]):
+            crowns[j, i] = crown(top, j, i, first_row, row_step)
+    return crowns
+
+
+@njit(cache=True, nogil=True)
+def _highest_crown(crowns, tiles, across):  # type: ignore[no-untyped-def]
+    """tiles: (row or column of tiles, from, to in it)."""
+    block, first, last = tiles
+    high = -math.inf
+    for t in range(first, last + 1):
+        high = max(high, crowns[t, block] if across else crowns[block, t])
+    return high
+
+
+@njit(cache=True, nogil=True)
+def _lower(crowns, tiles, across, top, first_row, row_step):  # type: ignore[no-untyped-def]
+    block, first, last = tiles
+    for t in range(first, last + 1):
+        j, i = (t, block) if across else (block, t)
+        crowns[j, i] = crown(top, j, i, first_row, row_step)
+
+
+@njit(cache=True, nogil=True)
+def _between(w_lo, w_hi, strip):  # type: ignore[no-untyped-def]
+    """Between which u lie the points with w_lo <= |w| <= w_hi whose lowest cut is on this move, or in the wedge before.
+
+    wedge : cosine and sine of the turn, tilt of the move before; _NO_WEDGE where none opens
+    """
+    radius, wide, tilt, length, (turn_cos, turn_sin, before) = strip
+    rho_lo = math.sqrt(max(0.0, radius * radius - w_hi * w_hi))
+    rho_hi = math.sqrt(max(0.0, radius * radius - w_lo * w_lo))
+    low = min(tilt * rho_lo, tilt * rho_hi)
+    high = length + max(tilt * rho_lo, tilt * rho_hi)
+    if before != _NO_WEDGE:  # there u' >= before rho' along the move before, and |w'| is |w| but for R sin at most
+        shift = radius * turn_sin
+        far_w, near_w = min(wide, w_hi + shift), max(0.0, w_lo * turn_cos - shift)
+        back_lo = before * math.sqrt(max(0.0, radius * radius - far_w * far_w))
+        back_hi = before * math.sqrt(max(0.0, radius * radius - near_w * near_w))
+        back = min(back_lo, back_hi) - turn_sin * w_hi
+        low = min(low, back / turn_cos, back)
+    return low - _SLACK, high + _SLACK
+
+
+@njit(cache=True, nogil=True)
+def _bent(d_lo, d_hi, e_in, e_out, low, high, strip):  # type: ignore[no-untyped-def]
+    """From, to in u of the strip where it meets lines of cells from d_lo to d_hi beside the start; and the least |w|.
+
+    The strip of a steep move is bent like the ball: with |w| nearly known, u is as well. w = (d - u e_out) / e_in.
+    """
+    wide = strip[1]
+    for _ in range(_TIMES):
+        p, r = d_lo - low * e_out, d_lo - high * e_out
+        w_lo, w_hi = min(p, r), max(p, r) + d_hi - d_lo
+        if e_in < 0.0:
+            w_lo, w_hi = -w_hi, -w_lo
+        stretch = abs(e_in)
+        w_lo, w_hi = w_lo / stretch, w_hi / stretch
+        near_w = 0.0 if w_lo * w_hi <= 0.0 else min(abs(w_lo), abs(w_hi))
+        if near_w > wide + _SLACK:
+            break
+        from_u, to_u = _between(near_w, min(wide, max(abs(w_lo), abs(w_hi))), strip)
+        low, high = max(low, from_u), min(high, to_u)
+        if low > high or abs(e_out) < _PARALLEL:
+            break
+    return low, high, near_w
+
+
+@njit(cache=True, nogil=True)
 def sweep(  # type: ignore[no-untyped-def]
     top,
     by_line,
@@ -122,6 +213,7 @@ def sweep(  # type: ignore[no-untyped-def]
     cell,
     ceiling,
     tile,
+    crowns,
     points,
     rapid,
     line,
@@ -138,6 +230,7 @@ def sweep(  # type: ignore[no-untyped-def]
 ):
     """Move the ball along points; cells of rows first_row, first_row + row_step, ... only.
 
+    crowns   : highest stock in each TILE x TILE cells, of these rows; kept up to date
     shank    : (reach, flutes, ceiling): nothing within reach of the axis may stand higher than that above the tip;
                reach 0: not asked
     keep_off : where a rapid along Z ends the ball counts as this much lower, so that coming too near shows as a drop
@@ -200,72 +293,80 @@ def sweep(  # type: ignore[no-untyped-def]
             rise = high - lowest
             if kind == _ALONG and rise > 0.0:
                 wide = radius if rise >= radius else math.sqrt(rise * (2.0 * radius - rise))
-                thin = math.sqrt(max(0.0, radius * radius - wide * wide))  # least rho in the strip
-                low = min(tilt * thin, tilt * radius)
-                if smooth:  # reach back over the wedge at the corner
-                    back = min(corner[_TILT] * thin, corner[_TILT] * radius)
-                    turn_sin = abs(ex * corner[_EY] - ey * corner[_EX])
-                    low = min(low, (back - turn_sin * wide) / turn_cos, back - turn_sin * wide)
-                low -= 1e-9
-                far = length + max(tilt * thin, tilt * radius) + 1e-9
-                edge = wide + 1e-9
-                reach_lo = min(low * ey, far * ey) - edge * abs(ex)
-                reach_hi = max(low * ey, far * ey) + edge * abs(ex)
-                j0 = max(0, int(math.ceil((ay + reach_lo - y0) / cell - 0.5)))
-                j1 = min(ny - 1, int(math.floor((ay + reach_hi - y0) / cell - 0.5)))
-                j0 += (first_row - j0) % row_step
-                for j in range(j0, j1 + 1, row_step):
-                    dy = y0 + (j + 0.5) * cell - ay
-                    # dx with low <= dx ex + dy ey <= far and |dy ex - dx ey| <= edge
-                    dx_lo = -1e30
-                    dx_hi = 1e30
-                    if abs(ex) > 1e-12:
-                        p = (low - dy * ey) / ex
-                        r = (far - dy * ey) / ex
-                        dx_lo = min(p, r)
-                        dx_hi = max(p, r)
-                    if abs(ey) > 1e-12:
-                        p = (dy * ex - edge) / ey
-                        r = (dy * ex + edge) / ey
-                        dx_lo = max(dx_lo, min(p, r))
-                        dx_hi = min(dx_hi, max(p, r))
-                    i0 = int(math.ceil(max((ax + dx_lo - x0) / cell - 0.5, 0.0)))
-                    i1 = int(math.floor(min((ax + dx_hi - x0) / cell - 0.5, nx - 1.0)))
-                    for i in range(i0, i1 + 1):
-                        dx = x0 + (i + 0.5) * cell - ax
-                        u = dx * ex + dy * ey
-                        w = dy * ex - dx * ey
-                        rho2 = radius * radius - w * w
-                        over = lowest + radius - top[j, i]  # the ball is nowhere lower than this less rho
-                        if rho2 <= 0.0 or (over > 0.0 and rho2 <= over * over):
-                            continue
-                        rho = math.sqrt(rho2)
-                        s = u - rho * tilt
-                        tip = az
-                        if s <= 0.0:
-                            r2 = rho2 - u * u
-                            if r2 <= 0.0:
+                turn_sin = abs(ex * corner[_EY] - ey * corner[_EX])
+                wedge = (turn_cos, turn_sin, corner[_TILT] if smooth else _NO_WEDGE)
+                strip = (radius, wide, tilt, length, wedge)
+                low, high = _between(0.0, wide, strip)
+                across = abs(ex) < abs(ey)  # lines of cells run along the axis that is nearer to the way
+                e_in, e_out = (ey, ex) if across else (ex, ey)
+                a_in, a_out = (ay - y0, ax - x0) if across else (ax - x0, ay - y0)
+                n_in, n_out = (ny, nx) if across else (nx, ny)
+                first_in, step_in = (first_row, row_step) if across else (0, 1)
+                first_out, step_out = (0, 1) if across else (first_row, row_step)
+                edge = wide + _SLACK
+                side = edge * abs(e_in)
+                o0 = max(0, int(math.ceil((a_out + min(low * e_out, high * e_out) - side) / cell - 0.5)))
+                o1 = min(n_out - 1, int(math.floor((a_out + max(low * e_out, high * e_out) + side) / cell - 0.5)))
+                for block in range(o0 // TILE, o1 // TILE + 1):
+                    o_lo, o_hi = max(o0, block * TILE), min(o1, block * TILE + TILE - 1)
+                    d_lo, d_hi = (o_lo + 0.5) * cell - a_out, (o_hi + 0.5) * cell - a_out
+                    from_u, to_u, near_w = _bent(d_lo, d_hi, e_in, e_out, low, high, strip)
+                    if from_u > to_u or near_w > edge:
+                        continue
+                    lines = (from_u / e_in, to_u / e_in) if e_in > 0.0 else (to_u / e_in, from_u / e_in)
+                    lean = e_out / e_in
+                    i0 = int(math.ceil((a_in + lines[0] - max(d_lo * lean, d_hi * lean)) / cell - 0.5))
+                    i1 = int(math.floor((a_in + lines[1] - min(d_lo * lean, d_hi * lean)) / cell - 0.5))
+                    tiles = (block, max(i0, 0) // TILE, min(i1, n_in - 1) // TILE)
+                    free = max(0.0, from_u) if tilt >= 0.0 else max(0.0, length - to_u)
+                    rho2 = radius * radius - near_w * near_w
+                    foot = lowest + radius - math.sqrt(max(0.0, rho2 / (q * q), rho2 - free * free))
+                    if _highest_crown(crowns, tiles, across) <= foot:
+                        continue
+                    cut = False
+                    for o in range(o_lo + (first_out - o_lo) % step_out, o_hi + 1, step_out):
+                        d_out = (o + 0.5) * cell - a_out
+                        i0 = max(0, int(math.ceil((a_in + lines[0] - d_out * lean) / cell - 0.5)))
+                        i1 = min(n_in - 1, int(math.floor((a_in + lines[1] - d_out * lean) / cell - 0.5)))
+                        for i in range(i0 + (first_in - i0) % step_in, i1 + 1, step_in):
+                            row, column = (i, o) if across else (o, i)
+                            d_in = (i + 0.5) * cell - a_in
+                            u = d_in * e_in + d_out * e_out
+                            w = d_in * e_out - d_out * e_in if across else d_out * e_in - d_in * e_out
+                            height = top[row, column]
+                            rho2 = radius * radius - w * w
+                            over = lowest + radius - height  # the ball is nowhere lower than this less rho
+                            if rho2 <= 0.0 or (over > 0.0 and rho2 <= over * over):
                                 continue
-                            f = az + radius - math.sqrt(r2)
-                        elif s >= length:
-                            r2 = rho2 - (u - length) * (u - length)
-                            if r2 <= 0.0:
-                                continue
-                            f = bz + radius - math.sqrt(r2)
-                            tip = bz
-                        else:
-                            f = az + radius + slope * u - q * rho
-                            tip = az + slope * s
-                        drop = top[j, i] - f
-                        if drop > 0.0:
-                            tally[k + 1, LEFT if w > 0.0 else RIGHT] += drop * area
-                            if top[j, i] - tip > tally[k + 1, REACH]:
-                                tally[k + 1, REACH] = top[j, i] - tip
-                            top[j, i] = f
-                            by_line[j, i] = line[k]
-                            if drop > drops[k + 1]:
-                                drops[k + 1] = drop
-                                places[k + 1] = j * nx + i
+                            rho = math.sqrt(rho2)
+                            s = u - rho * tilt
+                            tip = az
+                            if s <= 0.0:
+                                r2 = rho2 - u * u
+                                if r2 <= 0.0:
+                                    continue
+                                f = az + radius - math.sqrt(r2)
+                            elif s >= length:
+                                r2 = rho2 - (u - length) * (u - length)
+                                if r2 <= 0.0:
+                                    continue
+                                f = bz + radius - math.sqrt(r2)
+                                tip = bz
+                            else:
+                                f = az + radius + slope * u - q * rho
+                                tip = az + slope * s
+                            drop = height - f
+                            if drop > 0.0:
+                                cut = True
+                                tally[k + 1, LEFT if w > 0.0 else RIGHT] += drop * area
+                                tally[k + 1, REACH] = max(tally[k + 1, REACH], height - tip)
+                                top[row, column] = f
+                                by_line[row, column] = line[k]
+                                if drop > drops[k + 1]:
+                                    drops[k + 1] = drop
+                                    places[k + 1] = row * nx + column
+                    if cut:
+                        _lower(crowns, tiles, across, top, first_row, row_step)
         owner = k
         corner[_EX] = ex
         corner[_EY] = ey

@@ -113,6 +113,27 @@ def test_nothing_stands_in_the_wedge_at_a_corner(turn_deg, dip):
     assert_between_brute_forces(grid, stock, points, 0.5)
 
 
+@pytest.mark.parametrize("turn_deg", [0, 40, 90, 135, 180, 270])
+def test_short_steep_moves_over_a_slope_take_off_a_layer_everywhere(turn_deg):
+    """Up and down a slope of 35 degrees in all directions: their strips are bent, most cells are not met."""
+    turn, climb, layer_mm, radius_mm = np.radians(turn_deg), 0.7, 0.05, 0.6
+    x, y = np.meshgrid(grid_of(n=60, cell_mm=0.04).x_mm, grid_of(n=60, cell_mm=0.04).y_mm)
+    along = (x - 1.2) * np.cos(turn) + (y - 1.2) * np.sin(turn)
+    stock = grid_of(n=60, cell_mm=0.04, top_mm=climb * along)
+    ways = np.linspace(-1.4, 1.4, 29)
+    rows = [np.column_stack([ways[:: 1 - 2 * (k % 2)], np.full(29, -0.3 + 0.15 * k)]) for k in range(5)]
+    u, v = np.vstack(rows).T
+    tip_mm = climb * u - layer_mm * np.hypot(1, climb) + radius_mm * (np.hypot(1, climb) - 1)
+    place = 1.2 + np.column_stack([u * np.cos(turn) - v * np.sin(turn), u * np.sin(turn) + v * np.cos(turn)])
+    points = np.column_stack([place, tip_mm])
+    grid = RemovalGrid(stock, radius_mm=radius_mm, shares=2)
+    drops = grid.cut(batch_of(points))
+    grid.rest()
+    assert_between_brute_forces(grid, stock, points, radius_mm)
+    deepest_mm = drops.depth_mm[8:16].max(), drops.depth_mm[8:16].min()
+    assert deepest_mm == pytest.approx((layer_mm * np.hypot(1, climb),) * 2, rel=0.05)
+
+
 def test_a_straight_groove_is_exact():
     grid = RemovalGrid(grid_of(), radius_mm=0.5)
     grid.cut(batch_of([[-1, 1.6, -0.3], [5, 1.6, -0.3]]))
