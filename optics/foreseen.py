@@ -10,7 +10,7 @@ from __future__ import annotations
 from math import floor, sqrt
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from numba import njit
 
 from optics.spline import Array
 
@@ -36,15 +36,56 @@ def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
 
     A box of n pixels has the variance (n^2 - 1) / 12; between two odd n it is a mixture of both.
     """
-    for axis, sigma in enumerate(blur_px):
+    for sigma, spread in zip(blur_px, (_spread_down, _spread_across), strict=True):
         if sigma == 0:
             continue
         half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
         small, large = 2 * half + 1, 2 * half + 3
         share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)
-        picture = (1 - share) * _box(picture, small, axis) + share * _box(picture, large, axis)
+        picture = spread(picture, half, (1 - share) / small + share / large, share / large)
     return picture
 
 
-def _box(picture: Array, size: int, axis: int) -> Array:
-    return np.asarray(uniform_filter1d(picture, size, axis=axis, mode="constant"))
+@njit(cache=True, nogil=True)
+def _spread_down(picture, half, inner, ends):  # type: ignore[no-untyped-def]
+    """inner times the sum from half above to half below, ends times the pixel beyond on either side."""
+    ny, nx = picture.shape
+    out = np.empty((ny, nx))
+    total = np.zeros(nx)
+    for j in range(min(half, ny)):
+        total += picture[j]
+    for j in range(ny):
+        below, above = j + half, j - half - 1
+        if below < ny:
+            total += picture[below]
+        if above >= 0:
+            total -= picture[above]
+        out[j] = inner * total
+        if above >= 0:
+            out[j] += ends * picture[above]
+        if below + 1 < ny:
+            out[j] += ends * picture[below + 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _spread_across(picture, half, inner, ends):  # type: ignore[no-untyped-def]
+    """The same, from the left to the right."""
+    ny, nx = picture.shape
+    out = np.empty((ny, nx))
+    for j in range(ny):
+        total = 0.0
+        for i in range(min(half, nx)):
+            total += picture[j, i]
+        for i in range(nx):
+            right, left = i + half, i - half - 1
+            if right < nx:
+                total += picture[j, right]
+            light = 0.0
+            if left >= 0:
+                total -= picture[j, left]
+                light += picture[j, left]
+            if right + 1 < nx:
+                light += picture[j, right + 1]
+            out[j, i] = inner * total + ends * light
+    return out

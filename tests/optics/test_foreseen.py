@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import uniform_filter1d
 
 from optics.foreseen import sharpened, spread_evenly
 
@@ -26,6 +27,16 @@ def test_a_point_is_spread_with_the_variance_that_was_asked_for(sigma_y: float, 
     assert found.sum() == pytest.approx(1.0)
     assert found.sum(axis=1) @ away**2 == pytest.approx(sigma_y**2, abs=1e-9)
     assert found.sum(axis=0) @ away**2 == pytest.approx(sigma_x**2, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(half=st.integers(0, 40), axis=st.sampled_from([0, 1]), seed=st.integers(0, 9))
+def test_a_box_of_whole_pixels_is_the_moving_average_with_darkness_beyond_the_edges(half, axis, seed) -> None:
+    """scipy's, on pictures that are not square and narrower than the widest box."""
+    light, size = np.random.default_rng(seed).random((31, 50)), 2 * half + 1
+    sigma = np.sqrt((size**2 - 1) / 12)
+    found = spread_evenly(light, (sigma, 0.0) if axis == 0 else (0.0, sigma))
+    assert found == pytest.approx(uniform_filter1d(light, size, axis=axis, mode="constant"), abs=1e-6)
 
 
 def test_without_blur_the_picture_is_what_the_lens_aims_at() -> None:
