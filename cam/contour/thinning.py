@@ -23,7 +23,7 @@ def thinned(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
     """
     sag, shortest = SAG_PITCHES * pitch, SHORTEST_CHORD_PITCHES * pitch
     ax, ay = points[0, 0], points[0, 1]
-    count = start[tracks]
+    first, count = tracks, start[tracks]
     tracks, count = _put(ax, ay, xy, start, tracks, count)
     low, high, ahead = -math.pi, math.pi, 0.0
     far = 0.0  # of the candidate, from the anchor
@@ -49,21 +49,39 @@ def thinned(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
     if far < shortest and count > start[tracks] + 1:  # no crumb at the end
         count -= 1
     tracks, count = _put(points[n - 1, 0], points[n - 1, 1], xy, start, tracks, count)
+    if tracks == first and _closes_sharply(xy, start[tracks], count):
+        middle = (start[tracks] + count) // 2
+        for k in range(count, middle, -1):
+            xy[k] = xy[k - 1]
+        tracks, count = tracks + 1, count + 1
+        start[tracks] = middle + 1
     start[tracks + 1] = count
     return tracks + 1
+
+
+@njit(cache=True, nogil=True)
+def _sharp(a, b, c):  # type: ignore[no-untyped-def]
+    """Whether a path from a by b to c turns too much at b."""
+    ux, uy, vx, vy = b[0] - a[0], b[1] - a[1], c[0] - b[0], c[1] - b[1]
+    return ux * vx + uy * vy < SHARP * math.hypot(ux, uy) * math.hypot(vx, vy)
+
+
+@njit(cache=True, nogil=True)
+def _closes_sharply(xy, begin, end):  # type: ignore[no-untyped-def]
+    """Whether a track is closed and turns too much where it does: there no vertex has been looked at."""
+    last = end - 1
+    closed = begin + 2 < last and xy[begin, 0] == xy[last, 0] and xy[begin, 1] == xy[last, 1]
+    return closed and _sharp(xy[last - 1], xy[last], xy[begin + 1])
 
 
 @njit(cache=True, nogil=True)
 def _put(x, y, xy, start, tracks, count):  # type: ignore[no-untyped-def]
     """One more vertex; where the track turns sharply at the last one, a new track begins there. (tracks, vertices)"""
     x, y = math.floor(x * TICKS_PER_MM + 0.5) / TICKS_PER_MM, math.floor(y * TICKS_PER_MM + 0.5) / TICKS_PER_MM
-    if count > start[tracks] + 1:
-        ax, ay = xy[count - 1, 0] - xy[count - 2, 0], xy[count - 1, 1] - xy[count - 2, 1]
-        bx, by = x - xy[count - 1, 0], y - xy[count - 1, 1]
-        if ax * bx + ay * by < SHARP * math.hypot(ax, ay) * math.hypot(bx, by):
-            tracks += 1
-            start[tracks] = count
-            xy[count] = xy[count - 1]
-            count += 1
+    if count > start[tracks] + 1 and _sharp(xy[count - 2], xy[count - 1], (x, y)):
+        tracks += 1
+        start[tracks] = count
+        xy[count] = xy[count - 1]
+        count += 1
     xy[count, 0], xy[count, 1] = x, y
     return tracks, count + 1

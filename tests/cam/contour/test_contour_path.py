@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
@@ -155,6 +155,7 @@ def test_where_contours_are_simple_the_path_is_rows_and_turns(name):
         max_size=8,
     )
 )
+@example([(0.0, 1.0, 0.25, 2.0), (2.0, 0.0, -0.25, 3.0), (3.0, 0.0, 0.25, 2.0)])  # a closed line with one corner
 def test_random_hills_are_covered_by_one_path_on_the_surface(bumps):
     heightfield = hills(bumps)
     judge(tips_of(heightfield), heightfield, pass_of())
