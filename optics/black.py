@@ -70,7 +70,7 @@ def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel:
         black = 100 * np.mean(target < DARK * target.max())
         words.append(
             f"black covers {black:.0f} % of the picture, and in valleys for a ball of {radius_mm:g} mm radius about "
-            f"{100 * leak:.1f} % of the light ends there: half the radius or twice the throw halves that"
+            f"{100 * leak:.1f} % of the light ends there: half the radius or a wall twice as far away halves that"
             f"{_turning_helps(target, bench, radius_mm)}"
         )
     if fine >= _FINE_WORTH_A_WORD:

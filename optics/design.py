@@ -127,6 +127,6 @@ def _warnings(done: Corrected) -> tuple[str, ...]:
         return ()
     return (
         f"filling valleys for a ball of radius {cost.radius_mm:g} mm costs {lost_db:.1f} dB and brings "
-        f"{100 * leak:.1f} % more of the light into dark areas: a smaller ball, a longer "
-        "throw or a wider lens keeps more of the picture",
+        f"{100 * leak:.1f} % more of the light into dark areas: a smaller ball, a wall "
+        "farther away or a wider lens keeps more of the picture",
     )

@@ -134,7 +134,9 @@ def _tell(shop: Workshop, in_focus: Caustic, score: CausticScore) -> None:
     )
     if in_focus.reflected_share > 1e-6 and shop.spec.optics.surface == "lens":
         share = 100 * in_focus.reflected_share
-        shop.note("optics", f"{share:.2g} % of the light is totally reflected inside the lens; a longer throw helps")
+        shop.note(
+            "optics", f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
+        )
     if blocked := blocked_by_the_screen(shop.spec):
         shop.note("optics", blocked)
 

@@ -193,9 +193,15 @@ def reads(stage: str, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def shares(spec: JobSpec) -> dict[str, float]:
-    """The part of the whole job's time that each stage takes; they add up to 1.
+    """The part of the whole job's time that each stage takes; they add up to 1."""
+    seconds = usual_seconds(spec)
+    whole = sum(seconds.values())
+    return {name: own / whole for name, own in seconds.items()}
 
-    The seconds were measured on two cores, on a 512 x 512 photograph; passes by the length of their rows.
+
+def usual_seconds(spec: JobSpec) -> dict[str, float]:
+    """What each stage took on two cores, on a 512 x 512 photograph; passes by the length of their rows: the first
+    metres cost most, since samples of long passes are limited.
     """
     pixels = spec.image.pixels * spec.pixel_rows / 512**2
     light = spec.optics.light
@@ -213,16 +219,16 @@ def shares(spec: JobSpec) -> dict[str, float]:
         "as-milled": 1.0,
         "report": 0.1,
     }
+    block = spec.optics.width_mm * spec.optics.height_mm / 100**2
     for number, row in enumerate(_rows(spec), 1):
         path_m = _path_m(spec, row) * (REST_SHARE if row.where == "rest" else 1.0)
         finishes = row.stock_to_leave_mm == 0
-        layers_s = 5.0 if number == 1 else 1.5  # the first one takes off most
-        seconds[f"pass-{number}"] = layers_s + (0.035 if finishes else 0.01) * path_m
+        layers_s = 3.5 + 8.0 * block if number == 1 else 1.5  # the first one takes off most
+        seconds[f"pass-{number}"] = layers_s + (min(8.0, 0.25 * path_m) + 0.035 * path_m if finishes else 0.01 * path_m)
         seconds["check"] += 0.012 * path_m if finishes else 0.0
         seconds["as-milled"] += MILLED_S_PER_M * beams * path_m if finishes else 0.0
-        seconds["as-milled"] += AS_MILLED_S_PER_M * path_m if finishes else 0.0
-    whole = sum(seconds[name] for name in plan(spec))
-    return {name: seconds[name] / whole for name in plan(spec)}
+        seconds["as-milled"] += min(20.0, 0.6 * path_m) + AS_MILLED_S_PER_M * path_m if finishes else 0.0
+    return {name: seconds[name] for name in plan(spec)}
 
 
 def _path_m(spec: JobSpec, row: PassRow) -> float:
