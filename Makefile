@@ -31,7 +31,7 @@ PORT ?= 8000
 serve: $(READY)
 	@exec $(BIN)/causticmill serve --data $(DATA) --port $(PORT) --with-simulated-mill
 
-# A file of tests stays in one process, so that what its tests share is made once.
+# A file of tests stays in one process, so that what its tests share is made once (tests/order.py).
 test: $(READY)
 	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
 

@@ -28,6 +28,7 @@ from optics.irradiance import target_irradiance
 from optics.tolerance import blur_mm, source_rad
 from service import fitting
 from service.errors import InputError
+from service.estimate_light import MOST_PIXELS, foretold_db
 from service.lens_facts import LensFacts, measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import read_picture
@@ -52,7 +53,7 @@ _TUBES, _BEAMS = 2, 7
 class QuickLens:
     """A job's lens as a coarse picture gives it.
 
-    spec : with its passes, planned where they were not given
+    spec : with its passes, planned where they were not given. missed (ny, nx) : its light less what it aims at
     """
 
     spec: JobSpec
@@ -61,6 +62,7 @@ class QuickLens:
     design: LensDesign
     facts: LensFacts
     form: LensForm
+    missed: Array
     reflected_share: float
 
     @property
@@ -75,10 +77,13 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
     picture = read_picture(
         path, coarse.image, rows=coarse.pixel_rows, aspect=width_mm / height_mm, limits=limits, name=name
     )
+    fine = _with_pixels(spec, MOST_PIXELS)
+    whole = read_picture(path, fine.image, rows=fine.pixel_rows, aspect=width_mm / height_mm, limits=limits, name=name)
     with in_the_services_words():
         quick = quick_lens(coarse, target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from))
         passes = list(_hours(quick))
         blur = _blur(quick)
+        seen_db = _seen_db(quick, target_irradiance(whole.linear, viewed_from=spec.optics.viewed_from))
     own_px_mm = width_mm / spec.image.pixels
     refusals = list(_refusals(quick))
     warnings = [f"{name} {sentence}" for sentence in _of_picture(picture.width, picture.height, spec)]
@@ -92,6 +97,7 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         "planned": quick.planned,
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
+        "psnr_db": seen_db,
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
@@ -101,7 +107,12 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
     """The same job with a coarser picture."""
-    scale = min(1.0, PIXELS / max(spec.image.pixels, spec.pixel_rows))
+    return _with_pixels(spec, PIXELS)
+
+
+def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
+    """With at most so many pixels along the longer side."""
+    scale = min(1.0, most / max(spec.image.pixels, spec.pixel_rows))
     pixels = max(16, round(scale * spec.image.pixels))
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
@@ -123,6 +134,7 @@ def quick_lens(spec: JobSpec, target: Array) -> QuickLens:
         design=design,
         facts=measure_lens(lens),
         form=LensForm.of(lens),
+        missed=seen.irradiance - target,
         reflected_share=seen.reflected_share,
     )
 
@@ -203,13 +215,27 @@ def _blur(quick: QuickLens) -> Blur:
     )
 
 
+def _seen_db(quick: QuickLens, target: Array) -> float | None:
+    """PSNR of what the milled lens will show of a target (ny, nx); None where no pass finishes it."""
+    finish, slopes = _finish(quick), _slopes(quick)
+    if finish is None or slopes is None:
+        return None
+    aims = any(quick.spec.optics.foreseen_blur_mm)
+    return foretold_db(target, quick.bench, quick.form, quick.missed, finish, slopes, aims=aims)
+
+
+def _finish(quick: QuickLens) -> PassSpec | None:
+    """The last pass that finishes the whole lens."""
+    finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
+    return finishes[-1] if finishes else None
+
+
 def _slopes(quick: QuickLens) -> RowSlopes | None:
     """What the last finishing pass leaves; None where none finishes."""
-    machine = machine_of(quick.spec)
-    finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
-    if not finishes:
+    machine, finish = machine_of(quick.spec), _finish(quick)
+    if finish is None:
         return None
-    digit_mm, finish = POSTS[machine.dialect].digits.z_mm, finishes[-1]
+    digit_mm = POSTS[machine.dialect].digits.z_mm
     return row_slopes(
         radius_mm=finish.radius_mm,
         pitch_mm=finish.pitch_mm,
@@ -231,7 +257,7 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
         yield (
             f"the lens is {quick.form.deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of "
-            f"{need_mm} mm, a longer throw or a smaller lens"
+            f"{need_mm} mm, a wall farther away or a smaller lens"
         )
     try:
         fitting.require_travel(quick.lens, cam_stock_of(spec), passes, machine_of(spec))
@@ -245,9 +271,9 @@ def _warnings(quick: QuickLens) -> Iterator[str]:
     yield from quick.design.warnings
     if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
         share = 100 * quick.reflected_share
-        yield f"{share:.2g} % of the light is totally reflected inside the lens; a longer throw helps"
+        yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
     if quick.facts.max_slope_deg > _STEEP_DEG:
-        yield f"slopes of {quick.facts.max_slope_deg:.0f}° are hard to mill; a longer throw makes them gentler"
+        yield f"slopes of {quick.facts.max_slope_deg:.0f}° are hard to mill; a wall farther away makes them gentler"
     if blocked := blocked_by_the_screen(quick.spec):
         yield blocked
 

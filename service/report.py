@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from functools import cache
 from math import isfinite, radians, tan
+from pathlib import PurePath
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
@@ -19,10 +20,11 @@ from service.report_drawing import SetUp, side_view, top_view
 from service.report_milled import milled_sentences
 from service.report_optics import lens_rows, light_sentences, score_rows, screen_sentence, source_spread_mm, table
 from service.report_tolerances import tolerance_sentences
-from service.report_words import duration_h_min, number, size, whole
+from service.report_words import duration, number, size, whole
 from service.spec_light import SUN_DEG
 
 _CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
+_UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
 _SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
 _PLACES_SHOWN = 6
 _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
@@ -34,7 +36,10 @@ _PICTURES = (
         "Target, design and the surface that the programs leave, whole and in the part with the most detail. The last "
         "one counts the grooves of every move, the steps of the machine and its height errors.",
     ),
-    ("through-focus.png", "The same lens with the screen at other distances. Only at the throw is it in focus."),
+    (
+        "through-focus.png",
+        "The same lens with the screen at other distances. It is in focus only at the distance it is made for.",
+    ),
     (
         "tolerances.png",
         "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken out), and "
@@ -65,8 +70,10 @@ def render_report(
     passes = _passes(report, spec)
     job = _set_up(report, spec, passes)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
+    highest_mm = max((_z_bounds(row)[1] for row in passes if _z_bounds(row)), default=None)
+    rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
     return _template().render(
-        title=title or table(report.get("source")).get("file") or "lens",
+        title=title or _job_name(report) or "lens",
         report=report,
         optics=table(report.get("optics")),
         spec={key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
@@ -86,12 +93,19 @@ def render_report(
         throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         check_rows=check_rows(passes),
         clearance_mm=_CLEARANCE_MM,
+        rapid_z_mm=rapid_z_mm,
+        highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
+        tool_changes=_tool_changes(passes),
         lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
-        highest_z_mm=max((_z_bounds(row)[1] for row in passes if _z_bounds(row)), default=None),
         main_pictures=[name for name in ("target.png", "caustic.png", "caustic-as-milled.png") if name in files],
         pictures=[(name, caption) for name, caption in _PICTURES if name in files],
         files=frozenset(files),
     )
+
+
+def _job_name(report: Mapping[str, Any]) -> str:
+    """As the operator page says it: without the kind of file."""
+    return PurePath(str(table(report.get("source")).get("file") or "")).stem
 
 
 @cache
@@ -99,7 +113,7 @@ def _template() -> Template:
     environment = Environment(
         loader=PackageLoader("service", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters.update(number=number, whole=whole, duration=duration_h_min, size=size)
+    environment.filters.update(number=number, whole=whole, duration=duration, size=size)
     return environment.get_template("report.html")
 
 
@@ -166,6 +180,19 @@ def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str
     return rows
 
 
+def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
+    """When Z0 is to be set again: after another tool was put in, and only then."""
+    radii = [row.get("radius_mm") for row in passes]
+    changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
+    if len(radii) < 2:
+        return ""
+    if not changed:
+        return "All passes use the same tool: it stays in, and Z0 is set once."
+    before = " and ".join(f"pass {k + 1}" for k in changed)
+    same = "; between the others the tool stays in and Z0 as it is" if len(changed) < len(radii) - 1 else ""
+    return f"Set it again after each tool change, that is before {before}{same}."
+
+
 def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{row.get('file', 'a pass')}: {note}" for row in passes for note in row["notes"]]
 
@@ -216,7 +243,8 @@ def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
                 f"{row.get('file', 'a pass')}: a ball of {2 * radius_mm:g} mm diameter has to reach "
                 f"{stick_out_mm - _CLEARANCE_MM:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
                 f"with clearance. Use a tapered ball cutter or one with a long relieved neck, and check that it clears "
-                f"the walls of the lens. A longer throw makes the lens flatter, about half as deep at twice the length."
+                f"the walls of the lens. A wall farther away makes the lens flatter, about half as deep at twice the "
+                "distance."
             )
     return sentences
 

@@ -123,7 +123,7 @@ def side_view(job: SetUp) -> Markup:
         f'<line x1="{left - 40}" y1="{zero}" x2="{left + width + 20}" y2="{zero}" stroke="{_ACCENT}" '
         f'stroke-dasharray="5 4"/>',
         _text(left + width + 24, zero + 4, "Z0 = stock top", colour=_ACCENT),
-        _dimension_up(left - 24, wall + 2, zero, f"throw {job.throw_mm:g} mm"),
+        _dimension_up(left - 24, wall + 2, zero, f"wall {job.throw_mm:g} mm"),
         _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
         _text(left + width + 24, back + 4, "flat back" if job.is_mirror else "flat, polished back"),
         *_arriving_light(job, left, width, zero, back),

@@ -24,34 +24,22 @@ def table(value: Any) -> Mapping[str, Any]:
 def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """(what, figure, in words), first for the perfect surface, then as milled."""
     rows = []
-    for key, prefix in (("optics", ""), ("as_milled", "As milled: ")):
+    for key, prefix in (("optics", "Lens itself"), ("as_milled", "As milled")):
         scores = table(report.get(key))
-        if scores.get("psnr_db") is not None:
-            rows.append((f"{prefix}PSNR", f"{scores['psnr_db']:.1f} dB", psnr_in_words(scores["psnr_db"])))
+        if (psnr_db := scores.get("psnr_db")) is not None:
+            rows.append((f"{prefix}: likeness (PSNR)", f"{psnr_db:.1f} dB", psnr_in_words(psnr_db)))
         if scores.get("ssim") is not None:
-            rows.append((f"{prefix}SSIM", f"{scores['ssim']:.3f}", "likeness of local structure; 1 is identical"))
-        if scores.get("misplaced_light") is not None:
-            share = scores["misplaced_light"]
-            rows.append(
-                (
-                    f"{prefix}misplaced light" if prefix else "Misplaced light",
-                    f"{100 * share:.2f} %",
-                    misplaced_in_words(share),
-                )
-            )
-        if scores.get("dark_leak"):
-            rows.append(
-                (
-                    f"{prefix}dark leak" if prefix else "Dark leak",
-                    f"{100 * scores['dark_leak']:.2f} %",
-                    _leak_in_words(scores),
-                )
-            )
+            words = "how alike small parts are; 1 is identical"
+            rows.append((f"{prefix}: structure (SSIM)", f"{scores['ssim']:.3f}", words))
+        if (share := scores.get("misplaced_light")) is not None:
+            rows.append((f"{prefix}: light in wrong places", f"{100 * share:.2f} %", misplaced_in_words(share)))
+        if leak := scores.get("dark_leak"):
+            rows.append((f"{prefix}: light where it is to be dark", f"{100 * leak:.2f} %", _leak_in_words(scores)))
     sharp = table(table(report.get("optics")).get("from_a_point_source")).get("psnr_db")
     if sharp is not None:
         rows.append(
             (
-                "PSNR without the size of the source",
+                "Likeness (PSNR) without the size of the source",
                 f"{sharp:.1f} dB",
                 "the lens is made for a source of this size, and best with it",
             )
@@ -111,7 +99,8 @@ def _closing_rows(closing: Mapping[str, Any]) -> list[tuple[str, str]]:
     lost = closing["psnr_db_without"] - closing["psnr_db_with"]
     words = f"costs {lost:.1f} dB" if lost >= 0.05 else "costs nothing"
     if closing["dark_leak_with"] > 0:
-        words += f", dark leak {100 * closing['dark_leak_without']:.2f} → {100 * closing['dark_leak_with']:.2f} %"
+        leaks = " → ".join(f"{100 * closing[key]:.2f}" for key in ("dark_leak_without", "dark_leak_with"))
+        words += f", light where it is to be dark {leaks} %"
     return [(f"Valleys filled for a ball of {number(closing['radius_mm'])} mm radius", words)]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import floor
 from typing import Any
 
 MISSING = "\N{EN DASH}"
@@ -22,12 +23,27 @@ def whole(value: Any) -> str:
     return MISSING if value is None else f"{round(value):,}".replace(",", "\N{NARROW NO-BREAK SPACE}")
 
 
-def duration_h_min(seconds: Any) -> str:
-    """h:min, rounded up to a whole minute: 50000 -> 13:54."""
+def duration(seconds: Any) -> str:
+    """40 s, 12 min, 1 h 45 min, from a day on 2 d 3 h: as the operator page says it."""
     if seconds is None:
         return MISSING
-    minutes = int(-(-float(seconds) // 60))
-    return f"{minutes // 60}:{minutes % 60:02d}"
+    if (whole_s := _rounded(float(seconds))) < 60:
+        return f"{whole_s} s"
+    if (minutes := _rounded(whole_s / 60)) < 60:
+        return f"{minutes} min"
+    if minutes < 24 * 60:
+        return _pair(minutes // 60, "h", minutes % 60, "min")
+    hours = _rounded(minutes / 60)
+    return _pair(hours // 24, "d", hours % 24, "h")
+
+
+def _pair(big: int, big_unit: str, small: int, small_unit: str) -> str:
+    return f"{big} {big_unit} {small} {small_unit}" if small else f"{big} {big_unit}"
+
+
+def _rounded(value: float) -> int:
+    """Halves up."""
+    return floor(value + 0.5)
 
 
 def size(count: Any) -> str:
@@ -45,8 +61,8 @@ def size(count: Any) -> str:
 def psnr_in_words(psnr_db: float) -> str:
     """What a PSNR in dB over the target's peak means to an eye."""
     for at_least, words in (
-        (60.0, "no eye can tell the two apart"),
-        (40.0, "very close to the target; in dark parts a keen eye may still find faint streaks"),
+        (60.0, "no eye can tell it from the target"),
+        (40.0, "very close to the target"),
         (33.0, "small differences, seen only side by side"),
         (27.0, "plainly the picture; fine detail or tones are off"),
         (21.0, "recognisable, visibly soft or uneven"),

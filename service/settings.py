@@ -41,6 +41,7 @@ class ServerSettings(BaseSettings):
     start_agents      : `serve` starts an agent for every configured machine that has a port
     prepare_estimates : compile soon after the start what the first estimate would have to wait for
     simulated_mill    : `serve` offers a simulated mill, too, to try everything on
+    log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
     """
 
     model_config = SettingsConfigDict(env_prefix=PREFIX, frozen=True, extra="ignore")
@@ -71,6 +72,7 @@ class ServerSettings(BaseSettings):
     prepare_estimates: bool = True
     simulated_mill: bool = False
     log_level: Literal["debug", "info", "warning"] = "info"
+    log_format: Literal["auto", "json", "text"] = "auto"
 
     @property
     def embedded(self) -> bool:

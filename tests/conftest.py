@@ -9,6 +9,7 @@ import pytest
 from hypothesis import settings
 
 from service.kernel_cache import use_current_kernels
+from tests import order
 
 use_current_kernels()  # before any test module imports numba
 
@@ -29,3 +30,12 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             if item.get_closest_marker("thorough"):
                 item.add_marker(skip)
+    order.in_good_order(items)
+
+
+def pytest_xdist_auto_num_workers() -> int:
+    return order.processes()
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> order.Scheduling:
+    return order.Scheduling(config, log)

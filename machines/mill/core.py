@@ -51,6 +51,8 @@ class MillCore:
         self._abort_asked = False
         self._recovering = False
         self._parser_state: str | None = None
+        self._zeroed = ""
+        self._homed = False
         self._standstill = Standstill()
         self._journal_words = ""
         self._closed = False
@@ -173,6 +175,8 @@ class MillCore:
             latched=self._link.latched,
             problem=self._link.problem,
             needs=self._needs(),
+            zeroed=self._zeroed,
+            homed=self._homed,
             events=self._log.after(before.events),
         )
         if snapshot != before:

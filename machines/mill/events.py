@@ -7,6 +7,7 @@ from machines.driver import (
     Event,
     FaultCause,
     Faulted,
+    Home,
     MillState,
     Notice,
     ProbeZ,
@@ -88,6 +89,7 @@ class MillEvents(MillFollowing):
     def _drop_link(self, words: str) -> None:
         self._driven = None
         self._parser_state = None
+        self._forget_place()
         self._link.drop(words)
         self._publish()
 
@@ -104,7 +106,7 @@ class MillEvents(MillFollowing):
 
     def _stopped(self, event: Stopped) -> None:
         run = self._active
-        kept = "" if event.position_kept else "position lost or never vouched for"
+        kept = "" if event.position_kept else "position lost or never confirmed"
         self._say("state", f"stopped{f': {kept}' if kept else ''}")
         asked, self._abort_asked = self._abort_asked, False
         if run is not None and (run.state is RunState.STOPPING or (asked and run.state is RunState.INTERRUPTED)):
@@ -116,9 +118,13 @@ class MillEvents(MillFollowing):
         self._say("link", f"controller restarted: {event.banner}")
         self._touched()
         if not self.status.position_trusted:
+            self._forget_place()
             for run in self._recoverable():
                 run.write("restarted", restarted=True)
                 self._rest(run)
+
+    def _forget_place(self) -> None:
+        self._zeroed, self._homed = "", False
 
     def _commanded(self, event: CommandDone) -> None:
         command = event.command
@@ -129,9 +135,12 @@ class MillEvents(MillFollowing):
         if isinstance(command, ReadSettings):
             self._parser_state = str(event.answer.get("parser_state", "")) or None
         axes = command.axes if isinstance(command, SetZero) else "Z" if isinstance(command, ProbeZ) else ""
+        if isinstance(command, Home):
+            self._homed = True
         if "Z" in axes:
             self._touched_off()
         if axes:
+            self._zeroed = "".join(sorted({*self._zeroed, *axes}))
             for run in self._recoverable():
                 vouched = "".join(sorted({*str(run.record.get("zeroed", "")), *axes}))
                 run.write("zeroed", zeroed=vouched)

@@ -31,6 +31,8 @@ class MillFollowing(MillCore):
         status, progress, run = driver.status, driver.progress, self._driven
         if not self._link.away:
             self._link.seen()
+        if not status.position_trusted:
+            self._homed = False
         if run is not None:
             try:
                 self._follow(run, status, progress)

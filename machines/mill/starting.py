@@ -58,8 +58,8 @@ class MillStarting(MillEvents):
         """Stream a parked run from its first line."""
         run = self._run(run_id)
         if run.state is not RunState.PARKED:
-            way = "recover it" if run.state in RECOVERABLE else "park the program again"
-            raise NotAllowedError(f"start: run {run_id} is {run.state.value}, only a parked run can be started; {way}")
+            way = "recover it" if run.state in RECOVERABLE else "load the program again"
+            raise NotAllowedError(f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}")
         confirmation.demand(START_CHECKS, "start")
         driver = self._ready_driver("start")
         facts, reader = run.load(self._folders, lambda facts: self._reader(run, facts))
@@ -107,7 +107,7 @@ class MillStarting(MillEvents):
                 f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered"
             )
         if not run.record.get("started_s"):
-            raise NotAllowedError(f"recovery: run {run.id} was never started; park the program again")
+            raise NotAllowedError(f"recovery: run {run.id} was never started; load the program again")
         facts, reader = run.load(self._folders, lambda facts: self._reader(run, facts))
         self._await_place(run)
         answer = self._asked()
@@ -117,6 +117,7 @@ class MillStarting(MillEvents):
             parser_state=self._parser_state,
             restarted=bool(run.record.get("restarted")),
             vouched_axes=str(run.record.get("zeroed", "")),
+            homed=self._homed,
         )
         settings = _told(self._driver) if answer else None
 
@@ -180,6 +181,7 @@ class MillStarting(MillEvents):
             "settings": known.get("settings"), "parser_state": known.get("parser_state"), "restarted": False,
             "zeroed": "", "adrift": "", "touch_off": "", "sent_line": 0, "answered_line": 0,
             "controller": status.controller, "epoch": status.epoch, "position_trusted": status.position_trusted,
+            "homed": self._homed,
             "machine_mm": status.machine_mm, "work_mm": status.work_mm, "work_offset_mm": status.work_offset_mm,
             "wall_s": round(self._wall(), 3), "warnings": list(dict.fromkeys(warnings)),
         }  # fmt: skip
@@ -190,7 +192,7 @@ class MillStarting(MillEvents):
             try:
                 driver.command(TrustPosition())
             except NotAllowedError as error:
-                self._say("notice", f"the position could not be vouched for: {error}")
+                self._say("notice", f"the position could not be confirmed: {error}")
 
     def _ready_driver(self, doing: str) -> Driver:
         self._open()
@@ -245,7 +247,7 @@ def _check_file(run: Run, facts: Preflight) -> None:
     except OSError as error:
         raise ProgramChangedError(f"{run.path}: cannot be read any more ({error.strerror})") from None
     if size != facts.bytes:
-        raise ProgramChangedError(f"{run.path}: has {size} bytes, pre-flight read {facts.bytes}; park it again")
+        raise ProgramChangedError(f"{run.path}: has {size} bytes, pre-flight read {facts.bytes}; load it again")
 
 
 def _check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:

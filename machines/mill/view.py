@@ -36,6 +36,8 @@ class MillSnapshot:
     latched  : "hold" or "abort" asked for while the link was away; carried out first when it is back
     problem  : why there is no link, in words
     needs    : what a person has to do before the next start, in words
+    zeroed   : axes whose work zero was set on this link, as far as the position is still trusted
+    homed    : a homing cycle was carried out on this link, and the position was not lost since
     events   : the latest, oldest first
     """
 
@@ -51,6 +53,8 @@ class MillSnapshot:
     latched: str = ""
     problem: str = ""
     needs: tuple[str, ...] = ()
+    zeroed: str = ""
+    homed: bool = False
     events: tuple[LogEntry, ...] = ()
 
     @property
@@ -70,6 +74,8 @@ class MillSnapshot:
             "latched": self.latched,
             "problem": self.problem,
             "needs": list(self.needs),
+            "zeroed": self.zeroed,
+            "homed": self.homed,
             "events": [entry.as_dict() for entry in self.events],
         }
 

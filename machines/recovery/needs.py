@@ -9,6 +9,7 @@ from machines.driver import MillState
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan import Need, Present
 
+_FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59")
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
 
 
@@ -42,7 +43,7 @@ def position_doubt(record: Mapping[str, Any], present: Present) -> str:
     if present.restarted:
         return "the controller has restarted since the run stopped, its position is lost"
     if not record.get("position_trusted"):
-        return "the position was not vouched for when the run stopped"
+        return "nobody had confirmed the position when the run stopped"
     if not never_restarted(present.parser_state, record.get("state_before")):
         return "nothing shows that the controller went on without a restart while it was out of sight"
     return ""
@@ -93,6 +94,21 @@ def offsets_compared(
     need = Need("zero", f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
                         "G43.1), or set the work zero anew")  # fmt: skip
     return tuple(words), (need,)
+
+
+def zero_back(record: Mapping[str, Any], present: Present, entry: EntryPoint | None) -> str:
+    """The block that puts back the work zero of this program; "" where it has not changed, or is not certain.
+
+    Machine coordinates mean the same as then only where the mill was homed then and is homed now.
+    """
+    wcs = entry.state.wcs if entry else "G54"
+    then, now = (record.get("offsets") or {}).get(wcs), (present.offsets or {}).get(wcs)
+    certain = record.get("homed") and present.homed and present.status.position_trusted
+    if not certain or then is None or now is None:
+        return ""
+    if wcs not in _FRAMES or all(abs(a - b) <= OFFSET_TOLERANCE_MM for a, b in zip(then, now, strict=False)):
+        return ""
+    return f"G10 L2 P{_FRAMES.index(wcs) + 1} {axes_words(then)}"
 
 
 def axes_words(values: Sequence[float]) -> str:

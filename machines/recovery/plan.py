@@ -38,6 +38,7 @@ class Present:
 
     restarted : a restart of the controller was seen since the run stopped
     vouched_axes : axes of which a person has set the work zero anew since the run stopped
+    homed : machine coordinates are those of a homing cycle
     """
 
     status: MillStatus
@@ -45,6 +46,7 @@ class Present:
     parser_state: str | None = None
     restarted: bool = False
     vouched_axes: str = ""
+    homed: bool = False
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,6 +57,7 @@ class RecoveryPlan:
     overlap_line  : the line that is sent first  recut_lines : lines sent again
     position_mm   : where the tool is put down (work frame); None: the program starts from its top
     blocks        : sent before the program
+    zero_back     : a block that sets the work zero that the run was cut at; "" where it is the same, or not certain
     """
 
     run_id: str
@@ -67,6 +70,7 @@ class RecoveryPlan:
     needs: tuple[Need, ...] = ()
     differences: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
+    zero_back: str = ""
     motion: str = ""  # motion word put before the first line, which relies on an earlier one
 
     @property
@@ -90,6 +94,7 @@ class RecoveryPlan:
             "refusals": list(self.refusals),
             "needs": [{"code": need.code, "words": need.words} for need in self.needs],
             "differences": list(self.differences),
+            "zero_back": self.zero_back,
             "words": list(self.words),
         }
 

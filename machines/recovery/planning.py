@@ -16,7 +16,7 @@ from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
-from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt
+from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
 from machines.recovery.plan import Need, Present, RecoveryPlan, Reentry
 from machines.recovery.way import height_mm, unreadable, way_in
 
@@ -58,6 +58,7 @@ def plan_recovery(
         refusals=tuple(refusals),
         needs=needs,
         differences=differences,
+        zero_back=zero_back(record, present, entry) if tells else "",
         motion=entry.motion if entry else "",
     )
     return _with_words(plan, record, present, entry)

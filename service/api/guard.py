@@ -20,8 +20,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from service.api.auth import ANONYMOUS, MACHINE_RUN, Principal, not_authorised, note_open, note_principal
 from service.api.limits import Limiter
 from service.api.services import Services
+from service.api.whence import is_here
 from service.jobs.tokens import Token
-from service.web.hosts import is_loopback, is_own_host, own_names
+from service.web.hosts import is_own_host, own_names
 from service.web.problems import Problem, problem_response
 
 OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
@@ -42,7 +43,6 @@ _SINGLE = frozenset(
         b"causticmill-control",
     }
 )
-_FORWARDED = frozenset({b"forwarded", b"via", b"x-real-ip"})
 _MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
 _BURST_S = 10.0
 _LOOK_UPS = 8
@@ -88,7 +88,7 @@ class Guard:
             raise Problem(403, f"Host is '{host[:100]}'; allowed: localhost, an address, or a name of this server")
         if scope["method"] not in _SAFE:
             _refuse_foreign_page(headers, host)
-        here = _is_here(scope, headers)
+        here = is_here(scope, headers)
         if here and scope["path"] in self._open_here:  # and stays so when the database is away
             note_open(scope)
             return
@@ -176,11 +176,3 @@ def _site(origin: bytes) -> str | None:
         return urlsplit(origin.decode("latin-1").lower()).netloc
     except ValueError:
         return None
-
-
-def _is_here(scope: Scope, headers: Headers) -> bool:
-    """The caller is on this computer, and no proxy has passed its request on; some say nothing but speak HTTP/1.0."""
-    peer = scope.get("client")
-    forwarded = any(name in _FORWARDED or name.startswith(b"x-forwarded-") for name in headers)
-    direct = not forwarded and scope.get("http_version") != "1.0"
-    return peer is not None and is_loopback(peer[0]) and direct

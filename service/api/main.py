@@ -29,6 +29,7 @@ from service.api.form import sweep_uploads
 from service.api.metrics import Metrics
 from service.api.pictures import PictureChecker
 from service.api.services import Services
+from service.api.terminal import CodeOnTerminal
 from service.errors import EXIT_FAILURE, JobError
 from service.fleet.fleet import Fleet
 from service.host import address, lifeline
@@ -58,12 +59,13 @@ def main() -> int:
     try:
         settings = ServerSettings.load()
         offer = os.environ.pop(lifeline.PAIRING_OFFER, "")
-        configure_logs(settings.log_level, process="api")
+        configure_logs(settings.log_level, form=settings.log_format, process="api")
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
         _allow_files()
         listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
-        with contextlib.closing(listener), open_services(settings, offer) as services:
+        url = address.url_of(listener)
+        with contextlib.closing(listener), open_services(settings, offer, url) as services:
             asyncio.run(_serve(services, listener))
     except JobError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
@@ -76,10 +78,10 @@ def main() -> int:
 
 
 @contextlib.contextmanager
-def open_services(settings: ServerSettings, offer: str = "") -> Iterator[Services]:
+def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> Iterator[Services]:
     """Everything the routes need, closed at the end. InputError where it would not be safe to serve.
 
-    offer : of a code with which pages can be paired
+    offer : of a code with which pages can be paired. url : where the page is
     """
     with contextlib.ExitStack() as stack:
         settings.data.mkdir(parents=True, exist_ok=True)
@@ -109,6 +111,7 @@ def open_services(settings: ServerSettings, offer: str = "") -> Iterator[Service
             engine=engine,
             tokens=tokens,
             pairings=pairings,
+            terminal=CodeOnTerminal(pairings, offer, url),
             fleet=fleet,
             pictures=pictures,
             estimates=estimates,

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse, Response
 
-from machines.profiles import ProfileError, load_profile, profile_names
+from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
 from service.api.answers import answers, example
 from service.api.auth import Reader
 from service.api.routes_artifacts import Asked, byte_answers, sent
@@ -16,14 +19,22 @@ from service.api.routes_jobs import JobId
 from service.api.schemas import JOB_EXAMPLE, ProfileList, RequestView
 from service.api.services import services_of
 from service.asked_spec import asked_spec
+from service.fleet.machines import KnownMachine, known_machines
 from service.jobs.records import Artifact
+from service.settings import ServerSettings
 
 router = APIRouter()
 
 _PICTURE = "picture"
 _PROFILES = {
     "profiles": [
-        {"name": "grbl", "description": "desktop router", "dialect": "grbl", "travel_mm": [300.0, 300.0, 80.0]}
+        {
+            "name": "grbl",
+            "description": "desktop router",
+            "dialect": "grbl",
+            "travel_mm": [300.0, 300.0, 80.0],
+            "mills": [{"name": "simulated", "simulated": True}],
+        }
     ]
 }
 _REQUEST = {
@@ -40,9 +51,11 @@ _REQUEST = {
     response_model=ProfileList,
     responses=answers({200: example(_PROFILES)}),
 )
-async def profiles(_: Reader) -> Response:
-    """The values that `machine.profile` of a spec may have. A profile that cannot be read is left out."""
-    return JSONResponse({"profiles": await asyncio.to_thread(_profiles)})
+async def profiles(request: Request, _: Reader) -> Response:
+    """The values that `machine.profile` of a spec may have, each with the mills of this server that its programs are
+    for. A profile that cannot be read is left out.
+    """
+    return JSONResponse({"profiles": await asyncio.to_thread(_profiles, services_of(request).settings)})
 
 
 @router.get(
@@ -80,19 +93,41 @@ async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Res
     return await sent(request, file, asked)
 
 
-def _profiles() -> list[dict[str, Any]]:
-    found = []
+def _profiles(settings: ServerSettings) -> list[dict[str, Any]]:
+    profiles = []
     for name in profile_names():
-        try:
-            profile = load_profile(name)
-        except ProfileError:
-            continue
-        found.append(
-            {
-                "name": profile.name,
-                "description": profile.description,
-                "dialect": profile.dialect,
-                "travel_mm": list(profile.travel_mm),
-            }
-        )
+        with contextlib.suppress(ProfileError):
+            profiles.append(load_profile(name))
+    mills = mills_by_profile(known_machines(settings)[0].values(), profiles)
+    return [
+        {
+            "name": profile.name,
+            "description": profile.description,
+            "dialect": profile.dialect,
+            "travel_mm": list(profile.travel_mm),
+            "mills": [{"name": mill.name, "simulated": mill.simulated} for mill in mills.get(profile.name, ())],
+        }
+        for profile in profiles
+    ]
+
+
+def mills_by_profile(
+    mills: Iterable[KnownMachine], profiles: Sequence[MachineProfile]
+) -> dict[str, list[KnownMachine]]:
+    """A mill's own profile has its name; one that has none among them is served by the first that a job is made alike
+    with.
+    """
+    found: dict[str, list[KnownMachine]] = {}
+    names = {profile.name for profile in profiles}
+    for mill in mills:
+        alike = (one.name for one in profiles if mill.profile is not None and _made_alike(one, mill.profile))
+        name = mill.name if mill.name in names else next(alike, None)
+        if name is not None:
+            found.setdefault(name, []).append(mill)
     return found
+
+
+def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
+    """Whether programs for one are programs for the other: all but name, link and homing."""
+    ours, theirs = asdict(one), asdict(other)
+    return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})

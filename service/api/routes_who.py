@@ -14,7 +14,10 @@ from service.api.examples_runs import PAIRING_EXAMPLE, WHOAMI_EXAMPLE
 from service.api.schemas_control import PairingBody, PairingView, WhoamiView
 from service.api.services import services_of
 from service.api.times import iso_or_none
-from service.jobs.pairing import WrongCodeError
+from service.api.whence import address_of, is_this_computer
+from service.jobs.pairing import NoCodeError, WrongCodeError
+from service.jobs.tokens import Token
+from service.jobs.tries import TooManyTriesError
 from service.web.problems import Problem
 
 router = APIRouter(tags=["operations"])
@@ -44,13 +47,28 @@ async def whoami(principal: Known) -> Response:
 async def pair(request: Request, body: PairingBody) -> Response:
     """A token for who knows the code that the server has printed where it runs: jobs, and running mills, for a day.
 
-    After five wrong tries only a new code helps, which `causticmill token pair` makes on the server's computer.
+    Five wrong tries may come at once from an address, then one a minute; 429 says when to try again.
     """
-    try:
-        token, secret = await asyncio.to_thread(services_of(request).pairings.pair, body.code, body.name)
-    except WrongCodeError as error:
-        raise Problem(403, str(error), field="code", more={"left": error.left}) from None
+    token, secret = await asyncio.to_thread(_paired, request, body)
     told = {"token": secret, "name": token.name, "scopes": sorted(token.scopes)}
     return JSONResponse(
         told | {"expires_at": iso_or_none(token.expires_at)}, status_code=201, headers={"Cache-Control": "no-store"}
     )
+
+
+def _paired(request: Request, body: PairingBody) -> tuple[Token, str]:
+    """In a thread: digests are slow, and a terminal may be, too."""
+    services = services_of(request)
+    address = address_of(request.scope, behind_proxy=services.settings.behind_proxy)
+    # Whoever is at this computer is not slowed down by a crowd elsewhere.
+    counts_for_all = not is_this_computer(address)
+    try:
+        return services.pairings.pair(body.code, body.name, address=address, counts_for_all=counts_for_all)
+    except WrongCodeError as error:
+        again = ". The code has just been printed again where the server runs" if services.terminal.show() else ""
+        raise Problem(403, f"{error}{again}", field="code", more={"left": error.left}) from None
+    except NoCodeError as error:
+        words = "this code has ended; a new one has just been printed where the server runs"
+        raise Problem(403, words if services.terminal.show() else str(error), field="code") from None
+    except TooManyTriesError as error:
+        raise Problem(429, str(error), field="code", headers={"Retry-After": str(error.wait_s)}) from None

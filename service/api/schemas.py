@@ -66,7 +66,9 @@ class StageView(Body):
     name: str
     state: StageWord
     share: Annotated[float, Field(description="part of the whole job's time, as planned")]
+    usual_s: Annotated[float, Field(description="what it took on two cores, on an idle computer")]
     seconds: float | None
+    started_at: str | None
 
 
 class ProgramView(Body):
@@ -135,6 +137,11 @@ class RequestView(Body):
     image: Annotated[str, Field(description="address of the picture")]
 
 
+class ProfileMill(Body):
+    name: str
+    simulated: bool
+
+
 class ProfileView(Body):
     """A kind of mill that programs can be made for."""
 
@@ -142,6 +149,7 @@ class ProfileView(Body):
     description: str
     dialect: str
     travel_mm: Annotated[list[float], Field(description="X, Y, Z")]
+    mills: Annotated[list[ProfileMill], Field(description="of this server; programs made so are for them")]
 
 
 class ProfileList(Body):
@@ -189,8 +197,22 @@ JOB_EXAMPLE: dict[str, Any] = SUMMARY_EXAMPLE | {
     "report": None,
     "spec": {"preset": "paper", "optics": {"width_mm": 100.0}},
     "stages": [
-        {"name": "image", "state": "committed", "share": 0.01, "seconds": 0.4},
-        {"name": "map", "state": "running", "share": 0.2, "seconds": None},
+        {
+            "name": "image",
+            "state": "committed",
+            "share": 0.01,
+            "usual_s": 0.2,
+            "seconds": 0.4,
+            "started_at": "2026-11-21T08:00:01.000Z",
+        },
+        {
+            "name": "map",
+            "state": "running",
+            "share": 0.2,
+            "usual_s": 2.7,
+            "seconds": None,
+            "started_at": "2026-11-21T08:00:01.500Z",
+        },
     ],
     "programs": [],
 }

@@ -21,6 +21,7 @@ ESTIMATE_EXAMPLE: dict[str, Any] = {
     "planned": False,
     "hours": 2.22,
     "blur_mm": 1.2,
+    "psnr_db": 24.5,
     "blur_by": {"light_mm": 0.0, "milling_mm": 1.2},
     "refusals": [],
     "warnings": ["details under 2.5 mm will blur: the tool's marks"],
@@ -57,6 +58,7 @@ class EstimateView(Body):
     planned: Annotated[bool, Field(description="the passes were planned for this estimate, on a coarse picture")]
     hours: float
     blur_mm: Annotated[float, Field(description="root mean square on the screen")]
+    psnr_db: Annotated[float | None, Field(description="likeness of the milled picture; null: no pass finishes it")]
     blur_by: BlurEstimate
     refusals: Annotated[list[str], Field(description="why the job would fail; they are warnings, too")]
     warnings: list[str]

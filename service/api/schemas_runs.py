@@ -99,6 +99,7 @@ class RecoveryView(Body):
     refusals: list[str]
     needs: list[dict[str, str]]
     differences: list[str]
+    zero_back: Annotated[str, Field(description="a block that sets the work zero the run was cut at; or empty")] = ""
     words: list[str]
 
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from service.api.feed import Feed
     from service.api.metrics import Metrics
     from service.api.pictures import PictureChecker
+    from service.api.terminal import CodeOnTerminal
     from service.fleet.fleet import Fleet
     from service.jobs.book import JobBook
     from service.jobs.pairing import PairingBook
@@ -32,6 +33,7 @@ class Services:
     engine: JobEngine
     tokens: TokenBook
     pairings: PairingBook
+    terminal: CodeOnTerminal
     fleet: Fleet
     pictures: PictureChecker
     estimates: Estimator

@@ -12,7 +12,7 @@ from service.jobs.records import Artifact, Job, Progress, StageRun
 from service.jobs.states import JobState
 from service.passes import with_plan
 from service.spec import JobSpec
-from service.stages.plan import shares
+from service.stages.plan import usual_seconds
 
 Json = dict[str, Any]
 
@@ -116,12 +116,14 @@ def _progress(job: Job, progress: Progress | None) -> float:
 def _stages(job: Job, runs: Sequence[StageRun]) -> list[Json]:
     """Every stage of the job's plan, with what became of it in this attempt."""
     last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
-    planned = shares(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
-    return [_stage(name, share, last.get(name)) for name, share in planned.items()]
+    usual = usual_seconds(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
+    whole = sum(usual.values())
+    return [_stage(name, own, own / whole, last.get(name)) for name, own in usual.items()]
 
 
-def _stage(name: str, share: float, run: StageRun | None) -> Json:
+def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> Json:
+    planned = {"name": name, "share": round(share, 4), "usual_s": round(usual_s, 2)}
     if run is None:
-        return {"name": name, "state": "waiting", "share": round(share, 4), "seconds": None}
+        return planned | {"state": "waiting", "seconds": None, "started_at": None}
     seconds = None if run.ended_at is None else round(max(0.0, run.ended_at - run.started_at), 3)
-    return {"name": name, "state": str(run.state), "share": round(share, 4), "seconds": seconds}
+    return planned | {"state": str(run.state), "seconds": seconds, "started_at": iso_or_none(run.started_at)}

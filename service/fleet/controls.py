@@ -61,7 +61,7 @@ class Controls:
     async def start(self, run_id: str, operator: str, checks: frozenset[str], around: Surroundings) -> Seen:
         run = await self._handed_over(run_id, fresh=True)
         if not run.open:
-            raise Problem(409, f"the run is {run.state} and closed; park the program again", field="run")
+            raise Problem(409, f"the run is {run.state} and closed; load the program again", field="run")
         needed = required_checks(run, around)
         if ORDER in needed and ORDER not in checks:
             names = ", ".join(one.name for one in around.left_out(run.number))

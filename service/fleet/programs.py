@@ -82,7 +82,7 @@ def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
     """What to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
     old, new = before.get("radius_mm"), row.get("radius_mm")
     if old is not None and old == new:
-        words = f"the same tool as before, R {_mm(new)}, if it is still sharp; probe Z or set Z zero again"
+        words = f"the same tool as before, R {_mm(new)}: it stays in, and all zeros as they are"
     else:
         words = f"change the tool from R {_mm(old)} to R {_mm(new)}, set Z zero again; X and Y zero stay"
     return {"from_radius_mm": old, "to_radius_mm": new, "words": words}

@@ -204,4 +204,5 @@ def mill_json(status: Json) -> Json:
         "problem": status.get("problem", ""),
         "needs": status.get("needs", []),
         "latched": status.get("latched", ""),
+        "zeroed": status.get("zeroed", ""),
     }

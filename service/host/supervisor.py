@@ -23,6 +23,7 @@ from types import FrameType
 from service.errors import EXIT_FAILURE, EXIT_INPUT, JobError, printable
 from service.host import address, lifeline
 from service.host.locking import lock_folder
+from service.host.notice import code_lines
 from service.host.watched import Watched
 from service.jobs.codes import code_of, new_offer
 
@@ -131,8 +132,7 @@ class Supervisor:
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
             if self._ready:
-                code = code_of(self._offer)
-                print(f"open {where} in a browser; the code for running mills from there: {code}", flush=True)
+                print(code_lines(sys.stdout, where, code_of(self._offer)), end="", flush=True)
         if not self._announced and self._starts is not None and _setting("START_AGENTS", "true") == "true":
             command = [sys.executable, "-P", "-m", self._starts]
             self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)

@@ -1,8 +1,7 @@
-"""Codes that a person types into the page to run mills from it: short, so every wrong try counts.
+"""Codes that a person types into the page to run mills from it: short, so tries are few (service/jobs/tries.py).
 
 A code is good for a day and any number of pages. What is kept of it is a slow, salted digest, so that a stolen
-database opens nothing. A wrong try counts against every code that lives, in the database, so that neither a restart nor
-a second server gives more of them; a code with too many is dead, and a person at the server makes a new one.
+database opens nothing.
 """
 
 from __future__ import annotations
@@ -15,13 +14,13 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from sqlalchemy import Engine, delete, select, update
+from sqlalchemy import Engine, delete, select
 
 from service.jobs.database import insert_new, reading, writing
 from service.jobs.tables import pairings
 from service.jobs.tokens import Token, TokenBook, TokenScope
+from service.jobs.tries import give_back, take_try, tries_left
 
-MOST_WRONG = 5
 CODE_LIFE_S = 86400.0
 TOKEN_LIFE_S = 86400.0
 _MOST_CODES = 4
@@ -30,18 +29,22 @@ _OFFER = re.compile(r"([0-9a-f]{32}):(\d{4}-\d{4})")
 
 
 class WrongCodeError(Exception):
-    """This code opens nothing. `left`: tries that are left; 0: only a new code helps."""
+    """This code opens nothing. `left`: tries that are left at once."""
 
     def __init__(self, left: int) -> None:
-        if left:
-            words = f"this is not the code; {left} {'tries' if left > 1 else 'try'} left"
-        else:
-            words = (
-                "no code is valid any more; a new one, on the server's computer: `causticmill token pair --data DIR` "
-                "(DIR: the folder that `serve` was given)"
-            )
-        super().__init__(words)
+        more = f"{left} more {'tries' if left > 1 else 'try'} at once" if left else "the next try is in a minute"
+        super().__init__(f"this is not the code; {more}")
         self.left = left
+
+
+class NoCodeError(Exception):
+    """Codes end after a day, and no other one was made."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "no code is valid any more; a new one, on the server's computer: `causticmill token pair --data DIR` "
+            "(DIR: the folder that `serve` was given)"
+        )
 
 
 class PairingBook:
@@ -53,41 +56,45 @@ class PairingBook:
         self._clock = clock
 
     def offer(self, offer: str) -> None:
-        """From now on its code is taken. One that was offered before stays as it is, wrong tries included."""
+        """From now on its code is taken, for a day. One that was offered before stays as it is."""
         found = _OFFER.fullmatch(offer)
         if found is None:
             raise ValueError("an offer is a text of codes.new_offer")
         now, salt = self._clock(), secrets.token_hex(16)
-        row = {"id": found[1], "salt": salt, "digest": _digest(found[2], salt), "wrong": 0}
+        row = {"id": found[1], "salt": salt, "digest": _digest(found[2], salt)}
         newest = select(pairings.c.id).order_by(pairings.c.created_at.desc()).limit(_MOST_CODES - 1)
         with writing(self._engine) as connection:
             kept = [found[1], *connection.execute(newest).scalars()]
             connection.execute(delete(pairings).where((pairings.c.expires_at < now) | pairings.c.id.not_in(kept)))
             insert_new(connection, pairings, row | {"created_at": now, "expires_at": now + CODE_LIFE_S})
 
-    def pair(self, code: str, person: str) -> tuple[Token, str]:
-        """A token for the page of a person who knows a code, and its secret. WrongCodeError."""
-        rows = self._live()
+    def pair(self, code: str, person: str, *, address: str, counts_for_all: bool = True) -> tuple[Token, str]:
+        """A token for the page of a person who knows a code, and its secret.
+
+        address : what the try is counted by; counts_for_all: in the budget of all addresses, too
+        WrongCodeError, NoCodeError; TooManyTriesError: it was not looked at.
+        """
+        alive = self._live()
+        if not alive:
+            raise NoCodeError
+        with writing(self._engine) as connection:
+            take_try(connection, address, self._clock(), counts_for_all=counts_for_all)
         typed = re.sub(r"[\s-]", "", code)
         plain = f"{typed[:4]}-{typed[4:]}"
-        tried = [(row["id"], hmac.compare_digest(_digest(plain, row["salt"]), row["digest"])) for row in rows]
-        if not self._counted([identity for identity, _ in tried], right={one for one, right in tried if right}):
-            raise WrongCodeError(MOST_WRONG - min((row["wrong"] for row in self._live()), default=MOST_WRONG))
+        right = [hmac.compare_digest(_digest(plain, row["salt"]), row["digest"]) for row in alive]
+        with writing(self._engine) as connection:
+            if not any(right):
+                raise WrongCodeError(tries_left(connection, address, self._clock()))
+            give_back(connection, address, counts_for_all=counts_for_all)
         return self._tokens.create_paired(person, SCOPES, life_s=TOKEN_LIFE_S)
 
-    def _live(self) -> list[Any]:
-        alive = (pairings.c.wrong < MOST_WRONG) & (pairings.c.expires_at > self._clock())
-        with reading(self._engine) as connection:
-            return list(connection.execute(select(pairings).where(alive)).mappings())
+    def is_live(self, offer: str) -> bool:
+        """Whether the code of this offer is still taken."""
+        return any(row["id"] == offer.partition(":")[0] for row in self._live())
 
-    def _counted(self, tried: list[str], *, right: set[str]) -> bool:
-        """Count a wrong try; True where a code was right and is not dead by now, by tries that came meanwhile."""
-        with writing(self._engine) as connection:
-            alive = select(pairings.c.id).where(pairings.c.id.in_(right), pairings.c.wrong < MOST_WRONG)
-            if connection.execute(alive).first() is not None:
-                return True
-            connection.execute(update(pairings).where(pairings.c.id.in_(tried)).values(wrong=pairings.c.wrong + 1))
-            return False
+    def _live(self) -> list[Any]:
+        with reading(self._engine) as connection:
+            return list(connection.execute(select(pairings).where(pairings.c.expires_at > self._clock())).mappings())
 
 
 def _digest(code: str, salt: str) -> str:

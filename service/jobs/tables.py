@@ -176,9 +176,17 @@ pairings = Table(
     Column("id", String(40), primary_key=True),
     Column("salt", String(64), nullable=False),
     Column("digest", String(64), nullable=False),
-    Column("wrong", Integer, nullable=False),
     Column("created_at", Float, nullable=False),
     Column("expires_at", Float, nullable=False),
+)
+
+# Codes tried from an address, and from all of them together: `used` at the moment `at`, fewer since.
+pairing_tries = Table(
+    "pairing_tries",
+    metadata,
+    Column("address", String(100), primary_key=True),
+    Column("used", Float, nullable=False),
+    Column("at", Float, nullable=False),
 )
 
 # Who may give orders to a mill at present: digest is of the secret that the holder shows with each of them.

@@ -83,7 +83,8 @@ function decoded(groups = {}) {
 function showFault(error, place, app) {
   const expected = error.name === "ProblemError";
   if (!expected) console.error(error);
-  const words = expected ? sentence(error.detail) : `This view cannot be shown (${error.message}). Load the page again.`;
+  const told = error.status === 401 ? "This server asks for its code before it shows this." : sentence(error.detail ?? "");
+  const words = expected ? told : `This view cannot be shown (${error.message}). Load the page again.`;
   app.title("Not shown");
   replace(
     place,
@@ -94,7 +95,7 @@ function showFault(error, place, app) {
       { class: "row" },
       h("button", { type: "button", class: "primary", onclick: () => show() }, "Try again"),
       error.status === 401 &&
-        h("button", { type: "button", onclick: () => askForKey("jobs:read") }, "Enter the key"),
+        h("button", { type: "button", onclick: () => askForKey("jobs:read") }, "Enter the code"),
       h("a", { class: "button", href: "#/" }, "All jobs"),
     ),
   );

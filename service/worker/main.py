@@ -51,7 +51,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Ev
     from service.worker.refusals import executor_name
     from service.worker.whole import open_worker
 
-    configure_logs(settings.log_level, executor=executor_name(settings))
+    configure_logs(settings.log_level, form=settings.log_format, executor=executor_name(settings))
     try:
         with open_worker(settings, processes) as worker:
             worker.start()

@@ -23,13 +23,13 @@ from optics.heightfield import Heightfield
 from service.stages.arrays import load_heightfield
 from tests.end_to_end.command import COMMAND, ran, settings
 
-SIDE_MM = 10.0
+SIDE_MM = 7.0
 SETTINGS = settings(
     {
         "image.pixels": 64,
         "image.tone": "linear",
-        "optics.width_mm": 10,
-        "optics.height_mm": 10,
+        "optics.width_mm": SIDE_MM,
+        "optics.height_mm": SIDE_MM,
         "optics.throw_mm": 40,
     }
 )
@@ -249,7 +249,7 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
 
 
 def test_a_disk_that_takes_no_more_leaves_nothing(picture: Path, tmp_path: Path) -> None:
-    """A limit on the size of a file stands in for a full disk: the write fails in the middle of the finish program."""
+    """A limit on the size of a file stands in for a full disk: the write fails in the middle of the lens's solid."""
 
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (1_000_000, 1_000_000))

@@ -64,7 +64,7 @@ def test_one_run_at_a_time_and_each_only_once(shop: Shop) -> None:
     shop.started()
     with pytest.raises(NotAllowedError, match="one run at a time"):
         shop.mill.start(other, YES)
-    with pytest.raises(NotAllowedError, match="running, only a parked run"):
+    with pytest.raises(NotAllowedError, match="running and does not wait for its start"):
         shop.mill.start(shop.id, YES)
     with pytest.raises(NotAllowedError, match="running"):
         shop.mill.plan_recovery(shop.id)
@@ -185,6 +185,16 @@ def test_a_power_cycle_demands_the_position(shop: Shop) -> None:
         shop.mill.recover(shop.id, YES_ALL)
     shop.bench.command_done(TrustPosition())
     assert shop.mill.plan_recovery(shop.id).ready
+
+
+def test_what_was_zeroed_and_homed_is_told_until_the_position_is_lost(shop: Shop) -> None:
+    assert (shop.mill.snapshot.zeroed, shop.mill.snapshot.homed) == ("", False)
+    shop.bench.command_done(SetZero("XY"))
+    shop.bench.command_done(SetZero("Z"))
+    assert (shop.mill.snapshot.zeroed, shop.mill.snapshot.homed) == ("XYZ", False)
+    shop.bench.sim.power_cycle()
+    shop.bench.until(lambda: shop.mill.snapshot.zeroed == "")
+    assert shop.mill.snapshot.as_dict()["zeroed"] == ""
 
 
 @pytest.mark.parametrize("order", ["hold", "abort"])

@@ -272,3 +272,21 @@ def test_a_one_way_link_is_recovered_by_its_sequence_numbers(tmp_path: Path, kil
     refusal = " ".join(plan.refusals)
     assert not plan.ready and plan.needs == () and plan.blocks == ()
     assert "line 40 (N400)" in refusal and "line 12 (N120)" in refusal and "sequence number" in refusal
+
+
+@pytest.mark.parametrize("then", [False, True])
+@pytest.mark.parametrize("now", [False, True])
+@pytest.mark.parametrize("sure", [False, True])
+def test_the_old_zero_is_put_back_only_where_machine_coordinates_are_the_same(
+    raster: Shop, then: bool, now: bool, sure: bool
+) -> None:
+    """Homed then and homed now; the block that is offered makes the offsets equal, and the plan ready."""
+    moved = OFFSETS | {"G54": (-150.25, -100.0, -20.0)}
+    record = {"homed": then, "offsets": OFFSETS | {"G54": (-150.0, -100.0, -21.5)}}
+    status = dataclasses.replace(IDLE, position_trusted=sure)
+    present = dataclasses.replace(NOW, status=status, offsets=moved, homed=now)
+    plan = raster.plan(9, present, **record)
+    assert "zero" in [need.code for need in plan.needs]
+    assert plan.zero_back == ("G10 L2 P1 X-150.000 Y-100.000 Z-21.500" if then and now and sure else "")
+    same = raster.plan(9, dataclasses.replace(present, offsets=record["offsets"]), **record)
+    assert same.zero_back == "" and "zero" not in [need.code for need in same.needs]

@@ -25,6 +25,11 @@ def readout(page: Page, axis: str, *, own: bool = False) -> Locator:
     return page.locator(".readout .own" if own else ".readout .work").nth("XYZ".index(axis))
 
 
+def setup(page: Page) -> Locator:
+    """The card in which a mill is homed and zeroed at any time; the next step has a button of its own."""
+    return page.get_by_role("region", name="Zero and home")
+
+
 def take_control(page: Page) -> None:
     """From whoever has it: a test before this one may have failed."""
     free, held = page.get_by_role("button", name="Take control"), page.get_by_role("button", name="Take over")
@@ -60,7 +65,7 @@ def give_up(page: Page) -> None:
 def homed(page: Page) -> None:
     done = page.locator(".log li", has_text="Home: done")
     before = done.count()
-    page.get_by_role("button", name="Home", exact=True).click()
+    setup(page).get_by_role("button", name="Home", exact=True).click()
     expect(done).to_have_count(before + 1, timeout=WAIT_MS)
     expect(machine_state(page)).to_have_text("idle", timeout=WAIT_MS)
 
@@ -77,9 +82,9 @@ def zeroed(page: Page) -> None:
     for axis, place in zip("XYZ", ("−150.000", "−150.000", "−20.000"), strict=True):
         expect(readout(page, axis, own=True)).to_have_text(place, timeout=WAIT_MS)
     expect(machine_state(page)).to_have_text("idle")
-    page.get_by_role("button", name="X and Y = 0 here").click()
+    setup(page).get_by_role("button", name="X and Y = 0 here").click()
     expect(readout(page, "X")).to_have_text("0.000")
-    page.get_by_role("button", name="Z = 0 here", exact=True).click()
+    setup(page).get_by_role("button", name="Z = 0 here", exact=True).click()
     expect(readout(page, "Z")).to_have_text("0.000")
 
 

@@ -54,7 +54,7 @@ def shown(opened: Opened, job: dict[str, Any], files: list[dict[str, Any]], **ho
     page = opened("#/machines", **how)
     answer(page, job, files)
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
-    expect(page.get_by_role("heading", level=1, name=job["name"])).to_be_visible()
+    expect(page.get_by_role("heading", level=1, name=job["name"].removesuffix(".png"), exact=True)).to_be_visible()
     return page
 
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import copy
 import json
+from collections.abc import Callable
 from typing import Any
 
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 NAME = "shop"
 RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
@@ -42,6 +43,7 @@ MACHINE: dict[str, Any] = {
         "problem": "",
         "needs": ["a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"],
         "latched": "",
+        "zeroed": "XYZ",
     },
     "run": None,
     "control": None,
@@ -92,6 +94,7 @@ PLAN: dict[str, Any] = {
         {"code": "position", "words": "the controller has restarted since the run stopped, its position is lost"},
     ],
     "differences": ["G54 was X-150.000, is X-150.250"],
+    "zero_back": "",
     "words": ["lines up to 8654 are cut for certain; line 8655 is the next one"],
 }
 _CUT = {"share": 0.21, "executed_line": 8654, "time_left_s": 4300.0, "operator": "Ada"}
@@ -119,41 +122,64 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
         _STOPPED | {"state": "interrupted", "words": "port lost: the device is gone"},
     ),
     "no-agent": ({"agent": {"reachable": False, "words": f"machine '{NAME}' has no agent at present"}}, {}, None),
-    "finished": ({}, {}, _CUT | {"state": "finished", "share": 1.0, "executed_line": 41210}),
+    "stopped": (
+        {},
+        {"work_mm": [12.4, 7.02, -2.3], "machine_mm": [-137.6, -142.98, -22.3], "needs": []},
+        _STOPPED | {"state": "aborted", "open": False, "words": "aborted by the operator"},
+    ),
+    "finished": ({}, {}, _CUT | {"state": "finished", "open": False, "share": 1.0, "executed_line": 41210}),
     "refused": ({}, {}, {"state": "refused", "words": "the program leaves the travel: X 312.4 of 300 mm at line 120"}),
     "bad-profile": ({"problem": 'shop.toml: extends = "grlb": allowed: "grbl", "grbl-3018"'}, {}, None),
 }
 
 
 def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
-    """The machine as the API tells it, and the run that is on it."""
+    """The machine as the API tells it, and the run that is on it, or was the last one."""
     changes, mill, run = STATES[state]
     machine = copy.deepcopy(MACHINE) | changes
     machine["mill"] |= mill
     whole = None if run is None else copy.deepcopy(RUN) | run
-    if whole is not None:
+    if whole is not None and whole["open"]:
         machine["run"] = whole | {"program": whole["program"]["name"]}
     if "agent" in changes or "problem" in changes:
         machine["mill"] = None
     return machine, whole
 
 
-def told(page: Page, state: str, *, operator: str = "") -> None:
-    """From now on this page hears of one machine in this state; whoever takes control of it is that operator."""
+def told(page: Page, state: str, *, operator: str = "", mill: dict[str, Any] | None = None) -> None:
+    """From now on this page hears of one machine in this state; whoever takes control of it is that operator.
+
+    mill : what is different about the mill; a page that listens already hears of it at once
+    """
     machine, run = machine_in(state)
+    if mill:
+        machine["mill"] |= mill
     if operator:
         machine["control"] = {"operator": operator, "since": _SINCE}
         control = machine["control"] | {"control": "a secret"}
         page.route("**/v1/machines/shop/control", lambda route: route.fulfill(json=control))
     entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone"}
     events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
+    last = [run] if run is not None and not run["open"] else []
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
-    page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": [], "next": None}))
+    page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": last, "next": None}))
     page.route("**/v1/runs/*", lambda route: route.fulfill(json=run))
     page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN))
     page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json={"id": _JOB, "spec": _spec(), "programs": []}))
     page.route(f"**/v1/jobs/{_JOB}/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
+    page.evaluate("window.dispatchEvent(new Event('online'))")  # a stream that waits asks again
+
+
+def with_control(opened: Callable[..., Page], state: str, *, mill: dict[str, Any] | None = None, **how: Any) -> Page:
+    """A page at this mill, with control of it."""
+    page = opened("#/machines", key="Ada", **how)
+    told(page, state, operator="Ada", mill=mill)
+    page.evaluate(f"location.hash = '#/machines/{NAME}'")
+    page.get_by_role("button", name="Take over").click()
+    page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
+    expect(page.get_by_text("You have control.")).to_be_visible()
+    return page
 
 
 def _spec() -> dict[str, Any]:

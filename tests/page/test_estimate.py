@@ -7,6 +7,7 @@ import re
 from playwright.sync_api import Route, expect
 
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
+from service.report_words import psnr_in_words
 from tests.page.conftest import Opened
 from tests.page.shop import Shop
 from tests.page.test_new_job import choose, fill, parts, picture, wall
@@ -26,6 +27,7 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     choose(page, picture())
     estimate = page.get_by_role("region", name="Estimate")
     expect(estimate).to_contain_text("Machine time")
+    expect(estimate).to_contain_text(psnr_in_words(ESTIMATE_EXAMPLE["psnr_db"]))
     expect(estimate.get_by_role("list", name="Passes").get_by_role("listitem")).to_have_count(
         len(ESTIMATE_EXAMPLE["passes"])
     )

@@ -13,6 +13,9 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 
 from service.drawing.layout import parted
+from service.report_words import duration, psnr_in_words
+from service.spec_files import resolve_spec
+from service.stages.plan import usual_seconds
 from tests.page.browser import every_screen
 from tests.page.conftest import Opened
 from tests.page.jobs import PLAN_HOURS, answer, like, of_shop, shown, stopped_at, with_plan
@@ -75,14 +78,81 @@ def test_figures_in_words_are_those_of_the_report(at_job: Page, shop: Shop) -> N
     marks_mm = math.hypot(milled["blur_x_px"], milled["blur_y_px"]) * pixel_mm
     detail_mm = max(pixel_mm, math.hypot(2 * marks_mm, optics["tolerances"]["blur_mm"]))
     facts = at_job.locator(".facts")
-    expect(facts).to_contain_text(f"{milled['psnr_db']:.1f} dB")
-    expect(facts).to_contain_text(f"{optics['psnr_db']:.1f} dB")
+    expect(facts).to_contain_text(psnr_in_words(milled["psnr_db"]))
+    assert not re.search(r"dB|PSNR|SSIM|rms", facts.inner_text()), "words for an eye; figures are folded away"
+    at_job.get_by_text("Figures for experts").click()
+    likeness = at_job.get_by_role("row", name="Likeness (PSNR)").get_by_role("cell")
+    assert likeness.all_inner_texts() == [f"{one['psnr_db']:.1f} dB" for one in (milled, optics)]
     told = re.search(r"details under ([\d.]+) (mm|µm) will blur", facts.inner_text())
     assert told
     assert float(told[1]) * (1e-3 if told[2] == "µm" else 1) == pytest.approx(detail_mm, rel=0.06)
     for warning in job["report"]["warnings"]:
         expect(at_job.locator(".warnings")).to_contain_text(warning[1:].replace("`", ""))
     expect(at_job.locator("#view")).not_to_contain_text(re.compile("causticmill [a-z]"))  # here nobody has a terminal
+
+
+def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(opened: Opened) -> None:
+    """One scale of words, one way of saying times."""
+    script = """([levels, times]) => Promise.all([import("/page/job/figures.js"), import("/page/lib/words.js")]).then(
+        ([{eyeWords}, {hours}]) => [levels.map(eyeWords), times.map(hours)])"""
+    levels = [step / 4 for step in range(40, 280)]
+    times = [0, 59.4, 59.5, 89, 90, 3569, 3570, 9900, 86_369, 86_370, 90_000, 183_600]
+    assert opened().evaluate(script, [levels, times]) == [
+        [psnr_in_words(level) for level in levels],
+        [duration(seconds) for seconds in times],
+    ]
+
+
+LEFT = """([job, live, now]) => import("/page/job/left.js").then(({secondsLeft, leftWords}) => {
+    const left = secondsLeft(job, live, now);
+    return [left.low, left.high, leftWords(left)];
+})"""
+
+
+@pytest.mark.parametrize("slower", [0.7, 2.5, 8.0])
+@pytest.mark.parametrize("reused", [0, 3])
+def test_time_left_goes_down_to_the_end_and_never_to_nothing_while_minutes_remain(
+    opened: Opened, slower: float, reused: int
+) -> None:
+    """On a computer so much slower than that of the usual seconds, a quarter either way from stage to stage; where the
+    first stages were done before, too."""
+    page, seed = opened(), np.random.default_rng(7)
+    usual = list(usual_seconds(resolve_spec(preset="paper")).items())
+    takes = [0.0 if k < reused else own * slower * seed.uniform(0.75, 1.25) for k, (_, own) in enumerate(usual)]
+    ends = np.cumsum(takes)
+    for share in np.arange(0.02, 1.0, 0.07):
+        now = share * ends[-1]
+        at = int(np.searchsorted(ends, now, side="right"))
+        stages = [
+            {"name": name, "usual_s": own, "state": "reused" if k < reused else "committed" if k < at else "waiting",
+             "seconds": takes[k] if k < at else None, "started_at": _iso(ends[k] - takes[k])}
+            for k, (name, own) in enumerate(usual)
+        ]  # fmt: skip
+        stages[at] |= {"state": "running"}
+        done = (now - (ends[at] - takes[at])) / takes[at]
+        low, high, words = page.evaluate(LEFT, [{"stages": stages}, {"stage": usual[at][0], "share": done}, now * 1000])
+        left = ends[-1] - now
+        assert high >= low > 0
+        if share > 0.1:
+            assert 0.5 * left < high and low < 2.0 * left, (share, left, low, high)
+        assert not (left > 120 and words.startswith("less")), (share, left, words)
+
+
+def _iso(seconds: float) -> str:
+    return f"{np.datetime64(round(seconds * 1000), 'ms')}Z"
+
+
+def test_a_job_that_goes_on_is_never_all_done_and_offers_no_archive_yet(opened: Opened, shop: Shop) -> None:
+    job, files = of_shop(shop)
+    begun = job["created_at"][:17] + "00.000Z"
+    running = like(job, 41, state="running", progress=1.0, programs=[], started_at=begun, ended_at=None)
+    running["stages"] = stopped_at(running, "as-milled", "running")
+    page = shown(opened, running, files)
+    expect(page.get_by_role("region", name="Progress")).to_contain_text(re.compile("^99 %: .* left", re.S))
+    expect(page.get_by_role("region", name="Files")).to_contain_text("when the job is done")
+    expect(page.get_by_role("link", name="All files")).to_have_count(0)
+    expect(page.locator(".job-about")).to_contain_text("begun ")
+    expect(page.get_by_role("heading", level=1)).to_have_text("logo")
 
 
 def test_each_program_goes_to_the_mill_by_its_number(at_job: Page, shop: Shop) -> None:
@@ -289,7 +359,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened, shop:
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")
     expect(rows).to_have_count(2)
     expect(rows.nth(1)).to_have_text(re.compile(r"distance to the wall.*123 mm"))
-    better = page.get_by_role("row", name="As milled").get_by_role("cell", name="better")
+    better = page.get_by_role("row", name="On the wall, as milled").get_by_role("cell", name="better")
     expect(better).to_have_text(re.compile("31.5 dB"))
     expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()
     for _ in every_screen(page):

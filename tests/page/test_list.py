@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -46,13 +47,13 @@ def test_every_state_is_a_word_and_a_shape(opened: Opened) -> None:
     jobs.append(summary(9, "queued", name="a-name-without-any-place-to-break-it" * 3 + ".png"))
     page = shown(opened, jobs)
     for number, word in enumerate(STATES.values()):
-        card = page.get_by_role("link", name=f"picture-{number}.png")
+        card = page.get_by_role("link", name=f"picture-{number}")
         expect(card).to_contain_text(word)
         assert card.locator(".mark svg").count() == 1
     drawn = page.locator(".mark svg").evaluate_all("all => all.map(one => one.innerHTML)")
     assert len(set(drawn)) == len(STATES)
     for _ in every_screen(page):
-        expect(page.get_by_role("link", name="picture-0.png")).to_be_visible()
+        expect(page.get_by_role("link", name="picture-0")).to_be_visible()
 
 
 def test_who_has_no_job_is_told_in_one_sentence_what_to_do(opened: Opened) -> None:
@@ -78,15 +79,15 @@ def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(op
 def test_the_list_goes_on_by_itself_and_leaves_the_focus_where_it_is(opened: Opened) -> None:
     jobs = [summary(1, "running", progress=0.10), summary(2, "succeeded")]
     page = shown(opened, jobs)
-    page.get_by_role("link", name="picture-2.png").focus()
+    page.get_by_role("link", name="picture-2").focus()
     jobs[0] |= {"progress": 0.57, "etag": '"later"'}
     jobs.insert(0, summary(0, "queued", queue_position=1))
-    expect(page.get_by_role("link", name="picture-1.png")).to_contain_text("57 %")
-    expect(page.get_by_role("listitem").first).to_contain_text("picture-0.png")
+    expect(page.get_by_role("link", name="picture-1")).to_contain_text("57 %")
+    expect(page.get_by_role("listitem").first).to_contain_text("picture-0")
     jobs.pop()
     jobs[1] |= {"state": "succeeded", "etag": '"last"'}
-    expect(page.get_by_role("link", name="picture-1.png")).to_contain_text("done")
-    expect(page.get_by_role("link", name="picture-2.png")).to_have_count(0)
+    expect(page.get_by_role("link", name="picture-1")).to_contain_text("done")
+    expect(page.get_by_role("link", name="picture-2")).to_have_count(0)
 
 
 def test_a_filter_shows_the_jobs_of_its_states(opened: Opened) -> None:
@@ -139,17 +140,20 @@ def photographs() -> Iterator[np.ndarray]:
 
 def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(opened: Opened, shop: Shop) -> None:
     page = opened(errors=("status of 40[0-9]", "status of 422"))
-    page.get_by_role("button", name="Enter key").click()
-    dialog = page.get_by_role("dialog", name="Enter the key")
+    page.get_by_role("button", name="Enter code").click()
+    dialog = page.get_by_role("dialog", name="Enter the code")
     dialog.get_by_label("Your name").fill("Grace")
-    dialog.get_by_label("Code or token").fill("no code")
-    dialog.get_by_role("button", name="Use this key").click()
+    dialog.get_by_role("textbox", name="Code", exact=True).fill("no code")
+    dialog.get_by_role("button", name="Enter", exact=True).click()
     expect(dialog.get_by_role("alert")).to_contain_text("eight digits")
-    dialog.get_by_label("Code or token").fill("0000-0000" if shop.code != "0000-0000" else "1111-1111")
-    dialog.get_by_role("button", name="Use this key").click()
-    expect(dialog.get_by_role("alert")).not_to_contain_text("eight digits")
-    dialog.get_by_label("Code or token").fill(shop.code)
-    dialog.get_by_role("button", name="Use this key").click()
+    assert not re.search(r"\bkey\b", page.locator("body").inner_text(), re.I), "one word for one thing"
+    dialog.get_by_role("textbox", name="Code", exact=True).fill(
+        "0000-0000" if shop.code != "0000-0000" else "1111-1111"
+    )
+    dialog.get_by_role("button", name="Enter", exact=True).click()
+    expect(dialog.get_by_role("alert")).to_contain_text("This is not the code")
+    dialog.get_by_role("textbox", name="Code", exact=True).fill(shop.code)
+    dialog.get_by_role("button", name="Enter", exact=True).click()
     expect(page.get_by_role("button", name="Grace")).to_be_visible()
     token = page.evaluate("import('/page/lib/api.js').then(({api}) => api.token)")
     assert token
@@ -159,7 +163,7 @@ def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(open
     page.get_by_role("button", name="Keep it").click()
     expect(page.get_by_role("button", name="Grace")).to_be_visible()
     page.reload()
-    expect(page.get_by_role("button", name="Enter key")).to_be_visible()
+    expect(page.get_by_role("button", name="Enter code")).to_be_visible()
 
 
 def test_a_view_that_comes_too_late_is_not_shown(opened: Opened) -> None:
@@ -189,23 +193,24 @@ def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_se
 
     page.route("**/v1/jobs?*", ask_for_a_key)
     page.evaluate("location.hash = '#/'")
-    dialog = page.get_by_role("dialog", name="Enter the key")
+    dialog = page.get_by_role("dialog", name="Enter the code")
     dialog.get_by_role("button", name="Cancel").click()
-    expect(page.get_by_text("a token is needed")).to_be_visible()
+    expect(page.get_by_text("This server asks for its code")).to_be_visible()
+    expect(page.get_by_text("token")).to_have_count(0)
     page.get_by_role("button", name="Try again").click()
     expect(page.get_by_role("heading", level=1, name="Not shown")).to_be_visible()
     expect(dialog).to_have_count(0)
-    page.get_by_role("button", name="Enter key").click()
-    dialog.get_by_label("Code or token").fill(shop.key("Joan"))
+    page.get_by_role("button", name="Enter code").click()
+    dialog.get_by_role("textbox", name="Code", exact=True).fill(shop.key("Joan"))
     dialog.get_by_label("Your name").fill("Joan")
-    dialog.get_by_role("button", name="Use this key").click()
+    dialog.get_by_role("button", name="Enter", exact=True).click()
     expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
 
 
 def test_the_list_can_be_walked_with_the_keyboard_alone(opened: Opened) -> None:
     page = shown(opened, [summary(1, "succeeded")])
     page.reload()
-    expect(page.get_by_role("link", name="picture-1.png")).to_be_visible()
+    expect(page.get_by_role("link", name="picture-1")).to_be_visible()
     page.keyboard.press("Tab")
     expect(page.get_by_role("link", name="Skip to content")).to_be_focused()
     page.keyboard.press("Enter")
@@ -214,6 +219,6 @@ def test_the_list_can_be_walked_with_the_keyboard_alone(opened: Opened) -> None:
     expect(page.get_by_role("button", name="Choose a picture")).to_be_focused()
     for _ in range(6):
         page.keyboard.press("Tab")
-    expect(page.get_by_role("link", name="picture-1.png")).to_be_focused()
+    expect(page.get_by_role("link", name="picture-1")).to_be_focused()
     outline = page.evaluate("getComputedStyle(document.activeElement).outlineStyle")
     assert outline != "none"

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.page.browser import Scheme, layout_faults, serious_faults
 from tests.page.conftest import Opened
-from tests.page.driving import WAIT_MS, homed, machine_state, readout, release, take_control
+from tests.page.driving import WAIT_MS, homed, machine_state, readout, release, setup, take_control
 from tests.page.machine_states import STATES, machine_in, told
 from tests.page.shop import MILL, Shop
 
@@ -80,12 +80,12 @@ def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened,
     ada, grace = opened(SCREEN, key="Ada"), opened(SCREEN, key="Grace")
     take_control(ada)
     expect(grace.locator(".control .who")).to_contain_text("Ada has control")
-    expect(grace.get_by_role("button", name="Home", exact=True)).to_be_disabled()
+    expect(setup(grace).get_by_role("button", name="Home", exact=True)).to_be_disabled()
     grace.get_by_role("button", name="Take over").click()
     grace.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
     expect(grace.get_by_text("You have control.")).to_be_visible()
     expect(ada.get_by_text(re.compile(r"^Grace.* has taken control\.$"))).to_be_visible()
-    expect(ada.get_by_role("button", name="Home", exact=True)).to_be_disabled()
+    expect(setup(ada).get_by_role("button", name="Home", exact=True)).to_be_disabled()
     release(grace)
     expect(ada.get_by_text("Nobody has control.")).to_be_visible()
 
@@ -101,6 +101,8 @@ def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
     assert told.value.status == 202
     for route in hanging:
         route.fulfill(status=202, json={})
+    at_mill.get_by_role("button", name="STOP").click()  # held, the mill would be of no use to the next test
+    expect(machine_state(at_mill)).to_have_text("idle", timeout=WAIT_MS)
 
 
 def test_mill_and_program_are_one_state_in_words(opened: Opened) -> None:

@@ -19,7 +19,7 @@ from service.spec_files import resolve_spec
 from service.tone import invert_tones, linear_to_srgb, srgb_to_linear
 from tests.page.browser import every_screen
 from tests.page.conftest import Opened
-from tests.page.shop import SMALL_SPEC, Shop
+from tests.page.shop import MILL, SMALL_SPEC, Shop
 
 REST = {"optics.light.profile"}  # reached by the text of other values
 PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
@@ -75,7 +75,7 @@ def sent(new_job: Page) -> Iterator[list[tuple[dict[str, Any], bytes, str]]]:
 
     def take(route: Route) -> None:
         found.append((*parts(route), route.request.headers["idempotency-key"]))
-        route.fulfill(status=422, json={"status": 422, "detail": "enough for this test", "field": "image"})
+        route.fulfill(status=422, json={"status": 422, "detail": "enough for this test"})
 
     new_job.route("**/v1/jobs", take)
     yield found
@@ -170,7 +170,7 @@ def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(opened: Open
 def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: list[Any]) -> None:
     _, content, _ = pressed(new_job, sent)
     assert content == picture()
-    expect(new_job.get_by_role("region", name="Picture")).to_contain_text("enough for this test")  # field "image"
+    expect(new_job.locator(".submit-bar")).to_contain_text("enough for this test")
 
 
 def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, sent: list[Any]) -> None:
@@ -228,6 +228,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     spec, _, _ = pressed(new_job, sent)
     assert spec == {
         "preset": "draft",
+        "machine": {"profile": MILL},  # the one real mill there is
         "image": {"pixels": 64, "invert": True},
         "optics": {
             "width_mm": 30.5,
@@ -236,6 +237,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
             "outline": [[0, 0], [30, 0], [15, 40]],
         },
     }
+    del spec["machine"]  # which this process does not know
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
 
 
@@ -346,6 +348,71 @@ def test_the_way_to_a_job_needs_no_mouse(new_job: Page, sent: list[Any]) -> None
     new_job.keyboard.press("Enter")
     expect(new_job.get_by_text("enough for this test")).to_be_visible()
     assert sent[0][0]["optics"] == {"width_mm": 25}
+
+
+def test_mills_of_this_server_are_offered_first_by_their_own_names(new_job: Page) -> None:
+    choice = new_job.get_by_role("combobox", name="Machine")
+    names = choice.locator("optgroup").first.locator("option").all_inner_texts()
+    assert names == ["simulated mill (grbl)", MILL]
+    assert choice.locator("option:checked").inner_text() == names[1]
+
+
+@pytest.mark.parametrize(
+    ("mills", "first"),
+    [
+        ({"a": [], "grbl": [], "z": []}, "grbl"),
+        ({"a": [True], "grbl": []}, "a"),
+        ({"a": [True], "grbl": [True]}, "grbl"),
+        ({"a": [False], "grbl": [True]}, "a"),
+        ({"a": [False], "grbl": [False]}, "grbl"),
+    ],
+)
+def test_a_job_begins_with_the_mill_that_is_there(opened: Opened, mills: dict[str, list[bool]], first: str) -> None:
+    """By profile, whether its mills are simulated: the only one, and a real one before a simulated one."""
+    profiles = [{"name": name, "mills": [{"simulated": one} for one in ones]} for name, ones in mills.items()]
+    script = "all => import('/page/new/machines.js').then(({firstProfile}) => firstProfile(all, 'grbl'))"
+    assert opened().evaluate(script, profiles) == first
+
+
+def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Opened) -> None:
+    """And the reason stands beside the button."""
+    page = opened("#/new", errors=("status of 422",))
+    why = page.locator(".submit-bar .why")
+    expect(make_it(page)).to_be_disabled()
+    expect(why).to_have_text("Choose a picture first.")
+    broken = {"name": "broken.png", "mimeType": "image/png", "buffer": b"no picture"}
+    page.locator("input[type=file]").first.set_input_files(broken)
+    expect(why).to_have_text("This picture cannot be used: choose another one.")
+    expect(make_it(page)).to_be_disabled()
+    expect(make_it(page)).to_have_accessible_description(re.compile("cannot be used"))
+    expect(page.get_by_role("region", name="Picture")).to_contain_text("not a picture that can be read")
+    choose(page, picture())
+    expect(make_it(page)).to_be_enabled()
+    expect(why).to_be_hidden()
+
+
+def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
+    page = opened("#/machines", errors=("status of 422",))
+    told = [("spec.passes.1", "it cuts nothing"), ("spec.passes.0.pitch_mm", "more than 0 is needed")]
+    problems = [{"field": field, "detail": detail} for field, detail in told]
+    answer = {"status": 422, "detail": "see there", "problems": problems}
+    page.route("**/v1/estimates", lambda route: route.fulfill(status=422, json=answer))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    page.get_by_text("Expert:").click()
+    page.get_by_label("Set every pass by hand").check()
+    rough, finish = page.locator(".passes > li").all()
+    expect(rough.get_by_label("Pitch")).to_have_accessible_description("more than 0 is needed")
+    expect(finish.locator(":scope > .fault")).to_have_text("it cuts nothing")
+    expect(finish.get_by_label("Name")).to_have_accessible_description("")
+    expect(rough.locator(":scope > .fault")).to_have_text("")
+
+
+@pytest.mark.parametrize(("size", "words"), [("phone", "Choose or photograph a picture"), ("wide", "Drop a picture")])
+def test_nobody_is_asked_to_drop_with_a_finger(opened: Opened, size: str, words: str) -> None:
+    for address in ("#/new", "#/"):
+        page = opened(address, size=size)
+        expect(page.locator(".drop p")).to_contain_text(words)
 
 
 def test_every_screen_of_a_new_job_is_in_order(new_job: Page) -> None:

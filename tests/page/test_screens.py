@@ -14,7 +14,7 @@ from tests.page import jobs
 from tests.page.browser import Scheme, layout_faults, serious_faults
 from tests.page.conftest import Opened
 from tests.page.listed import answer_with, summary
-from tests.page.machine_states import STATES, machine_in, told
+from tests.page.machine_states import STATES, machine_in, told, with_control
 from tests.page.shop import MILL, PICTURE, Shop
 
 Screen = Callable[[Opened, Shop], Page]
@@ -30,6 +30,7 @@ SIZES: dict[str, tuple[int, int, Scheme, bool]] = {
     "zoomed": (720, 450, "dark", False),
     "keyboard": (390, 420, "light", False),
 }
+USED = ("idle", "parked", "running", "held", "interrupted", "stopped")  # mills with every button that is on
 STYLES = ("job/job.css", "machine/machine.css", "new/new.css")
 PLACES = """async () => {
     const now = () => [...document.querySelectorAll("main *")].filter((one) => one.checkVisibility()).map((one) => {
@@ -55,7 +56,7 @@ def of_jobs(opened: Opened, _shop: Shop) -> Page:
 
 def of_the_key(opened: Opened, _shop: Shop) -> Page:
     page = opened()
-    page.get_by_role("button", name="Enter key").click()
+    page.get_by_role("button", name="Enter code").click()
     expect(page.get_by_role("dialog")).to_be_visible()
     return page
 
@@ -66,6 +67,14 @@ def of_a_new_job(opened: Opened, _shop: Shop) -> Page:
     page.evaluate("location.hash = '#/new'")
     page.locator("input[type=file]").first.set_input_files(PICTURE)
     expect(page.get_by_role("region", name="Estimate").get_by_text("Machine time")).to_be_visible()
+    return page
+
+
+def of_a_picture_that_is_none(opened: Opened, _shop: Shop) -> Page:
+    page = opened("#/new", errors=("status of 422",))
+    broken = {"name": "broken.png", "mimeType": "image/png", "buffer": b"no picture"}
+    page.locator("input[type=file]").first.set_input_files(broken)
+    expect(page.locator(".submit-bar .why")).to_contain_text("cannot be used")
     return page
 
 
@@ -155,12 +164,7 @@ def of_a_machine(state: str) -> Screen:
     """With control of it: every button that this state leaves is on."""
 
     def screen(opened: Opened, _shop: Shop) -> Page:
-        page = opened("#/machines", key="Ada")
-        told(page, state, operator="Ada")
-        page.evaluate(f"location.hash = '#/machines/{MILL}'")
-        page.get_by_role("button", name="Take over").click()
-        page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
-        expect(page.get_by_text("You have control.")).to_be_visible()
+        page = with_control(opened, state)
         for fold in page.locator("summary:visible").all():
             fold.click()
         return page
@@ -172,6 +176,7 @@ SCREENS: dict[str, Screen] = {
     "jobs": of_jobs,
     "key": of_the_key,
     "new": of_a_new_job,
+    "new-broken": of_a_picture_that_is_none,
     "new-everything": of_a_new_job_with_everything,
     "job-failed": of_a_job("failed", error=FAULT),
     "job-running": of_a_job("running", progress=0.4, report=None, programs=[]),
@@ -181,7 +186,7 @@ SCREENS: dict[str, Screen] = {
     "question": of_a_question,
     "machines": of_machines,
     "machine-key": of_the_key_beside_a_mill,
-    **{f"machine-{state}": of_a_machine(state) for state in ("idle", "parked", "running", "held", "interrupted")},
+    **{f"machine-{state}": of_a_machine(state) for state in USED},
 }
 
 

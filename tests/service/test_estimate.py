@@ -49,7 +49,8 @@ def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture
 @pytest.mark.parametrize(
     ("picture", "values", "preset"),
     [
-        ("camera", (), "draft"),
+        ("camera", ("optics.width_mm=14", "optics.height_mm=14", "image.pixels=96"), "draft"),
+        pytest.param("camera", (), "draft", marks=pytest.mark.thorough),
         pytest.param("astronaut", ("optics.light.kind=sun",), "draft", marks=pytest.mark.thorough),
         pytest.param("camera", (), "paper", marks=pytest.mark.thorough),
     ],
@@ -67,6 +68,7 @@ def test_what_is_estimated_is_what_the_job_comes_to(
     assert found["hours"] == pytest.approx(sum(took_h), rel=0.2)
     assert [row["hours"] for row in found["passes"]] == pytest.approx(took_h, rel=0.3)
     assert found["blur_by"]["milling_mm"] == pytest.approx(report["as_milled"]["blur_px"] * pixel_mm, rel=0.3)
+    assert found["psnr_db"] == pytest.approx(report["as_milled"]["psnr_db"], abs=2.0)  # words change every 6 dB
     assert (found["thickness_ok"], found["refusals"]) == (True, [])
 
 

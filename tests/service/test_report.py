@@ -3,6 +3,7 @@
 import itertools
 import re
 from html.parser import HTMLParser
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 
 from service.report import render_report
 from service.report_drawing import SetUp, side_view, top_view
-from service.report_words import duration_h_min, misplaced_in_words, number, psnr_in_words, size, whole
+from service.report_words import duration, misplaced_in_words, number, psnr_in_words, size, whole
 
 SPEC = {
     "preset": "paper",
@@ -81,7 +82,7 @@ def test_the_page_says_what_the_operator_needs():
     text = Page(render_report(REPORT, spec=SPEC, files=FILES)).text
     for words in (
         "face.png", "110 × 90 × 40 mm", "250 mm from the stock top", "290 mm", "radius 3 mm", "diameter 6 mm",
-        "diameter 1 mm", "13:54", "27:47", "16.2 mm", "43.1 dB", "about 7 dB", "(2.5 mm)", "ab" * 32, "passed",
+        "diameter 1 mm", "13 h 53 min", "1 d 4 h", "16.2 mm", "43.1 dB", "about 7 dB", "(2.5 mm)", "ab" * 32, "passed",
         "on the lens's side",
     ):  # fmt: skip
         assert words in text, words
@@ -172,8 +173,8 @@ def test_without_a_ring_left_at_the_stock_top_the_wall_is_measured_from_the_back
 def test_words_for_numbers():
     assert [number(value, 2, "mm") for value in (1.0, -14.256, -0.001, None)] == ["1 mm", "−14.26 mm", "0 mm", "–"]
     assert number(100, 0) == "100"
-    assert [duration_h_min(value) for value in (0, 1, 3600, 3601, 360_000, None)] == [
-        "0:00", "0:01", "1:00", "1:01", "100:00", "–",
+    assert [duration(value) for value in (0, 59.4, 59.5, 420, 3600, 9900, 86_370, 183_600, None)] == [
+        "0 s", "59 s", "1 min", "7 min", "1 h", "2 h 45 min", "1 d", "2 d 3 h", "–",
     ]  # fmt: skip
     assert [size(value) for value in (12, 1500, 2.5e6, 3e9, None)] == ["12 B", "1.5 kB", "2.5 MB", "3 GB", "–"]
     assert whole(1234567).split() == ["1", "234", "567"]
@@ -202,3 +203,38 @@ def test_the_size_of_a_small_lens_stands_beside_the_block(width_mm, height_mm, i
     job = SetUp(width_mm=width_mm, height_mm=height_mm, thickness_mm=40, margin_mm=8, throw_mm=100)
     anchor = re.search(rf'text-anchor="(\w+)"[^>]*>{width_mm} × {height_mm} mm', str(top_view(job)))[1]
     assert (anchor == "middle") is inside
+
+
+def sheet_of(*radii_mm: float, deepest_z_mm: float = -12.0, **spec: Any) -> str:
+    bounds = {"x": [-3.0, 103.0], "y": [-3.0, 103.0], "z": [deepest_z_mm, 5.0]}
+    rows = [PROGRAM | {"settings": {"radius_mm": radius}, "bounds": bounds} for radius in radii_mm]
+    return Page(render_report(REPORT | {"passes": rows}, spec=SPEC | {"passes": []} | spec)).text
+
+
+@pytest.mark.parametrize(
+    ("radii_mm", "told"),
+    [
+        ((3.0, 3.0), "All passes use the same tool: it stays in, and Z0 is set once."),
+        ((3.0, 0.5), "after each tool change, that is before pass 2."),
+        ((3.0, 3.0, 0.5), "that is before pass 3; between the others the tool stays in and Z0 as it is."),
+        ((3.0,), "the same for every pass."),
+    ],
+)
+def test_z_is_set_again_after_a_tool_change_and_only_then(radii_mm: tuple[float, ...], told: str):
+    text = sheet_of(*radii_mm)
+    assert told in text
+    assert text.count("tool change") == (len(set(radii_mm)) > 1)
+
+
+@pytest.mark.parametrize(("safe_z_mm", "most"), [(5.0, "2 mm"), (2.5, "1.5 mm")])
+def test_one_height_that_nothing_may_stand_above(safe_z_mm: float, most: str):
+    """Holder and rapid moves both come over what clamps the block; the lower of them counts."""
+    text = sheet_of(3.0, machine={"safe_z_mm": safe_z_mm})
+    assert f"Nothing may stand higher than {most} above the stock top" in text
+    assert "reach that high" not in text
+
+
+def test_a_program_that_goes_below_the_lens_says_where_and_why():
+    relief = REPORT["optics"]["relief_mm"] + SPEC["stock"].get("skim_mm", 0.0)
+    assert "The programs go deeper, to Z −40 mm: beside the lens" in sheet_of(3.0, deepest_z_mm=-40.0)
+    assert "The programs go deeper" not in sheet_of(3.0, deepest_z_mm=-relief)

@@ -2,19 +2,19 @@
 import { api } from "../lib/api.js";
 import { h } from "../lib/dom.js";
 import { open } from "../lib/dialog.js";
-import { ago } from "../lib/words.js";
+import { ago, jobName } from "../lib/words.js";
 
 /** Resolves with the id of the job that was taken, or null. */
 export async function openJobs(job) {
   const { jobs } = await api.get("/v1/jobs?state=succeeded&limit=50");
   const others = jobs.filter(({ id }) => id !== job.id);
   const choice = (other, close) => {
-    const when = h("span", { class: "dim" }, ago(other.ended_at ?? other.created_at));
-    return h("li", {}, h("button", { type: "button", onclick: () => close(other.id) }, other.name, " ", when));
+    const when = h("span", { class: "dim" }, ago(other.ended_at ?? other.created_at, api.now()));
+    return h("li", {}, h("button", { type: "button", onclick: () => close(other.id) }, jobName(other), " ", when));
   };
   const body = (close) =>
     others.length
       ? h("ul", { class: "choose-jobs" }, others.map((other) => choice(other, close)))
       : h("p", {}, "There is no other finished job yet.");
-  return open({ title: `Compare ${job.name} with`, body, actions: [{ words: "Cancel", value: null }] });
+  return open({ title: `Compare ${jobName(job)} with`, body, actions: [{ words: "Cancel", value: null }] });
 }

@@ -3,16 +3,16 @@ import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { shape } from "../lib/state.js";
-import { hours, mm } from "../lib/words.js";
+import { hours, jobName, mm } from "../lib/words.js";
 import { KINDS, pictureShelf } from "./pictures.js";
-import { millSeconds, passesOf, smallestDetail } from "./figures.js";
+import { eyeWords, millSeconds, passesOf, smallestDetail } from "./figures.js";
 import { settingWords, valueWords } from "./setting_words.js";
 import { wipe } from "./wipe.js";
 
 export default async function view(root, params, app) {
   const ids = [params.id, params.id2];
   const [sides] = await Promise.all([Promise.all(ids.map(load)), sheet("/page/job/job.css")]);
-  const shelf = pictureShelf(), names = tellApart(sides.map(({ job }) => job.name));
+  const shelf = pictureShelf(), names = tellApart(sides.map(({ job }) => jobName(job)));
   app.title(`${names[0]} and ${names[1]}`);
   const links = ids.map((id, k) => h("a", { class: "button", href: `#/jobs/${id}` }, names[k]));
   const turn = h("a", { class: "button quiet", href: `#/compare/${ids[1]}/${ids[0]}` }, "Change sides");
@@ -34,9 +34,7 @@ async function load(id) {
   return { job, artifacts: new Map(files.artifacts.map((file) => [file.name, file])) };
 }
 
-/** Names without the kind of file, which is long and no help. */
-function tellApart(files) {
-  const [a, b] = files.map((name) => name.replace(/\.[a-z0-9]{2,4}$/i, ""));
+function tellApart([a, b]) {
   return a === b ? [`${a} (first)`, `${b} (second)`] : [a, b];
 }
 
@@ -69,10 +67,10 @@ function pictures(sides, names, shelf) {
 const FIGURES = [
   ["Time on the mill", hours, -1, ({ job }) => millSeconds(job.report)],
   ["Smallest detail", mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
-  ["As milled", db, 1, ({ job }) => job.report?.as_milled?.psnr_db],
+  ["On the wall, as milled", eyeAndDb, 1, ({ job }) => job.report?.as_milled?.psnr_db],
   ["Likeness of structure (SSIM)", (value) => value.toFixed(3), 1, ({ job }) => job.report?.as_milled?.ssim],
-  ["The lens itself", db, 1, ({ job }) => job.report?.optics?.psnr_db],
-  ["Relief", mm, 0, ({ job }) => job.report?.optics?.relief_mm],
+  ["On the wall, if polished", eyeAndDb, 1, ({ job }) => job.report?.optics?.psnr_db],
+  ["Depth of the lens", mm, 0, ({ job }) => job.report?.optics?.relief_mm],
   ["Steepest slope", (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
   ["Lines of all programs", (count) => count.toLocaleString(), 0, ({ job }) => linesOf(job.report)],
 ];
@@ -81,8 +79,8 @@ function linesOf(report) {
   return report?.passes?.reduce((sum, row) => sum + (row.lines ?? 0), 0);
 }
 
-function db(value) {
-  return `${value.toFixed(1)} dB`;
+function eyeAndDb(value) {
+  return `${eyeWords(value)} (${value.toFixed(1)} dB)`;
 }
 
 function figures(sides, names) {

@@ -2,25 +2,35 @@
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
-import { headlines, mainCause } from "./figures.js";
+import { expertFigures, headlines, mainCause } from "./figures.js";
 
 /** {node, update(job)} */
 export function factsPart() {
   const list = h("dl", { class: "facts" }), cause = h("p", { class: "dim" });
   const wait = h("p", { class: "dim soon" }, "Figures come as the steps are done.");
-  const title = h("h2", { id: "facts-title" }, "What to expect");
-  const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, cause);
+  const title = h("h2", { id: "facts-title" }, "What to expect"), scores = h("div");
+  const experts = h("details", { hidden: true }, h("summary", {}, "Figures for experts"), scores, cause);
+  const node = h("section", { class: "card job-facts", "aria-labelledby": "facts-title" }, title, wait, list, experts);
   let shown = "";
 
   function update(job) {
-    const rows = headlines(job.spec, job.report), key = JSON.stringify(rows);
+    const rows = headlines(job.spec, job.report), figures = expertFigures(job.report);
+    const key = JSON.stringify([rows, figures]);
     if (key === shown) return;
     shown = key;
     wait.hidden = rows.length > 0;
     replace(list, rows.map(row));
     replace(cause, mainCause(job.report));
+    experts.hidden = figures.length === 0;
+    replace(scores, table(figures));
   }
   return { node, update };
+}
+
+function table(figures) {
+  const heads = ["", "as milled", "the lens itself"].map((words) => h(words ? "th" : "td", words && { scope: "col" }, words));
+  const rows = figures.map(([what, ...values]) => h("tr", {}, h("th", { scope: "row" }, what), values.map((value) => h("td", {}, value))));
+  return h("table", { class: "expert-figures" }, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows));
 }
 
 function row([what, figure, words]) {

@@ -2,11 +2,12 @@
 import { count, hours, mm } from "../lib/words.js";
 
 const WORTH_DB = 0.3;
+const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
 const CAUSES = {
-  scallops: "the grooves between rows; a finer pitch or a bigger ball would leave less",
-  steps: "the machine's steps; a machine with finer ones would leave less",
-  noise: "height errors of the machine; a stiffer set-up would leave less",
-  rounding: "the decimals of the program",
+  scallops: ["the grooves between rows", "a finer pitch or a bigger ball leaves less of them"],
+  steps: ["the machine's steps", "a machine with finer ones leaves less of them"],
+  noise: ["height errors of the machine", "a stiffer set-up leaves less of them"],
+  rounding: ["the decimals of the program", "a dialect with more of them leaves less"],
 };
 const EYE = [
   [60, "no eye can tell it from the target"],
@@ -59,19 +60,39 @@ export function millSeconds(report) {
 /** The first things to know of a job: [[what, figure, words]], as many as are known. */
 export function headlines(spec, report) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
-  if (seconds !== null) found.push(["On the mill", hours(seconds), count(report.passes.length, "pass", "passes")]);
+  const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);
+  const known = made < wanted ? `${made} of ${wanted} passes so far` : count(made, "pass", "passes");
+  if (seconds !== null) found.push(["On the mill", hours(seconds), known]);
   else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
   if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  if (milled?.psnr_db !== undefined) {
-    found.push(["As milled", `${milled.psnr_db.toFixed(1)} dB`, eyeWords(milled.psnr_db)]);
-  }
-  if (report?.optics?.psnr_db !== undefined) {
-    found.push(["The lens itself", `${report.optics.psnr_db.toFixed(1)} dB`, eyeWords(report.optics.psnr_db)]);
-  }
+  found.push(...onTheWall(milled?.psnr_db, report?.optics?.psnr_db));
   if (report?.optics?.relief_mm !== undefined) {
-    found.push(["Relief", mm(report.optics.relief_mm), `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`]);
+    const steep = `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
+    found.push(["Depth of the lens", mm(report.optics.relief_mm), steep]);
   }
   return found;
+}
+
+/** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
+function onTheWall(milled, polished) {
+  if (milled === undefined) return polished === undefined ? [] : [["On the wall, if polished", eyeWords(polished)]];
+  if (polished < milled) return [["On the wall", eyeWords(milled), "Do not polish it: it is made for the tool's marks."]];
+  const rows = [["On the wall, as milled", eyeWords(milled)]];
+  return polished === undefined ? rows : [...rows, ["On the wall, if polished", eyeWords(polished)]];
+}
+
+const SCORES = [
+  ["psnr_db", "Likeness (PSNR)", (value) => `${value.toFixed(1)} dB`],
+  ["ssim", "Likeness of structure (SSIM)", (value) => `${value.toFixed(3)} of 1`],
+  ["misplaced_light", "Light in wrong places", (value) => `${(100 * value).toFixed(1)} %`],
+  ["dark_leak", "Light where it should be dark", (value) => `${(100 * value).toFixed(2)} %`],
+];
+
+/** What experts compare lenses by: [[what, as milled, of the lens itself]], "–" where one is not known. */
+export function expertFigures(report) {
+  const sides = [report?.as_milled, report?.optics];
+  const known = SCORES.filter(([key]) => sides.some((side) => side?.[key] !== undefined));
+  return known.map(([key, what, say]) => [what, ...sides.map((side) => (side?.[key] === undefined ? "–" : say(side[key])))]);
 }
 
 function sharpnessWords(spec, detail) {
@@ -79,19 +100,30 @@ function sharpnessWords(spec, detail) {
   return `of a picture ${mm(width)} wide: about ${Math.max(1, Math.round(width / detail))} details across`;
 }
 
-/** What costs the milled picture most, as a sentence; null where nothing stands out. */
+/**
+ * What costs the milled picture most, as a sentence; null where nothing stands out. Marks hide each other: where one is
+ * taken away the others stay, so what each alone would bring does not add up to what all of them cost.
+ */
 export function mainCause(report) {
-  const gains = Object.entries(report?.as_milled?.gain_db_without ?? {}).sort((a, b) => b[1] - a[1]);
-  const [cause, gain] = gains[0] ?? [];
+  const { as_milled: milled, optics } = report ?? {};
+  const [first, next] = Object.entries(milled?.gain_db_without ?? {}).sort((a, b) => b[1] - a[1]);
+  const [cause, gain] = first ?? [];
   if (!(gain >= WORTH_DB) || !(cause in CAUSES)) return null;
-  return `What costs most is ${CAUSES[cause]} (${gain.toFixed(1)} dB would be won without it).`;
+  const [what, less] = CAUSES[cause], lost = optics?.psnr_db - milled.psnr_db;
+  const most = `Most of the loss comes from ${what}: ${less}.`;
+  if (!(lost > 0) || gain >= MOST_OF_IT * lost) return most;
+  const other = next && next[0] in CAUSES ? `, ${CAUSES[next[0]][0]} first,` : "";
+  return (
+    `Milling costs ${lost.toFixed(1)} dB. The largest part are ${what} (${less}), but without them alone only ` +
+    `${gain.toFixed(1)} dB come back: the other marks${other} then hide as much.`
+  );
 }
 
 /** How exactly the wall must stand, as a sentence; null where it was not simulated. */
 export function focusSentence(report) {
   const range = report?.optics?.tolerances?.focus_range_mm;
   if (!range) return null;
-  return `The picture stays sharp (3 dB) from ${mm(-range[0])} too near to ${mm(range[1])} too far.`;
+  return `The picture stays sharp from ${mm(-range[0])} too near to ${mm(range[1])} too far.`;
 }
 
 /** The passes of a job; those that were planned are in its report. */

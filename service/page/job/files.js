@@ -1,7 +1,7 @@
 /** Programs, with the way to the mill, and every other file of a job. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
-import { bytes, hours } from "../lib/words.js";
+import { bytes, hours, jobName } from "../lib/words.js";
 import { passWords, passesOf } from "./figures.js";
 import { saveLink, sheetLink } from "./save.js";
 
@@ -42,7 +42,7 @@ export function programsPart() {
 /** Why nothing can be sent to a mill yet: it takes programs of jobs that are done, and of no others. */
 function waitWords({ state, programs }) {
   if (state === "succeeded") return "";
-  if (!programs.length) return "The programs are offered here once all of them have been checked.";
+  if (!programs.length) return "The programs appear here once all of them have been checked.";
   return GOING.includes(state)
     ? "All of them have been checked. They can be sent to a mill when the job is done."
     : "The job was not finished: try again, and they can be sent to a mill when it is done.";
@@ -104,7 +104,8 @@ export function filesPart() {
   let shown = "";
 
   function update(job, artifacts) {
-    const files = [...artifacts.values()], key = files.map(({ name, sha256 }) => name + sha256).join();
+    const files = [...artifacts.values()], going = GOING.includes(job.state);
+    const key = going + files.map(({ name, sha256 }) => name + sha256).join();
     node.hidden = !files.length;
     if (key === shown) return;
     shown = key;
@@ -112,8 +113,10 @@ export function filesPart() {
     replace(list, offered.map(([name, words, why]) => fileRow(artifacts.get(name), words, why, name === SHEET)));
     replace(every, files.map((file) => fileRow(file, file.name, "")));
     const total = files.reduce((sum, file) => sum + file.bytes, 0);
-    const zip = { url: `/v1/jobs/${job.id}/archive.zip`, name: `${stem(job.name)}.zip`, size: total };
-    replace(archive, saveLink({ ...zip, words: `All files (zip, ${bytes(total)})` }));
+    const zip = { url: `/v1/jobs/${job.id}/archive.zip`, name: `${jobName(job)}.zip`, size: total };
+    const whole = saveLink({ ...zip, words: `All files (zip, ${bytes(total)})` });
+    replace(archive, going ? "All of them in one file: when the job is done." : whole);
+    archive.classList.toggle("dim", going);
   }
   return { node, update };
 }
@@ -122,8 +125,4 @@ function fileRow(file, words, why, isSheet = false) {
   const plain = { url: file.url, name: file.name, size: file.bytes, words, plain: true };
   const link = isSheet ? sheetLink(file, words) : saveLink(plain);
   return h("li", {}, link, h("span", { class: "dim" }, [why, bytes(file.bytes)].filter(Boolean).join(", ")));
-}
-
-function stem(name) {
-  return name.replace(/\.[^.]*$/, "") || "job";
 }

@@ -3,7 +3,7 @@ import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { confirm, toast } from "../lib/dialog.js";
 import { shape, stateMark } from "../lib/state.js";
-import { ago, sentence } from "../lib/words.js";
+import { ago, jobName, sentence } from "../lib/words.js";
 import { setUpWords, stageWords } from "./figures.js";
 import { settingWords } from "./setting_words.js";
 
@@ -15,9 +15,9 @@ export function headPart(app, changed) {
   let shown = "";
 
   function update(job) {
-    write(title, job.name);
-    app.title(job.name);
-    const facts = [setUpWords(job.spec), presetWords(job.spec), ago(job.ended_at ?? job.created_at)];
+    write(title, jobName(job));
+    app.title(jobName(job));
+    const facts = [setUpWords(job.spec), presetWords(job.spec), whenWords(job, api.now())];
     write(about, facts.filter(Boolean).join(" · "));
     const key = JSON.stringify([job.state, job.cancel_requested, job.error, job.queue_position]);
     if (key === shown) return;
@@ -43,13 +43,13 @@ export function headPart(app, changed) {
   }
   async function remove(job) {
     const sure = await confirm({
-      title: "Delete this job?", words: `${job.name}, its pictures and its programs will be gone. This cannot be undone.`,
+      title: "Delete this job?", words: `${jobName(job)}, its pictures and its programs will be gone. This cannot be undone.`,
       yes: "Delete", no: "Keep", danger: true,
     });
     if (!sure || !(await api.need("jobs:write"))) return;
     await told(async () => {
       await api.delete(`/v1/jobs/${job.id}`);
-      toast(`${job.name} was deleted.`);
+      toast(`${jobName(job)} was deleted.`);
       app.go("#/");
     });
   }
@@ -64,8 +64,15 @@ async function told(work) {
   }
 }
 
-function presetWords(spec) {
-  return spec.preset ? `preset ${spec.preset}` : "";
+function presetWords({ preset }) {
+  return { recommended: "passes as recommended", draft: "draft", paper: "passes of the paper" }[preset] ?? "";
+}
+
+/** Since when it is what it is. */
+function whenWords(job, now) {
+  if (job.ended_at) return `${{ succeeded: "done", failed: "failed" }[job.state] ?? "ended"} ${ago(job.ended_at, now)}`;
+  if (job.started_at) return `begun ${ago(job.started_at, now)}`;
+  return `sent ${ago(job.created_at, now)}`;
 }
 
 /** What went wrong and the next step; nothing for a job that goes its way. */

@@ -114,7 +114,7 @@ function point(row, k, at, { taken, made, take, spec, last }) {
   const keys = { ArrowRight: k + 1, ArrowUp: k + 1, ArrowLeft: k - 1, ArrowDown: k - 1, Home: 0, End: last };
   const x = at.x(row.hours), y = at.y(row.psnr_db), own = k === taken;
   const blur = `details under ${mm(detailOfPlan(spec, row))} will blur`, ours = k === made ? ", this job's plan" : "";
-  const words = `${hours(row.hours * 3600)}, ${blur}, ${row.psnr_db.toFixed(1)} dB${ours}`;
+  const words = `${hours(row.hours * 3600)}, ${blur}, ${eyeWords(row.psnr_db)}, ${row.psnr_db.toFixed(1)} dB${ours}`;
   return svg(
     "g", {
       class: `plan-point${own ? " taken" : ""}`, role: "radio", tabindex: own ? 0 : -1,
@@ -137,7 +137,7 @@ function inWords(job, row, k, made) {
   const passes = row.spec.passes ?? [], own = k === made;
   return [
     h("h3", {}, `${hours(row.hours * 3600)}: details under ${mm(detailOfPlan(job.spec, row))} will blur`),
-    h("p", {}, `${row.psnr_db.toFixed(1)} dB, ${eyeWords(row.psnr_db)}.`),
+    h("p", {}, `On the wall: ${eyeWords(row.psnr_db)} `, h("small", { class: "dim" }, `(${row.psnr_db.toFixed(1)} dB)`)),
     row.warning && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, sentence(row.warning))),
     h("ol", { class: "plan-passes" }, passes.map((pass, n) => passRow(pass, row.hours_by_pass?.[n]))),
     own

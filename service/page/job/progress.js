@@ -1,8 +1,10 @@
 /** How far a job is, stage by stage. */
+import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { mark } from "../lib/state.js";
-import { hours, percent } from "../lib/words.js";
+import { capital, hours, percent, percentUnderWay } from "../lib/words.js";
 import { stageWords } from "./figures.js";
+import { leftWords, secondsLeft } from "./left.js";
 
 const LOOKS = {
   waiting: ["wait", "waiting"],
@@ -59,18 +61,11 @@ function sentence(job, share, live, link) {
   }
   if (job.state === "running") {
     const stage = live?.stage ?? job.stage, tail = link === "away" ? " Not live at the moment: trying again." : "";
-    const left = remaining(job, share);
+    const left = job.cancel_requested ? "" : ` ${capital(leftWords(secondsLeft(job, live, api.now())))}.`;
     const doing = job.cancel_requested ? "Being cancelled" : stage ? stageWords(stage, job.spec) : "Begins";
-    return `${percent(share)}: ${doing}.${left}${tail}`;
+    return `${percentUnderWay(share)}: ${doing}.${left}${tail}`;
   }
   const took = job.started_at && job.ended_at ? hours((new Date(job.ended_at) - new Date(job.started_at)) / 1000) : "";
   if (job.state === "succeeded") return took ? `Made in ${took}.` : "Made.";
   return `Stopped at ${percent(share)}${took ? ` after ${took}` : ""}.`;
-}
-
-/** Time left by what the job has taken up to now; nothing while that says little. */
-function remaining(job, share) {
-  const spent = (Date.now() - new Date(job.started_at)) / 1000;
-  if (!(share > 0.05) || !(spent > 5) || job.cancel_requested) return "";
-  return ` About ${hours((spent * (1 - share)) / share)} left.`;
 }

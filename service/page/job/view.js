@@ -20,6 +20,7 @@ import { progressPart } from "./progress.js";
 
 const GATHER_MS = 120;
 const POSITION_MS = 4000; // a queue moves on without events of this job
+const CLOCK_MS = 10_000; // after which times in words are said anew
 
 export default async function view(root, params, app) {
   const address = `/v1/jobs/${encodeURIComponent(params.id)}`;
@@ -84,6 +85,12 @@ export default async function view(root, params, app) {
       },
     });
   }
+  const clock = setInterval(tick, CLOCK_MS);
+  /** What is said of time goes on where nothing else happens. */
+  function tick() {
+    parts.head.update(watched.job);
+    parts.progress.update(watched.job, watched.live, watched.link);
+  }
   const back = api.onAway((away) => !away && refresh());
 
   replace(root, layout(parts, first.spec));
@@ -94,6 +101,7 @@ export default async function view(root, params, app) {
     leave() {
       watched.left = true;
       clearTimeout(timer);
+      clearInterval(clock);
       back();
       stream?.close();
       for (const part of Object.values(parts)) part.free?.();

@@ -1,8 +1,9 @@
 /** A job as one card of the list, kept up to date in place so that nothing flickers or loses the focus. */
 
+import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { stateMark } from "../lib/state.js";
-import { ago, percent } from "../lib/words.js";
+import { ago, jobName, percentUnderWay } from "../lib/words.js";
 
 /** {element, image, update(job)} */
 export function jobCard(first) {
@@ -22,7 +23,7 @@ export function jobCard(first) {
 
   function update(job) {
     link.href = `#/jobs/${job.id}`;
-    write(name, job.name);
+    write(name, jobName(job));
     name.title = job.name;
     const words = stateWords(job);
     if (words !== said) replace(state, stateMark(job.state, words));
@@ -39,7 +40,7 @@ export function jobCard(first) {
 
 function stateWords(job) {
   if (job.cancel_requested && job.state === "running") return "being cancelled";
-  if (job.state === "running") return `working, ${percent(job.progress)}`;
+  if (job.state === "running") return `working, ${percentUnderWay(job.progress)}`;
   if (job.state === "queued" && job.queue_position)
     return `waiting, ${job.queue_position === 1 ? "next" : `${job.queue_position - 1} before it`}`;
   return undefined;
@@ -47,5 +48,5 @@ function stateWords(job) {
 
 function noteOf(job) {
   if (job.state === "failed" && job.error) return job.error.detail;
-  return ago(job.ended_at ?? job.started_at ?? job.created_at);
+  return ago(job.ended_at ?? job.started_at ?? job.created_at, api.now());
 }

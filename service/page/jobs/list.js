@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { count } from "../lib/words.js";
-import { dropPlace } from "../new/drop.js";
+import { dropPlace, invitation } from "../new/drop.js";
 import { keep } from "../new/picked.js";
 import { jobCard } from "./card.js";
 import { thumbnails } from "./thumbnails.js";
@@ -14,9 +14,7 @@ const FILTERS = [
   ["done", "Done", ["succeeded"]],
   ["failed", "Failed", ["failed", "cancelled"]],
 ];
-const WHAT =
-  "Drop a picture here: you get the programs that mill a clear block, " +
-  "and light through that block paints the picture on a wall.";
+const WHAT = ": you get the programs that mill a clear block, and light through that block paints the picture on a wall.";
 const BUSY_MS = 1500;
 const CALM_MS = 6000;
 const PAGE = 48;
@@ -41,7 +39,7 @@ export default async function view(root, params, app) {
     write(status, shown === 0 ? "No jobs" : `${count(shown, "job")} shown, ${active} not finished`);
     if (compact === !nothing) return;
     compact = !nothing;
-    const words = nothing ? WHAT : "Drop a picture here for a new job";
+    const words = invitation(nothing ? WHAT : " for a new job");
     replace(begin, dropPlace({ words, onFile: take, compact }));
   };
   await list.start();

@@ -7,6 +7,7 @@
  */
 
 const PATIENCE_MS = 20_000;
+const AGREE_MS = 5000;
 const DECLINED_MS = 60_000;
 const PROBE_MS = [500, 1000, 2000, 3000];
 const AWAY_STATUS = new Set([502, 504]);
@@ -30,6 +31,7 @@ let away = false;
 let declined = -Infinity;
 let settled = Promise.resolve();
 let askForKey = async () => false;
+let clockOff_ms = 0;
 const awayListeners = new Set();
 const whoListeners = new Set();
 const pictures = new Map();
@@ -49,6 +51,8 @@ export const api = {
   get away() {
     return away;
   },
+  /** The server's time in milliseconds, whatever the clock here says. */
+  now: () => Date.now() + clockOff_ms,
 
   /** Asks who we are to the server; before that nobody has any scope. */
   hello() {
@@ -135,7 +139,7 @@ export const api = {
     if (!found.name) {
       token = before;
       await api.hello();
-      throw new ProblemError(401, "The server does not know this key: it is mistyped, ended or revoked.");
+      throw new ProblemError(401, "The server does not know this token: it is mistyped, ended or revoked.");
     }
     return found;
   },
@@ -202,12 +206,19 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, p
       signal: signals.length ? AbortSignal.any(signals) : undefined,
     });
     setAway(AWAY_STATUS.has(response.status));
+    compareClocks(response);
     return response;
   } catch (error) {
     if (signal?.aborted) throw error;
     setAway(true);
     throw new ProblemError(0, "The server does not answer. Is it running, and is the cable in?");
   }
+}
+
+/** Clocks that agree to a few seconds are taken to be the same: answers tell whole seconds, and take their time. */
+function compareClocks(response) {
+  const off = new Date(response.headers.get("date") ?? NaN) - Date.now();
+  if (Number.isFinite(off)) clockOff_ms = Math.abs(off) < AGREE_MS ? 0 : off;
 }
 
 async function problemOf(response) {

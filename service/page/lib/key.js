@@ -1,24 +1,26 @@
-/** The key: a code that the server printed where it runs, exchanged for a token that this page's memory holds. */
+/** The code that the server printed where it runs, exchanged for a token that this page's memory holds. */
 
 import { api } from "./api.js";
 import { confirm, open } from "./dialog.js";
 import { freshId, h, replace } from "./dom.js";
+import { sentence } from "./words.js";
 
 const CODE = /^\s*(\d{4})[\s-]?(\d{4})\s*$/;
 const WHAT = {
-  "machine:run": "Running a mill needs the key.",
-  "jobs:write": "Making or changing jobs needs the key.",
-  "jobs:read": "This server asks for a key.",
+  "machine:run": "Whoever runs a mill enters the code first.",
+  "jobs:write": "Whoever makes or changes jobs enters the code first.",
+  "jobs:read": "This server asks for its code.",
 };
 
-/** Asks for the key; resolves whether one was given that the server knows. */
+/** Asks for the code; resolves whether one was given that the server knows. */
 export async function askForKey(scope) {
-  return (await open({ title: "Enter the key", body: (close) => form(scope, close) })) === true;
+  return (await open({ title: "Enter the code", body: (close) => form(scope, close) })) === true;
 }
 
 function form(scope, close) {
   const [hint, fault] = [freshId("hint"), freshId("fault")];
   const key = h("input", {
+    id: freshId("code"),
     type: "text",
     required: true,
     autocomplete: "off",
@@ -34,7 +36,7 @@ function form(scope, close) {
     value: api.who.anonymous ? "" : api.who.name,
   });
   const wrong = h("p", { class: "fault", id: fault, role: "alert" });
-  const submit = h("button", { type: "submit", class: "primary" }, "Use this key");
+  const submit = h("button", { type: "submit", class: "primary" }, "Enter");
   const send = async (event) => {
     event.preventDefault();
     submit.disabled = true;
@@ -42,7 +44,7 @@ function form(scope, close) {
       await exchange(key.value, name.value.trim());
       close(true);
     } catch (error) {
-      replace(wrong, error.detail ?? error.message);
+      replace(wrong, sentence(error.detail ?? error.message));
       key.focus();
     } finally {
       submit.disabled = false;
@@ -53,16 +55,16 @@ function form(scope, close) {
     { class: "stack", onsubmit: send },
     h("p", {}, WHAT[scope] ?? WHAT["jobs:read"]),
     h(
-      "label",
+      "div",
       { class: "field" },
-      h("span", {}, "Code or token"),
+      h("label", { for: key.id }, "Code"),
       key,
       h(
         "small",
         { id: hint },
-        "The code stands in the terminal where the server runs. A new one: ",
+        "Eight digits, printed where the server runs. A new code: ",
         h("code", {}, "causticmill token pair --data DIR"),
-        " with the server's folder."
+        " with the server's folder. A token may be pasted here, too.",
       ),
       wrong,
     ),
@@ -75,26 +77,26 @@ async function exchange(text, name) {
   const code = CODE.exec(text);
   if (code) return api.pair(`${code[1]}-${code[2]}`, name);
   if (text.trim().startsWith("cm_")) return api.useToken(text.trim());
-  throw new Error("A code is eight digits like 4831-2207; a token begins with cm_.");
+  throw new Error("A code is eight digits, like 4831-2207.");
 }
 
 /** A touch on one's own name must not take the mill out of one's hands. */
 async function giveBack() {
   const sure = await confirm({
-    title: "Give the key back?",
-    words: "This page cannot run a mill then, until a key is entered again.",
-    yes: "Give it back",
+    title: "Forget the code here?",
+    words: "This page cannot run a mill then, until the code is entered again.",
+    yes: "Forget it",
     no: "Keep it",
   });
   if (sure) api.forget();
 }
 
-/** Keeps a button up to date that says who is here, and takes a key or gives it back. */
+/** Keeps a button up to date that says who is here, and takes a code or forgets it. */
 export function showWho(button) {
   const show = (who) => {
     const known = api.token !== "" && who.name;
-    button.textContent = known ? who.name : "Enter key";
-    button.title = known ? "Give the key back" : "A key is needed to run a mill";
+    button.textContent = known ? who.name : "Enter code";
+    button.title = known ? "Forget the code on this page" : "The code is needed to run a mill";
   };
   button.addEventListener("click", () => (api.token ? giveBack() : api.need("machine:run")));
   api.onWho(show);

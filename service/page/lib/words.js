@@ -69,6 +69,21 @@ export function percent(share) {
   return `${share >= 1 ? 100 : Math.min(99, Math.max(0, Math.floor(share * 100 + 1e-9)))} %`;
 }
 
+/** The same of what still goes on: never "100 %". */
+export function percentUnderWay(share) {
+  return percent(Math.min(share, 0.99));
+}
+
+/** What a job is called: the name its picture was sent under, without the kind of file. */
+export function jobName({ name }) {
+  return name.replace(/(?<=.)\.(png|jpe?g|webp|tiff?|bmp|gif)$/i, "");
+}
+
+/** With a capital letter. */
+export function capital(words) {
+  return words.charAt(0).toUpperCase() + words.slice(1);
+}
+
 /** count(1, "job") = "1 job", count(3, "job") = "3 jobs". */
 export function count(number, word, several = `${word}s`) {
   return `${number} ${number === 1 ? word : several}`;
@@ -82,6 +97,6 @@ export function freshKey() {
 
 /** Words of the server as a sentence: "no such job" is "No such job."; a name at the beginning stays as it is. */
 export function sentence(words) {
-  const first = /^[a-z]+[ ,:']/.test(words) ? words.charAt(0).toUpperCase() + words.slice(1) : words;
+  const first = /^[a-z]+[ ,:']/.test(words) ? capital(words) : words;
   return /[.!?]$/.test(first) ? first : `${first}.`;
 }

@@ -6,21 +6,21 @@ import { enable } from "./said.js";
 import { checkWords } from "./words.js";
 
 /**
- * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing.
- * act({operator, checks}) gives the order.
+ * Ticks for `run.required_checks`, the operator's name, and the button that is on when nothing is missing; under it what
+ * the mill answered (`words`), so that nothing above the button ever moves. act({operator, checks}) gives the order.
  */
-export function checklist(run, { label, act }) {
-  const boxes = run.required_checks.map((check) => ({ check, box: h("input", { type: "checkbox", onchange: () => count() }) }));
+export function checklist(run, { label, words, act, changed = () => {} }) {
+  const boxes = run.required_checks.map((check) => ({ check, box: h("input", { type: "checkbox", onchange: () => (count(), changed()) }) }));
   const operator = h("input", { type: "text", maxLength: 100, autocomplete: "name", value: api.who.paired ? api.who.name : "", oninput: () => count() });
-  const go = h("button", { type: "button", class: "big primary go", onclick: () => act({ operator: operator.value.trim(), checks: boxes.map(({ check }) => check) }) }, label);
+  const go = h("button", { type: "button", class: "big go", onclick: () => act({ operator: operator.value.trim(), checks: boxes.map(({ check }) => check) }) }, label);
   const missing = h("p", { class: "missing", role: "status" });
   let why = "";
   const count = () => {
     const left = boxes.filter(({ box }) => !box.checked).length;
     const named = operator.value.trim() !== "";
-    const words = left ? `${left} of ${boxes.length} still to tick.` : named ? "" : "Give your name.";
-    enable([go], why === "" && words === "");
-    write(missing, why || words);
+    const lacking = left ? `${left} of ${boxes.length} still to tick.` : named ? "" : "Give your name.";
+    enable([go], why === "" && lacking === "");
+    write(missing, why || lacking);
   };
   count();
   const node = h(
@@ -30,12 +30,17 @@ export function checklist(run, { label, act }) {
     h("label", { class: "field" }, h("span", {}, "Operator"), operator),
     go,
     missing,
+    words.node,
   );
   return {
     node,
-    /** words: why the order cannot be given now; "" where it can. */
-    update(words) {
-      why = words;
+    get ticked() {
+      return boxes.every(({ box }) => box.checked);
+    },
+    /** reason: why the order cannot be given now; "" where it can. due: whether it is the next step. */
+    update(reason, due) {
+      why = reason;
+      go.classList.toggle("primary", due);
       count();
     },
     /** The mill has moved since: what was looked at may not be so any more. */

@@ -2,7 +2,7 @@
 
 import { h, write } from "../lib/dom.js";
 import { enable, said } from "./said.js";
-import { whyNot } from "./words.js";
+import { RUN_WORDS, stateWord, whyNot } from "./words.js";
 
 const SHOWN = 200;
 const COMMANDS = {
@@ -10,7 +10,7 @@ const COMMANDS = {
   SetZero: "Work zero",
   ProbeZ: "Probe",
   JogCancel: "End jog",
-  TrustPosition: "Position vouched for",
+  TrustPosition: "Position confirmed",
   CheckMode: "Check mode",
   ReadSettings: "Settings",
 };
@@ -38,7 +38,6 @@ export function terminal(link) {
       lines.hidden = link.log.length === 0;
       const why = whyNot(link);
       enable([text, send], why === "" && !link.busy);
-      words.why(why);
     },
   };
 }
@@ -55,13 +54,16 @@ function line(entry) {
   const clock = new Date(entry.at_s * 1000).toLocaleTimeString([], { hour12: false });
   const item = h("li", { class: `log-${entry.kind}` });
   item.append(h("time", {}, clock), " ", h("span", {}));
-  write(item.lastChild, plain(entry.words) + answerOf(entry));
+  write(item.lastChild, (entry.kind === "state" ? stateWord(entry.words) : plain(entry.words)) + answerOf(entry));
   return item;
 }
 
 /** The agent's words, its own names of commands as they stand on the buttons, without the number of the job. */
 function plain(words) {
-  return words.replace(/^([A-Z]\w+):/, (whole, name) => `${COMMANDS[name] ?? name}:`).replace(/ of job [0-9a-f-]{36}/, "");
+  return words
+    .replace(/^([A-Z]\w+):/, (whole, name) => `${COMMANDS[name] ?? name}:`)
+    .replace(/ of job [0-9a-f-]{36}/, "")
+    .replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
 }
 
 function answerOf({ answer }) {

@@ -1,14 +1,13 @@
 /** Who has control, and how one gets it. */
 
-import { ago } from "../lib/words.js";
+import { toast } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
+import { ago } from "../lib/words.js";
 import { guarded } from "./ask.js";
-import { said } from "./said.js";
 
 export function controlBar(link) {
-  const words = said();
-  const take = (takeOver) => words.during(() => link.lease.take({ takeOver }));
-  const free = h("button", { type: "button", class: "primary", onclick: () => take(false) }, "Take control");
+  const take = (takeOver) => link.lease.take({ takeOver }).catch((error) => toast(error.detail ?? error.message, { kind: "bad" }));
+  const free = h("button", { type: "button", onclick: () => take(false) }, "Take control");
   const give = h("button", { type: "button", onclick: () => link.lease.release() }, "Give control back");
   const over = guarded("Take over", {
     words: () => `${link.machine.control?.operator ?? "Nobody"} loses control of this mill at once. Have you spoken?`,
@@ -17,11 +16,12 @@ export function controlBar(link) {
   });
   const who = h("p", { class: "who", role: "status" });
   const place = h("div", { class: "row" });
-  const node = h("section", { class: "control", "aria-label": "Control" }, who, place, words.node);
+  const node = h("section", { class: "control", "aria-label": "Control" }, who, place);
   let shown = "";
   return {
     node,
-    update() {
+    update(due) {
+      free.classList.toggle("primary", due.step === "control");
       const control = link.machine?.control;
       const now = link.mine ? "mine" : control ? "other" : "free";
       write(who, { mine: "You have control.", other: `${control?.operator} has control (${ago(control?.since)}).`, free: "Nobody has control." }[now]);

@@ -1,15 +1,18 @@
 /**
  * Jogging: one press is one step, never more; or, where a person has chosen that, the mill moves while it is pressed.
  * The keyboard jogs only while it is armed, and it is armed only as long as the focus stays in the pad; a key that is
- * held down does nothing further.
+ * held down does nothing further. A tool in the block goes up or down; sideways only where a person has said so.
  */
 
 import { h, write } from "../lib/dom.js";
 import { holding } from "./held.js";
+import { depthInBlock, withinTravel } from "./place.js";
 import { enable, said } from "./said.js";
 import { whyNot } from "./words.js";
 
-const STEPS_MM = [0.01, 0.1, 1, 10];
+const STEPS_MM = [0.01, 0.1, 1, 10, 50, 100];
+const MOST_Z_MM = 10;
+const FEED_MM_PER_MIN = 1000;
 const HELD = "while pressed";
 const KEYS = {
   ArrowRight: [1, 0, 0],
@@ -31,11 +34,12 @@ const PAD = [
 
 export function jog(link) {
   const words = said();
-  const steps = stepChoice(() => pad.style.setProperty("touch-action", steps.held() ? "none" : "manipulation"));
+  const steps = stepChoice(() => chosen());
   const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });
-  const go = (by_mm) => words.during(() => link.order("jog", { by_mm, feed_mm_per_min: feed.valueAsNumber }));
+  const sideways = allowing(() => link.changed());
+  const go = (by_mm) => words.during(() => link.order("jog", { by_mm: reached(link, sideways, by_mm), feed_mm_per_min: feed.valueAsNumber }));
   const hold = holding(link, { go, feed: () => feed.valueAsNumber });
-  const step = (direction) => !steps.held() && go(direction.map((one) => one * steps.mm()));
+  const step = (direction) => !steps.held() && go(direction.map((one, k) => one * Math.min(steps.mm(), k === 2 ? MOST_Z_MM : Infinity)));
   const begin = (direction) => (steps.held() ? hold.begin(direction) : step(direction));
   const press = (event, direction) => event.button === 0 && steps.held() && hold.begin(direction);
   const buttons = PAD.map(([place, label, arrow, direction]) =>
@@ -43,18 +47,23 @@ export function jog(link) {
       type: "button", class: `big ${place}`, "aria-label": label,
       onclick: () => step(direction), onpointerdown: (event) => press(event, direction),
       oncontextmenu: (event) => steps.held() && event.preventDefault(), // that a long touch would open
-    }, arrow),
+    }, arrow, direction[2] !== 0 && h("small", {})),
   );
   const cancel = h("button", { type: "button", class: "cancel", onclick: () => link.urgent("jog-cancel") }, "End jog");
   const arm = armed({ begin, end: hold.end });
   const pad = h("div", { class: "pad", role: "group", "aria-label": "Jog" }, buttons, cancel);
+  const chosen = () => {
+    pad.style.setProperty("touch-action", steps.held() ? "none" : "manipulation");
+    const shorter = !steps.held() && steps.mm() > MOST_Z_MM;
+    for (const button of buttons.slice(4)) write(button.lastChild, shorter ? `${MOST_Z_MM} mm` : "");
+  };
   const node = h(
     "section",
     { class: "card jog", "aria-labelledby": "jog-title" },
     h("h2", { id: "jog-title" }, "Jog"),
     h("div", { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.left(event) }, pad, arm.node),
     steps.node,
-    h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))),
+    h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), sideways.node),
     words.node,
   );
   let fitted = false;
@@ -63,18 +72,47 @@ export function jog(link) {
     update() {
       const why = whyNot(link);
       const able = why === "" && !link.busy;
+      sideways.update(depthInBlock(link.machine) > 0, link.machine?.mill?.state === "idle");
       // A step takes a moment; buttons that flicker off and on lose the finger.
-      if (able || !isStep(link)) enable(buttons, able);
+      if (able || !isStep(link)) {
+        enable(buttons.slice(4), able);
+        enable(buttons.slice(0, 4), able && !sideways.barred());
+      }
       enable([arm.button], why === "" || isStep(link));
       if (why && !isStep(link)) {
         arm.off();
         hold.end();
       }
       cancel.disabled = link.machine?.mill?.state !== "jog";
-      words.why(isStep(link) ? "" : why);
       if (!fitted && link.machine?.profile) fitted = fit(feed, link.machine.profile);
     },
     close: hold.close,
+  };
+}
+
+/** The step as far as it may go; Error where it may not go at all. */
+function reached({ machine }, sideways, by_mm) {
+  if ((by_mm[0] || by_mm[1]) && sideways.barred()) throw new Error("The tool stands in the block: raise Z first.");
+  const found = withinTravel(machine, by_mm);
+  if (!found.some(Boolean)) throw new Error("The travel ends here: take a step of 10 mm or less.");
+  return found;
+}
+
+/** A switch that lets a tool in the block go sideways all the same, until it is out; its place is always kept. */
+function allowing(changed) {
+  const button = h("button", { type: "button", class: "sideways", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, "X and Y in the block");
+  const isOn = () => button.getAttribute("aria-pressed") === "true";
+  const set = (on) => button.setAttribute("aria-pressed", String(on));
+  let inBlock = false;
+  return {
+    node: button,
+    barred: () => inBlock && !isOn(),
+    /** known: the mill stands; while it moves it is where it was. */
+    update(now, known) {
+      if (known) inBlock = now;
+      if (!inBlock) set(false);
+      button.style.setProperty("visibility", inBlock ? "visible" : "hidden");
+    },
   };
 }
 
@@ -87,7 +125,7 @@ function isStep(link) {
 function fit(feed, profile) {
   const fastest = Math.min(...(profile.max_rate_mm_per_min ?? [500]));
   feed.max = Math.round(Math.max(...(profile.max_rate_mm_per_min ?? [20000])));
-  feed.value = Math.round(Math.min(500, fastest));
+  feed.value = Math.round(Math.min(FEED_MM_PER_MIN, fastest));
   return true;
 }
 

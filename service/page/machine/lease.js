@@ -1,7 +1,12 @@
-/** Control of one mill: one person at a time. Kept by a sign of life, given back when the page is left. */
+/**
+ * Control of one mill: one person at a time. Kept by a sign of life, and given back, with a word, when its view is left:
+ * who looks elsewhere does not see what moves, and the next person need not wait. A program goes on without anybody's
+ * control, and HOLD and STOP need none; a window that would close over one asks first.
+ */
 
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
+import { hasLiveRun } from "./words.js";
 
 const RENEW_MS = 20_000;
 const STALE_MS = 3000;
@@ -17,7 +22,9 @@ export class Lease {
     this.freshUntil = 0;
     this.timer = setInterval(() => this.held && this.renew(), RENEW_MS);
     this.onHide = () => this.held && this.release({ keepalive: true });
+    this.onClose = (event) => this.held && hasLiveRun(link.machine) && event.preventDefault();
     addEventListener("pagehide", this.onHide);
+    addEventListener("beforeunload", this.onClose);
   }
 
   get held() {
@@ -40,6 +47,15 @@ export class Lease {
     this.forget();
     this.link.changed();
     await api.delete(this.path, { headers, ...options }).catch(() => {}); // it ends by itself
+  }
+
+  leave() {
+    const { name, machine } = this.link;
+    const live = hasLiveRun(machine);
+    const more = live ? ` ${machine.run.program} goes on; HOLD and STOP are on its page.` : "";
+    const back = { words: "Back to it", run: () => (location.hash = `#/machines/${encodeURIComponent(name)}`) };
+    toast(`You gave back control of ${name}.${more}`, { kind: live ? "bad" : "", action: live ? back : undefined });
+    this.release();
   }
 
   async renew() {
@@ -65,7 +81,8 @@ export class Lease {
   close() {
     clearInterval(this.timer);
     removeEventListener("pagehide", this.onHide);
-    if (this.held) this.release();
+    removeEventListener("beforeunload", this.onClose);
+    if (this.held) this.leave();
   }
 
   keep({ control, operator, since }) {

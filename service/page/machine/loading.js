@@ -3,11 +3,12 @@
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
-import { ago, percent } from "../lib/words.js";
+import { ago, jobName, percent } from "../lib/words.js";
 import { enable, said } from "./said.js";
 import { whyNot } from "./words.js";
 
 const AGAIN_MS = 3000;
+const NONE_MS = 10_000;
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door", "jog", "homing", "tool"];
 
 /** chosen: {job, program} from the address of the page; a program by its name or number. */
@@ -16,25 +17,29 @@ export function loading(link, chosen) {
   const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), choose(jobs.value)) });
   // An answer that is still on its way must not put another program in the place of the one that was taken.
   const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
-  const load = h("button", { type: "button", class: "primary", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
+  const load = h("button", { type: "button", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
   const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load);
   const none = h("p", { class: "dim" }, "No job is done yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
   const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, "Load a program"), none, form, words.node);
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
   node.insertBefore(later, form);
   none.hidden = form.hidden = true;
+  const facts = { ready: false, jobs: 0, margin_mm: NaN };
   let timer = 0;
 
   const again = () => words.during(list);
 
   async function list() {
     const found = (await api.get("/v1/jobs?state=succeeded&limit=50")).jobs;
-    replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${job.name}, ${ago(job.created_at)}`)));
+    replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     const meant = chosen.job && !found.some((job) => job.id === chosen.job) ? await api.get(`/v1/jobs/${chosen.job}`) : null;
     waitFor(meant);
+    Object.assign(facts, { ready: true, jobs: found.length + !later.hidden });
     none.hidden = found.length > 0 || !later.hidden;
     form.hidden = found.length === 0;
     if (found.length) await choose(jobs.value);
+    else if (later.hidden) timer = setTimeout(again, NONE_MS);
+    link.changed();
   }
 
   /** A job that is still being worked on is looked at again until it is done. */
@@ -42,7 +47,7 @@ export function loading(link, chosen) {
     clearTimeout(timer);
     later.hidden = !job || !["queued", "running"].includes(job.state);
     if (later.hidden) return;
-    write(later.lastChild, `${job.name} is still being worked on (${percent(job.progress)}). Its programs can be loaded when all of it is done.`);
+    write(later.lastChild, `${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded when all of it is done.`);
     timer = setTimeout(again, AGAIN_MS);
   }
 
@@ -52,6 +57,7 @@ export function loading(link, chosen) {
     const meant = id === chosen.job && job.programs.find((one) => [one.name, String(one.number)].includes(chosen.program));
     const first = meant || (job.programs.find((one) => !done.has(one.sha256)) ?? job.programs[0]);
     replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? `${one.name} (done on this mill)` : one.name)));
+    facts.margin_mm = job.spec?.stock?.margin_mm;
     link.changed();
   }
 
@@ -66,10 +72,12 @@ export function loading(link, chosen) {
     /** The jobs are looked at anew when a program has left the mill. */
     again: () => ((chosen = { job: jobs.value || chosen.job }), again()),
     close: () => clearTimeout(timer),
-    update() {
+    /** What the next step is told by: {ready, jobs, margin_mm}. */
+    facts,
+    update(due) {
       const why = whyNot(link, STANDS, { besideRun: true });
+      load.classList.toggle("primary", due.step === "load");
       enable([load], why === "" && !link.busy && passes.value !== "");
-      words.why(form.hidden ? "" : why);
     },
   };
 }

@@ -10,6 +10,7 @@ import { follow } from "../lib/sse.js";
 import { Lease } from "./lease.js";
 
 const MOST_LOG = 300;
+const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
 const ROOM_AFTER_MS = 400;
 const ANSWER_MS = 1500; // an order of which the log says nothing by then is no reason to wait
 const URGENT_MS = 6000;
@@ -109,6 +110,7 @@ export class MillLink {
 
   noted(entry) {
     if (entry.words.startsWith("ReadSettings: done")) return; // every look at a plan asks for them
+    if (entry.kind === "state" && PASSING.has(entry.words)) return;
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
     this.log.push(entry);
     if (entry.kind === "command") this.commands += 1;

@@ -21,7 +21,6 @@ export function overrides(link) {
     update() {
       const why = whyNot(link, STATES, { besideRun: true });
       for (const one of rows) one.update(why === "" && !link.busy);
-      words.why(why);
     },
   };
 }

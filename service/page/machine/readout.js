@@ -34,7 +34,7 @@ export function readout(link) {
       });
       write(feed, Number.isFinite(mill?.feed_mm_per_min) ? `${Math.round(mill.feed_mm_per_min)} mm/min` : "–");
       write(spindle, spindleWords(mill));
-      write(trust, !mill ? "" : !known ? "Last known. Look at the mill." : mill.position_trusted ? "" : "Machine position not vouched for: home the mill, or set the work zero by hand.");
+      write(trust, !mill ? "" : !known ? "Last known. Look at the mill." : mill.position_trusted ? "" : "Where the mill stands is not sure.");
     },
   };
 }

@@ -33,40 +33,42 @@ export function recover(link) {
     });
 
   function show(run, plan) {
-    list = plan.ready ? checklist(run, { label: `Go on from line ${plan.overlap_line.toLocaleString()}`, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
+    list = plan.ready ? checklist(run, { label: `Go on from line ${plan.overlap_line.toLocaleString()}`, words, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
     replace(
       steps,
       step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${plan.executed_line.toLocaleString()} are cut for certain.`)),
       step("First", plan.ready, needs(link, plan, words), plan.ready ? null : h("button", { type: "button", onclick: ask }, "Look again")),
       step("What will happen", false, whatHappens(plan)),
-      step("Your word", false, list?.node ?? h("p", { class: "dim" }, "When everything above is done.")),
+      step("Your word", false, list?.node ?? [h("p", { class: "dim" }, "When everything above is done."), words.node]),
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
-    list?.update(whyNot(link));
+    list?.update(whyNot(link), true);
   }
 
   function forget() {
-    if (shown) replace(steps);
+    if (shown) {
+      replace(steps);
+      node.append(words.node);
+    }
     list = null;
     seen = shown = "";
   }
 
   return {
     node,
-    update() {
+    update(due) {
       const { run, machine } = link;
-      const due = Boolean(run?.required_checks?.includes("position") && machine?.agent.reachable);
-      node.hidden = !due;
-      if (!due) return void forget();
+      const wanted = Boolean(run?.required_checks?.includes("position") && machine?.agent.reachable);
+      node.hidden = !wanted;
+      if (!wanted) return void forget();
       const { state, position_trusted: trusted, connected } = machine.mill;
       const mayAsk = api.who.scopes.includes("machine:run");
       const now = [run.id, run.state, state, trusted, connected, link.commands, mayAsk].join(" ");
       if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
       seen = now;
-      list?.update(whyNot(link));
+      list?.update(whyNot(link), due.step === "recover");
       const why = whyNot(link, STANDS, { besideRun: true });
       enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
-      words.why(why);
     },
   };
 }
@@ -77,8 +79,9 @@ function step(title, done, ...content) {
 
 /** What must be done before it can go on, each with the button that does it, where there is one. */
 function needs(link, plan, words) {
-  const rows = [...plan.refusals.map((text) => [text, null]), ...plan.needs.map((need) => [need.words, remedy(link, need.code ?? need.kind, words)])];
-  if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is trusted, its work zero is the same.");
+  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [need.words, remedy(link, need.code, words)]);
+  const rows = [...plan.refusals.map((text) => [text, null]), ...own, ...zeroRow(link, plan, words)];
+  if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is sure, its work zero is the same.");
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, sentence(text)), act)));
 }
 
@@ -94,6 +97,14 @@ function remedy(link, code, words) {
     act: () => order("trust-position"),
   });
   return h("div", { class: "row" }, home(), trust.node);
+}
+
+/** The work zero that the program was cut at, where it is another one now. */
+function zeroRow(link, plan, words) {
+  const needed = plan.needs.some((need) => need.code === "zero");
+  const back = () => words.during(() => link.order("block", { text: plan.zero_back }));
+  if (plan.zero_back) return [["The work zero is not where the program was cut.", h("button", { type: "button", onclick: back }, "Put the zero back")]];
+  return needed ? [["The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again.", null]] : [];
 }
 
 function whatHappens(plan) {

@@ -2,30 +2,38 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
-import { hours, percent } from "../lib/words.js";
+import { count, hours, percent } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guarded } from "./ask.js";
 import { said } from "./said.js";
-import { RUN_WORDS, runStanding, sentence, whyNot } from "./words.js";
+import { RUN_WORDS, hasLiveRun, runStanding, sentence, whyNot } from "./words.js";
 
-export function running(link, { onNext }) {
+export function running(link) {
   const words = said();
   const state = h("div", {});
   const title = h("h2", { id: "run-title" });
   const more = h("div", { class: "stack" });
   const progress = meter();
-  const node = h("section", { class: "card running", "aria-labelledby": "run-title" }, h("div", { class: "row spread" }, title, state), progress.node, more, words.node);
+  const node = h("section", { class: "card running", "aria-labelledby": "run-title" }, h("div", { class: "row spread" }, title, state), progress.node, more);
   let shown = "";
   let list = null;
   let idle = true;
+  let wasParked = "";
 
   const fill = (run) => {
-    list = run.state === "parked" ? checklist(run, { label: `Start ${run.program.name}`, act: (said) => words.during(() => link.toRun("start", said)) }) : null;
-    replace(more, notes(run), run.state === "parked" && waiting(link, run, list, words), run.state === "finished" && finished(link, run, onNext));
+    const parked = run.state === "parked";
+    if (wasParked === run.id && hasLiveRun(link.machine)) keepHeight(node.parentElement);
+    else if (!hasLiveRun(link.machine)) node.parentElement?.style.removeProperty("min-height");
+    wasParked = parked ? run.id : "";
+    list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.during(() => link.toRun("start", given)), changed: () => link.changed() }) : null;
+    replace(more, notes(run), parked ? waiting(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
   };
   return {
     node,
-    update() {
+    get ticked() {
+      return Boolean(list?.ticked);
+    },
+    update(due) {
       const { run } = link;
       node.hidden = !run;
       if (!run) return;
@@ -39,9 +47,14 @@ export function running(link, { onNext }) {
       const stands = link.machine?.mill?.state === "idle";
       if (idle && !stands) list?.clear();
       idle = stands;
-      list?.update(whyNot(link));
+      list?.update(whyNot(link), ["tick", "start"].includes(due.step));
     },
   };
+}
+
+/** Nothing that can be pressed comes up to where Start was. */
+function keepHeight(place) {
+  place?.style.setProperty("min-height", `${place.offsetHeight}px`);
 }
 
 function meter() {
@@ -66,20 +79,23 @@ function meter() {
 function notes(run) {
   const own = run.words && !["interrupted", "aborted"].includes(run.state) ? [run.words] : []; // said above, with what to do
   const kind = RUN_WORDS[run.state]?.[0] === "bad" ? "bad" : "warn";
-  const notice = (look, text) => h("p", { class: `notice ${look}` }, shape(look), h("span", {}, sentence(text)));
-  return [...own.map((text) => notice(kind, text)), ...(run.warnings ?? []).map((text) => notice("warn", text))];
+  const notice = (text) => h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, sentence(text)));
+  return [...own.map(notice), run.state === "parked" || run.warnings?.length ? warned(run.warnings ?? []) : null];
 }
 
-function waiting(link, run, list, words) {
+/** All warnings in one line that is there without any, too; unfolded by who wants to know. */
+function warned(warnings) {
+  if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), "No warnings");
+  const travel = warnings.some((text) => /travel|reaches/.test(text));
+  const words = travel ? "It may not fit the travel" : count(warnings.length, "warning");
+  return h("details", { class: "warned warn" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
+}
+
+function waiting(link, list, words) {
   const back = guarded("Take it off the mill", {
     words: "The program leaves the mill; nothing has been cut by it.",
     yes: "Take it off",
     act: () => words.during(() => link.toRun("abort")),
   });
-  return [run.setup?.change && h("p", { class: "notice warn" }, shape("warn"), h("span", {}, `Before this pass: ${run.setup.change.words}.`)), list.node, back.node];
-}
-
-function finished(link, run, onNext) {
-  const next = run.next && h("button", { type: "button", class: "primary", onclick: () => onNext(run) }, `Next: ${run.next.name}`);
-  return h("p", { class: "row" }, next || "That was the last pass: the lens is milled.");
+  return [list.node, back.node];
 }

@@ -1,34 +1,25 @@
-/** A line under a group of controls that says why they are off, or what the mill answered to the last order. */
+/** A line under a group of controls that says what the last order was refused for. */
 
 import { h, write } from "../lib/dom.js";
 
 export function said() {
   const node = h("p", { class: "said", role: "status" });
-  let refusal = "";
   return {
     node,
-    /** Runs an order and shows what it was refused for. True where it was taken. */
+    /** Runs an order and shows what it was refused for, in sight, until the next one. True where it was taken. */
     async during(order) {
-      refusal = "";
+      write(node, "");
       node.classList.remove("bad");
       try {
         await order();
         return true;
       } catch (error) {
         if (error.name === "AbortError") return false;
-        refusal = error.detail ?? error.message;
-        write(node, refusal);
+        write(node, error.detail ?? error.message);
         node.classList.add("bad");
+        node.scrollIntoView({ block: "nearest" }); // the bars over the page keep their distance by scroll-padding
         return false;
       }
-    },
-    /** Why the controls are off; "" where they are not: then the last refusal stays. */
-    why(words) {
-      if (words) {
-        refusal = "";
-        node.classList.remove("bad");
-      }
-      write(node, words || refusal);
     },
   };
 }

@@ -1,10 +1,9 @@
 /** Before a program: home, the work zero by hand or by probe, unlock and reset. */
 
 import { h, write } from "../lib/dom.js";
-import { shape } from "../lib/state.js";
 import { guarded } from "./ask.js";
 import { enable, said } from "./said.js";
-import { sentence, whyNot } from "./words.js";
+import { whyNot } from "./words.js";
 
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 
@@ -25,12 +24,10 @@ export function setup(link) {
   const zeros = ["X", "Y", "XY", "Z"].map((axes) => h("button", { type: "button", onclick: () => order("zero", { axes }) }, `${[...axes].join(" and ")} = 0 here`));
   const probe = probing(order);
   const hint = h("p", { class: "dim" });
-  const needs = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}));
   const node = h(
     "section",
     { class: "card setup", "aria-labelledby": "setup-title" },
     h("h2", { id: "setup-title" }, "Zero and home"),
-    needs,
     h("div", { class: "row" }, home, unlock.node, reset.node),
     hint,
     h("h3", {}, "Work zero"),
@@ -45,15 +42,12 @@ export function setup(link) {
       const locked = whyNot(link, ["idle", "alarm"]);
       const homing = link.machine?.profile?.homing;
       write(hint, homing === false ? "This mill has no homing switches: jog to the corner of the block and set the zero there." : "");
-      needs.hidden = !link.machine?.mill?.needs?.length;
-      write(needs.lastChild, (link.machine?.mill?.needs ?? []).map(sentence).join(" "));
       enable([home], locked === "" && homing !== false && !link.busy);
       enable([unlock.button], locked === "" && !link.busy);
       enable([reset.button], whyNot(link, STANDS) === "" && !link.busy);
       enable([...zeros, probe.button], idle === "" && !link.busy);
       if (idle) probe.close();
       if (locked) unlock.close();
-      words.why(idle);
     },
   };
 }

@@ -2,8 +2,9 @@
  * HOLD and STOP: always in sight, always in the same place (Resume has one of its own, empty while nothing is held), taken
  * from everybody, without control and whatever else is on its way.
  *
- * Keys: while something moves Space holds wherever the focus is, but in a field one writes in; Escape stops. A mill that
- * stands leaves both keys to the controls. A mill of which nothing is known may move.
+ * Keys: while something moves, or a program is held, Space holds wherever the focus is, but in a field one writes in and
+ * on Resume itself; Escape stops. Shift and R resume what is held: two keys, so that no elbow does. A mill that stands
+ * without a program leaves the keys to the controls. A mill of which nothing is known may move.
  */
 
 import { h, write } from "../lib/dom.js";
@@ -17,10 +18,10 @@ export function stops(link) {
   const words = said();
   const hold = big("hold", "HOLD", "Space", () => link.urgent("hold"));
   const stop = big("stop", "STOP", "Escape", () => link.urgent("abort"));
-  const resume = h("button", { type: "button", class: "big primary", onclick: () => words.during(() => resumed(link)) }, "Resume");
+  const resume = big("primary", "Resume", "Shift+R", () => words.during(() => resumed(link)));
   const alarm = h("p", { class: "arrived", role: "alert" });
   const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, words.node, h("div", { class: "stop-row" }, hold, stop, h("div", { class: "resume-place" }, resume)));
-  const keys = (event) => onKey(event, link);
+  const keys = (event) => onKey(event, link, resume);
   addEventListener("keydown", keys, { capture: true });
   return {
     node,
@@ -29,7 +30,6 @@ export function stops(link) {
       const why = whyNot(link, HELD, { besideRun: true });
       resume.hidden = !HELD.includes(state);
       resume.disabled = link.busy || why !== "";
-      words.why(resume.hidden || !why ? "" : `To resume: ${why}`);
       write(alarm, link.urgentWords || unheard(link));
     },
     close: () => removeEventListener("keydown", keys, { capture: true }),
@@ -50,11 +50,14 @@ function resumed(link) {
   return hasLiveRun(link.machine) ? link.toRun("resume") : link.order("resume");
 }
 
-function onKey(event, link) {
+function onKey(event, link, resume) {
   if (event.repeat || event.ctrlKey || event.altKey || event.metaKey || !mayMove(link.machine)) return;
+  const writing = event.target.closest?.(WRITING);
   if (event.key === "Escape") {
     link.urgent("abort");
-  } else if (event.key === " " && !event.target.closest?.(WRITING)) {
+  } else if (event.key === "R" && event.shiftKey && !writing) {
+    if (!resume.hidden) resume.click(); // nothing, where it is off
+  } else if (event.key === " " && !writing && event.target !== resume) {
     link.urgent("hold");
     event.preventDefault();
   }

@@ -1,67 +1,65 @@
-/** What is wrong, in words, and the one safe thing to do next. */
+/** What is wrong, in words, and the one safe thing to do next. Pure: `next.js` shows it. */
 
-import { h, replace } from "../lib/dom.js";
-import { shape } from "../lib/state.js";
 import { RUN_WORDS, sentence } from "./words.js";
 
-/** [kind, what is wrong, what to do next] or null where nothing is. */
+const SHORT = 44; // letters of somebody else's words that a line of the page has room for
+
+/** {kind, wrong, next, more, step} or null where nothing is; more: for who asks. step: what is due, where a button does it. */
 export function troubleOf(link) {
   const { machine, run, away, gone } = link;
-  if (gone) return ["bad", gone, "Go back to the list of machines."];
-  if (away) return ["bad", "The server does not answer. What is shown is what it said last.", "The mill goes on with what it has. To stop it, use the button on the mill. This page goes on by itself when the server is back."];
+  if (gone) return told("bad", gone, "go back to the list of machines.");
+  if (away) return told("bad", "The server does not answer.", "to stop, use the button on the mill.", "The mill goes on with what it has; what is shown is what was said last. This page goes on by itself when the server is back.");
   if (!machine) return null;
-  if (machine.problem) return ["bad", machine.problem, "Correct the file of this machine; this page sees it at once."];
-  if (!machine.agent.reachable) return ["bad", sentence(machine.agent.words) || "The mill's agent does not answer.", "Start the server again: it starts the agent. The mill may still be moving: look at it, and use its own button to stop it."];
+  if (machine.problem) return told("bad", "The file of this machine is not right.", "correct it; this page sees it at once.", machine.problem);
+  if (!machine.agent.reachable) return told("bad", "The server has lost this mill.", "look at the mill, then start the server again.", `${sentence(machine.agent.words)} The mill may still be moving: stop it with its own button.`);
   return troubleOfMill(machine) ?? troubleOfRun(machine, run);
 }
 
-function troubleOfMill({ mill, run }) {
-  if (mill.state === "connecting") return ["busy", "Connecting to the mill.", "Wait a few seconds."];
+function told(kind, wrong, next, more = "", step = "") {
+  return { kind, wrong, next, more, step };
+}
+
+function troubleOfMill({ mill, run, profile }) {
+  if (mill.state === "connecting") return told("busy", "Connecting to the mill.", "wait a few seconds.");
   if (!mill.connected) return unplugged(mill, run);
   switch (mill.state) {
     case "alarm":
-      return ["bad", `The mill is locked. ${/^locked/i.test(mill.detail) ? "" : sentence(mill.detail)}`, "Free the tool if it is stuck, then home the mill. Unlock it only if you know where it is."];
+      return locked(mill, profile);
     case "door":
-      return ["warn", "The safety door is open.", "Close it, then resume; or stop."];
+      return told("warn", "The safety door is open.", "close it, then Resume; or STOP.");
     case "tool":
-      return ["warn", "The program waits for a tool change.", "Change the tool, then resume; or stop."];
+      return told("warn", "A tool change is due.", "change it, then Resume; or STOP.");
     case "sleep":
-      return ["warn", "The mill is asleep: its motors are off and it may have been moved by hand.", "Reset it, then home it or set the work zero anew."];
+      return told("warn", "The mill is asleep, its motors are off.", "reset it, then home it.", "It may have been moved by hand: without homing, set the work zero anew.");
     default:
       return null;
   }
 }
 
+function locked(mill, profile) {
+  const why = sentence(mill.detail).replace(/^ALARM:\d+ \((.*)\)\.$/i, "$1");
+  const first = why.split(/[,:;(.]/)[0].trim();
+  const short = first && first.length <= SHORT && !/^locked/i.test(first) ? `Locked: ${first}.` : "The mill is locked.";
+  const homes = profile?.homing !== false;
+  const next = homes ? "free the tool, then home the mill." : "free the tool, unlock, set the zero anew.";
+  return told("bad", short, next, `${sentence(why)} Unlock only if you know where the tool is.`, homes ? "home" : "");
+}
+
 function unplugged(mill, run) {
   const latched = mill.latched ? ` Your ${mill.latched} is carried out first when it is back.` : "";
-  const cut = run && run.state === "interrupted" ? " Its program is interrupted; what was cut is known." : "";
-  return [
+  const cut = run?.state === "interrupted" ? " Its program is interrupted; what was cut is known." : "";
+  return told(
     "bad",
-    `The mill is not connected: is its cable in, and is it switched on? ${sentence(mill.problem)}${cut}`,
-    `Look at the mill first: it may still carry out what it holds, and the spindle may turn. Stop it with its own button. Then put the cable back; it is found again by itself, and nothing moves by that.${latched}`,
-  ];
+    "The mill is not connected.",
+    "look at the mill, then at cable and power.",
+    `${sentence(mill.problem)}${cut} It may still carry out what it holds, and the spindle may turn: stop it with its own button. It is found again by itself, and nothing moves by that.${latched}`,
+  );
 }
 
 function troubleOfRun(machine, run) {
   if (!run?.required_checks?.includes("position")) return null;
   const [, word] = RUN_WORDS[run.state] ?? ["", run.state];
-  const line = run.executed_line ? ` after line ${run.executed_line.toLocaleString()}` : "";
-  return [run.state === "aborted" ? "warn" : "bad", `${run.program.name} was ${word}${line}. ${sentence(run.words)}`, "The part is not lost: go on below, step by step. Nothing moves before you say so."];
-}
-
-export function trouble(link) {
-  const node = h("div", { class: "trouble", role: "alert" });
-  let shown = "";
-  return {
-    node,
-    update() {
-      const found = troubleOf(link);
-      const now = found ? found.join("\n") : "";
-      if (now === shown) return;
-      shown = now;
-      if (!found) return void replace(node);
-      const [kind, wrong, next] = found;
-      replace(node, h("div", { class: `notice ${kind}` }, shape(kind), h("div", {}, h("p", {}, wrong), h("p", {}, h("strong", {}, "Next: "), next))));
-    },
-  };
+  const line = run.executed_line ? ` at line ${run.executed_line.toLocaleString()}` : "";
+  const more = `${sentence(run.words)} The part is not lost, and nothing moves before you say so.`;
+  return told(run.state === "aborted" ? "warn" : "bad", `The program was ${word}${line}.`, "go on with it, step by step.", more, "recover");
 }

@@ -5,8 +5,10 @@ import { mark } from "../lib/state.js";
 import { terminal } from "./console.js";
 import { controlBar } from "./control_bar.js";
 import { jog } from "./jog.js";
+import { dueOf } from "./due.js";
 import { loading } from "./loading.js";
 import { MillLink } from "./mill_link.js";
+import { next } from "./next.js";
 import { overrides } from "./overrides.js";
 import { part } from "./part.js";
 import { readout } from "./readout.js";
@@ -14,32 +16,22 @@ import { recover } from "./recover.js";
 import { running } from "./running.js";
 import { setup } from "./setup.js";
 import { stops } from "./stops.js";
-import { trouble } from "./trouble.js";
 import { hasLiveRun, standing } from "./words.js";
 
 export default async function view(root, params, app) {
   await sheet("/page/machine/machine.css");
   app.title(params.name);
   const link = new MillLink(params.name);
-  const chosen = { job: params.job, program: params.program };
-  const load = loading(link, chosen);
-  const next = (run) => {
-    Object.assign(chosen, { job: run.job, program: run.next.name });
-    load.again();
-    load.node.scrollIntoView({ block: "center" });
-  };
-  const program = running(link, { onNext: next });
-  const own = { head: head(link), control: controlBar(link), trouble: trouble(link), readout: readout(link), jog: jog(link), setup: setup(link) };
-  const others = { program, load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), stops: stops(link) };
-  const parts = { ...own, ...others };
+  const parts = made(link, { job: params.job, program: params.program });
   replace(root, layout(parts));
   let wasOpen = false;
   link.onChange(() => {
     const open = Boolean(link.machine?.run);
-    if (wasOpen && !open) load.again();
+    if (wasOpen && !open) parts.load.again();
     wasOpen = open;
-    for (const one of Object.values(parts)) one.update();
-    arrange(link, parts);
+    const due = dueOf(link, { load: parts.load.facts, ticked: parts.program.ticked });
+    for (const one of Object.values(parts)) one.update(due);
+    arrange(link, parts, due);
   });
   link.changed();
   return {
@@ -50,31 +42,42 @@ export default async function view(root, params, app) {
   };
 }
 
-function layout({ head, control, trouble, readout, jog, setup, program, load, recover, part, overrides, terminal, stops }) {
+function made(link, chosen) {
+  const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link) };
+  const load = loading(link, chosen);
+  const others = { program: running(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), stops: stops(link) };
+  const cards = { jog: own.jog.node, load: load.node, program: others.program.node, recover: others.recover.node };
+  return { ...own, ...others, next: next(link, cards) };
+}
+
+/** On a narrow screen what is on the mill comes before what sets it up; `arrange` says when. */
+function layout({ head, control, next, readout, jog, setup, program, load, recover, part, overrides, terminal, stops }) {
   const node = (one) => one.node;
+  const stack = (name, ...parts) => h("div", { class: `stack ${name}` }, parts.map(node));
   return h(
     "div",
     { class: "machine" },
     h("div", { class: "machine-head" }, head.node, control.node),
-    trouble.node,
+    next.node,
     h(
       "div",
       { class: "machine-columns" },
-      h("div", { class: "stack tool" }, [readout, jog].map(node)),
-      h("div", { class: "stack work" }, [recover, program, load, overrides].map(node)),
-      h("div", { class: "stack beside" }, [setup, part, terminal].map(node)),
+      h("div", { class: "left" }, stack("tool", readout, jog), stack("zero", setup)),
+      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", terminal)),
     ),
     stops.node,
   );
 }
 
 /** What is of no use now is not shown: while a program is on the mill nobody jogs, and nothing else can be loaded. */
-function arrange({ machine }, { jog, setup, load, overrides }) {
+function arrange({ machine, run }, { jog, setup, load, overrides, recover }) {
   const live = hasLiveRun(machine);
   jog.node.hidden = live;
   setup.node.hidden = live;
   overrides.node.hidden = !live;
   load.node.hidden = Boolean(machine?.run);
+  const workFirst = Boolean(machine?.run) || !recover.node.hidden || run?.state === "finished";
+  jog.node.closest(".machine-columns").classList.toggle("work-first", workFirst);
 }
 
 function head(link) {
@@ -91,7 +94,7 @@ function head(link) {
       if (`${word.kind} ${word.word}` !== shown) replace(state, mark(word.kind, word.word));
       shown = `${word.kind} ${word.word}`;
       simulated.hidden = !machine?.simulated;
-      write(about, [!machine?.simulated && machine?.profile?.description, machine?.mill?.controller].filter(Boolean).join(", "));
+      if (machine?.profile) write(about, machine.simulated ? "" : machine.profile.description);
     },
   };
 }

@@ -1,6 +1,7 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
 import { sentence as inWords } from "../lib/words.js";
+import { depthInBlock } from "./place.js";
 
 const STATES = {
   disconnected: ["bad", "not connected"],
@@ -22,6 +23,11 @@ const MOVING = new Set(["run", "holding", "jog", "homing"]);
 const LIVE = new Set(["running", "holding", "held", "stopping", "recovering"]);
 const PASSING = new Set(["stopping", "recovering"]);
 
+/** The word for a state that is only named, as in a log. */
+export function stateWord(state) {
+  return STATES[state]?.[1] ?? state;
+}
+
 export const RUN_WORDS = {
   preparing: ["busy", "being handed to the mill"],
   refused: ["bad", "refused"],
@@ -42,7 +48,7 @@ export function standing(machine) {
   if (machine.problem) return { kind: "bad", word: "cannot be used", words: machine.problem };
   if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: machine.agent.words };
   const { mill } = machine;
-  const [kind, word] = doing(mill, machine.run);
+  const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", "idle, tool in the block"] : doing(mill, machine.run);
   return { kind, word, words: mill.connected ? mill.detail : mill.problem };
 }
 
@@ -104,10 +110,10 @@ export function coordinate(value, places = 3) {
 
 /** What a person looked at before the mill moves; `setup` of the run says what is right. */
 export function checkWords(check, run) {
-  const { tool, stock, zero } = run.setup ?? {};
+  const { tool, stock, zero, change } = run.setup ?? {};
   switch (check) {
     case "tool":
-      return ["The tool is in and tight", tool ? `${tool.shape}, radius ${tool.radius_mm} mm` : ""];
+      return ["The tool is in and tight", [tool && `${tool.shape}, radius ${tool.radius_mm} mm`, change?.words].filter(Boolean).join("; ")];
     case "zero":
       return ["The work zero is set for this tool", zero ?? ""];
     case "stock":

@@ -45,6 +45,11 @@ export function dropPlace({ words, onFile, compact = false }) {
   return place;
 }
 
+/** What to do here: nothing can be dropped with a finger. */
+export function invitation(purpose = "") {
+  return `${isHandheld() ? "Choose or photograph a picture" : "Drop a picture here"}${purpose}`;
+}
+
 /** Takes what is pasted, or dropped anywhere on the page, while the place is shown. */
 function receive(place, take) {
   let depth = 0;

@@ -3,6 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
+import { eyeWords } from "../job/figures.js";
 import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 
 const CALM_MS = 400;
@@ -56,7 +57,7 @@ export function estimator({ make, tell }) {
   }
 
   function told(error) {
-    if (error.status === 422) return { kind: "problems", problems: error.problems, words: error.detail };
+    if (error.status === 422 || error.field === "image") return { kind: "problems", problems: error.problems, words: error.detail };
     absent = error.status === 404 || error.status === 405;
     return absent ? { kind: "absent" } : { kind: "fault", words: error.detail ?? error.message };
   }
@@ -74,7 +75,8 @@ export function estimateWords(estimate) {
       { class: "figures" },
       figure("Machine time", hours(3600 * estimate.hours)),
       figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall; finer details blur"),
-      figure("Relief of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
+      Number.isFinite(estimate.psnr_db) && figure("On the wall", eyeWords(estimate.psnr_db)),
+      figure("Depth of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
     ),
     estimate.passes?.length > 0 &&
       h(
@@ -102,7 +104,8 @@ function notice(kind, words) {
 
 /** For the bar at the foot: one line. */
 export function estimateLine(estimate) {
-  return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}`;
+  const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}` : "";
+  return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
 }
 
 function figure(name, value, more) {

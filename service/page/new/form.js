@@ -2,13 +2,14 @@
 
 import { freshId, h } from "../lib/dom.js";
 import { EXPERT, LENS, LIGHT, MILL, PICTURE } from "./fields.js";
+import { withProfiles } from "./machines.js";
 import { passes } from "./passes.js";
 import { row } from "./row.js";
 import { isTable, merged, put, same, valueAt } from "./spec.js";
 
 /**
  * {lens, light, mill, picture, expert: elements; read(), show(spec), blame(problems)}.
- * profiles: [{name, description}] of the machines; onChange(): a person changed something; planned(): the passes as far
+ * profiles: [{name, description, mills}] of the machines; onChange(): a person changed something; planned(): the passes as far
  * as the server has told them.
  */
 export function specForm({ profiles, onChange, planned }) {
@@ -104,12 +105,6 @@ export function specForm({ profiles, onChange, planned }) {
     show,
     blame,
   };
-}
-
-function withProfiles(field, profiles) {
-  return field.named === "profiles" && profiles.length
-    ? { ...field, choices: profiles.map(({ name, description }) => [name, `${name}: ${description.split(/[,;]/)[0]}`, description]) }
-    : field;
 }
 
 /** The row a key belongs to: its own, that of the table it lies in, or the first shown one of the table that it is. */

@@ -1,6 +1,6 @@
 /** Passes set by hand: a card for each, in the order in which they are milled. */
 
-import { h, replace } from "../lib/dom.js";
+import { h, replace, write } from "../lib/dom.js";
 import { PASS } from "./fields.js";
 import { row } from "./row.js";
 
@@ -52,20 +52,17 @@ export function passes({ onChange, known }) {
       { type: "button", class: "quiet", disabled: count === 1, onclick: () => without(at) },
       "Remove",
     );
-    const title = h("div", { class: "row spread" }, h("h3", {}, `Pass ${at + 1}`), remove);
-    return {
-      rows,
-      element: h(
-        "li",
-        { class: "card" },
-        title,
-        h(
-          "div",
-          { class: "fields" },
-          rows.map((one) => one.element),
-        ),
-      ),
-    };
+    const title = h("h3", { tabIndex: -1 }, `Pass ${at + 1}`);
+    const fault = h("p", { class: "fault", role: "alert" });
+    const fields = h("div", { class: "fields" }, rows.map((one) => one.element));
+    const element = h(
+      "li",
+      { class: "card" },
+      h("div", { class: "row spread" }, title, remove),
+      fault,
+      fields,
+    );
+    return { rows, whole: wholePass(`passes.${at}`, { element, title, fault }), element };
   }
 
   function without(at) {
@@ -95,5 +92,10 @@ export function passes({ onChange, known }) {
   }
 
   show(null);
-  return { element, rows: () => cards.flatMap((one) => one.rows), read, show };
+  return { element, rows: () => cards.flatMap((one) => [one.whole, ...one.rows]), read, show };
+}
+
+/** What is wrong with a pass as a whole stands at its head, as with a row of the form. */
+function wholePass(key, { element, title, fault }) {
+  return { key, field: {}, element, blame: (words) => write(fault, words ?? ""), focus: () => title.focus() };
 }

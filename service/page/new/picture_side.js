@@ -1,7 +1,7 @@
 /** The side of the picture: where it is dropped, then what the wall will show of it, and what can be done to it. */
 
 import { h, replace, write } from "../lib/dom.js";
-import { dropPlace } from "./drop.js";
+import { dropPlace, invitation } from "./drop.js";
 import { openPicture, sentPicture, UNTOUCHED } from "./picture.js";
 import { screenOf } from "./screen.js";
 import { pictureTools } from "./tools.js";
@@ -11,7 +11,7 @@ const SPREAD = Math.SQRT2; // the blur of an estimate is over both axes
 const HOW = "What the wall will show. Drag to choose the part, pinch or use the slider to zoom.";
 
 /**
- * {element, begin({picture, edits, name, file}), has(), draw(), showBlur(mm), blame(words), focus(), sent(), draft()}.
+ * {element, begin({picture, edits, name, file}), has(), draw(), showBlur(mm), blame(words), fault(), focus(), sent(), draft()}.
  * spec() is what the form holds; values: its rows that belong to the picture; onChange(): something else is to be sent.
  */
 export function pictureSide({ spec, values, onChange }) {
@@ -46,7 +46,7 @@ export function pictureSide({ spec, values, onChange }) {
   async function begin({ picture, edits, name: called, file }) {
     if (picture) use(picture, edits, called);
     else if (file) await take(file, called);
-    else replace(place, dropPlace({ words: "Drop a picture here", onFile: take }));
+    else replace(place, dropPlace({ words: invitation(), onFile: take }));
   }
 
   async function take(file, called) {
@@ -62,10 +62,16 @@ export function pictureSide({ spec, values, onChange }) {
     const words = `This browser cannot show ${picture.file.name}. It is sent as it is, and used if the server can read it.`;
     const shown = picture.shown
       ? [h("div", { class: "wall-frame" }, seen.element), h("small", {}, HOW), blur, tools.element]
-      : h("p", { class: "notice" }, h("span", {}, words));
+      : h("p", { class: "notice unseen" }, h("span", {}, words));
     const title = h("label", { class: "field" }, h("span", {}, "Name of the job"), name);
     replace(place, shown, own, title, dropPlace({ words: "Another picture?", onFile: take, compact: true }));
     draw();
+  }
+
+  /** Once the server has looked at it, it is no open question any more. */
+  function blame(words) {
+    write(fault, words);
+    for (const notice of place.querySelectorAll(".unseen")) notice.hidden = Boolean(words);
   }
 
   function showBlur(mm) {
@@ -87,7 +93,9 @@ export function pictureSide({ spec, values, onChange }) {
     has: () => now.picture !== null,
     draw,
     showBlur,
-    blame: (words) => write(fault, words),
+    blame,
+    /** What is wrong with the picture, "" nothing that is known. */
+    fault: () => fault.textContent,
     focus: () => place.querySelector("button, canvas")?.focus(),
     sent,
     draft: () => ({ picture: now.picture, edits: now.edits, name: name.value }),

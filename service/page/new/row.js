@@ -160,7 +160,7 @@ function select(field, { described, onChange }) {
   const input = h(
     "select",
     { id, "aria-describedby": described, onchange: onChange },
-    field.choices.map(([, words], at) => h("option", { value: String(at) }, words)),
+    grouped(field.choices.map(([, words, , group], at) => [group, h("option", { value: String(at) }, words)])),
   );
   const more = h("small");
   const tell = () => write(more, field.choices[Number(input.value)]?.[2] ?? "");
@@ -175,6 +175,13 @@ function select(field, { described, onChange }) {
   };
   show(undefined);
   return { id, element: [input, more], controls: [input], read, show };
+}
+
+/** Options under the names of their groups, where they have any. */
+function grouped(options) {
+  const groups = [...new Set(options.map(([group]) => group))];
+  const own = (name) => options.filter(([group]) => group === name).map(([, option]) => option);
+  return groups.map((name) => (name ? h("optgroup", { label: name }, own(name)) : own(name)));
 }
 
 function cards(field, { described, onChange }) {

@@ -1,6 +1,7 @@
 /** Another job as the beginning of a new one: its picture and what was asked for, perhaps with another of its plans. */
 
 import { api } from "../lib/api.js";
+import { jobName } from "../lib/words.js";
 import { merged } from "./spec.js";
 
 /** {file, name, spec, notice}; plan: number of a row of the job's plan. */
@@ -8,17 +9,17 @@ export async function sourceOf(id, plan) {
   const asked = await api.get(`/v1/jobs/${encodeURIComponent(id)}/request`);
   const response = await api.request("GET", asked.image, { patience_ms: 0 });
   const file = new File([await response.blob()], asked.name);
-  const name = asked.name.replace(/\.[^.]*$/, "");
+  const name = jobName(asked);
   const row = plan === undefined ? null : await planRow(id, Number(plan));
   if (!row)
     return {
       file,
       name,
       spec: asked.spec,
-      notice: `A copy of “${asked.name}”. Change what you like; the other job stays as it is.`,
+      notice: `A copy of “${name}”. Change what you like; the other job stays as it is.`,
     };
   const spec = { ...merged(asked.spec, row.spec), preset: "recommended" };
-  return { file, name, spec, notice: `A copy of “${asked.name}” with another plan: ${row.words}.` };
+  return { file, name, spec, notice: `A copy of “${name}” with another plan: ${row.words}.` };
 }
 
 async function planRow(id, number) {

@@ -2,10 +2,12 @@
 
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
-import { h, replace, sheet, write } from "../lib/dom.js";
+import { freshId, h, replace, sheet, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
+import { MACHINE_USUAL } from "./fields.js";
+import { firstProfile } from "./machines.js";
 import { keepDraft, take, takeDraft } from "./picked.js";
 import { pictureSide } from "./picture_side.js";
 import { priorityRow } from "./priority.js";
@@ -13,8 +15,9 @@ import { sourceOf } from "./source.js";
 import { jobForm, sender } from "./submit.js";
 
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
-const FIRST = { preset: "recommended" };
 const MAKE = "Make the lens";
+const NO_PICTURE = "Choose a picture first.";
+const BAD_PICTURE = "This picture cannot be used: choose another one.";
 const WAITS = "The server does not answer. The job is sent as soon as it does; leave this page open.";
 
 export default async function view(root, params, app) {
@@ -61,7 +64,7 @@ async function knownProfiles() {
 function newJob(profiles, app) {
   const now = { estimate: null, sent: false };
   const form = specForm({ profiles, onChange: changed, planned: () => now.estimate?.spec?.passes });
-  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => asks.ask() });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => (asks.ask(), ready()) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: told });
@@ -88,11 +91,18 @@ function newJob(profiles, app) {
   function changed() {
     side.draw();
     asks.ask();
+    ready();
+  }
+
+  /** No button for what cannot be made: why not stands beside it. */
+  function ready() {
+    foot.ready(!side.has() ? NO_PICTURE : side.fault() ? BAD_PICTURE : "");
   }
 
   async function begin({ spec, ...start }) {
-    form.show(spec ?? FIRST);
+    form.show(spec ?? { preset: "recommended", machine: { profile: firstProfile(profiles, MACHINE_USUAL) } });
     card.show({ kind: "none" });
+    ready();
     await side.begin(start);
     asks.ask();
   }
@@ -119,6 +129,7 @@ function newJob(profiles, app) {
     const ofPicture = unplaced.filter(({ field }) => field === "image");
     side.blame(ofPicture.map(({ detail }) => detail).join(" "));
     foot.blame(unplaced.filter((one) => !ofPicture.includes(one)).map(({ detail }) => detail));
+    ready();
     if (focus && !goThere()) (ofPicture.length ? side : foot).focus();
   }
 
@@ -126,7 +137,7 @@ function newJob(profiles, app) {
     event.preventDefault();
     const { spec, faults } = form.read();
     if (faults.length) return showProblems([], { focus: true });
-    if (!side.has()) return showProblems([{ field: "image", detail: "Choose a picture first." }], { focus: true });
+    if (!side.has() || side.fault()) return side.focus();
     if (foot.isBusy() || !(await api.need("jobs:write"))) return;
     foot.busy(true);
     try {
@@ -156,20 +167,29 @@ function newJob(profiles, app) {
 /** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */
 function submitBar() {
   const line = h("p", { class: "line" });
-  const button = h("button", { type: "submit", class: "primary big" }, MAKE);
+  const why = h("p", { class: "line why", id: freshId("why") });
+  const button = h("button", { type: "submit", class: "primary big", "aria-describedby": why.id }, MAKE);
   const waits = h("p", { class: "notice warn", role: "status", hidden: true }, shape("warn"), h("span", {}, WAITS));
   const faults = h("div", { class: "stack tight", role: "alert" });
   const notice = (words) => h("p", { class: "notice bad" }, shape("bad"), h("span", {}, words));
+  const now = { sending: false, why: "" };
+  function show() {
+    button.setAttribute("aria-disabled", String(now.sending));
+    button.disabled = now.why !== "" && !now.sending;
+    write(button, now.sending ? "Sending…" : MAKE);
+    write(why, now.why);
+    why.hidden = !now.why;
+    line.hidden = Boolean(now.why);
+  }
   return {
-    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, button)),
+    element: h("div", { class: "submit-bar" }, faults, waits, h("div", { class: "row spread" }, line, why, button)),
     say: (words) => write(line, words),
     blame: (details) => replace(faults, details.map(notice)),
     wait: (waiting) => (waits.hidden = !waiting),
-    isBusy: () => button.getAttribute("aria-disabled") === "true",
-    busy(sending) {
-      button.setAttribute("aria-disabled", String(sending));
-      write(button, sending ? "Sending…" : MAKE);
-    },
+    isBusy: () => now.sending,
+    busy: (sending) => ((now.sending = sending), show()),
+    /** why: what is missing before it can be sent; "" nothing. */
+    ready: (words) => ((now.why = words), show()),
     focus: () => button.focus(),
   };
 }

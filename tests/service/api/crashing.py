@@ -19,7 +19,6 @@ from service.api import form, main, routes_machines, routes_submit
 from service.api.services import Services
 from service.fleet.agent_link import AgentLink
 from service.jobs import book
-from service.settings import ServerSettings
 
 JOB_STEPS = ("part", "request", "check", "store", "create", "event", "engine", "answer")
 RUN_STEPS = ("row", "ask", "put", "post", "parked", "handed")
@@ -82,8 +81,8 @@ if __name__ == "__main__":
     opened = main.open_services
 
     @contextlib.contextmanager
-    def with_traps(settings: ServerSettings, offer: str) -> Iterator[Services]:
-        with opened(settings, offer) as services:
+    def with_traps(*given: Any) -> Iterator[Services]:
+        with opened(*given) as services:
             _in(services)
             yield services
 

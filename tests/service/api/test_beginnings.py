@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from typing import Any
 
-from machines.profiles import profile_names
+import pytest
+
+from machines.profiles import load_profile, profile_names
+from service.api.routes_beginnings import mills_by_profile
+from service.fleet.machines import KnownMachine
 from tests.service.api.server import ApiServer, png, problem, sha256
 
 
@@ -41,3 +47,20 @@ def test_the_profiles_are_those_a_spec_may_name(server: ApiServer) -> None:
     profiles = server.client.get("/v1/profiles").json()["profiles"]
     assert [profile["name"] for profile in profiles] == sorted(profile_names())
     assert all(profile["description"] and len(profile["travel_mm"]) == 3 for profile in profiles)
+
+
+@pytest.mark.parametrize(
+    ("mill", "changes", "profile"),
+    [
+        ("simulated", {"homing": True, "description": "a model"}, "grbl"),
+        ("grbl-3018", {}, "grbl-3018"),
+        ("elsewhere", {"travel_mm": (250.0, 300.0, 80.0)}, None),
+    ],
+)
+def test_a_mill_stands_beside_the_profile_that_its_programs_are_made_with(
+    mill: str, changes: dict[str, Any], profile: str | None
+) -> None:
+    """By name, or where nothing differs that a program depends on; nowhere else."""
+    known = KnownMachine(name=mill, profile=replace(load_profile("grbl"), name=mill, **changes))
+    found = mills_by_profile([known], [load_profile(name) for name in ("grbl", "grbl-3018", "linuxcnc")])
+    assert found == ({} if profile is None else {profile: [known]})

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from service.api.guard import _is_here
 from service.api.limits import _MOST_CALLERS, Limiter
+from service.api.whence import is_here
 from tests.service.api.server import ApiServer, api_server, problem
 
 RUN = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
@@ -79,7 +79,7 @@ def test_other_ways_to_ask(closed: tuple[ApiServer, str], head: str, headers: tu
 )  # fmt: skip
 def test_who_is_on_this_computer(peer: tuple[str, int] | None, here: bool) -> None:
     """What is not certainly this computer is not."""
-    assert _is_here({"type": "http", "client": peer, "http_version": "1.1"}, {}) is here
+    assert is_here({"type": "http", "client": peer, "http_version": "1.1"}, {}) is here
 
 
 def test_behind_a_proxy_the_figures_need_a_token(tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import concurrent.futures
+import io
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,12 +16,14 @@ import pytest
 import sqlalchemy as sa
 
 from service.api.auth import refuse_foreign_bind
+from service.api.terminal import CodeOnTerminal
 from service.errors import InputError
 from service.jobs.codes import code_of, new_offer
 from service.jobs.database import reading, writing
-from service.jobs.pairing import CODE_LIFE_S, MOST_WRONG, PairingBook, WrongCodeError
+from service.jobs.pairing import CODE_LIFE_S, NoCodeError, PairingBook, WrongCodeError
 from service.jobs.tables import pairings, tokens
 from service.jobs.tokens import TokenBook
+from service.jobs.tries import ALL, EACH, TooManyTriesError
 from service.settings import ServerSettings
 from tests.service.api.server import ApiServer, api_server, problem
 
@@ -81,24 +85,55 @@ def test_a_code_is_taken_as_people_type_it(own: ApiServer, form: str) -> None:
     assert paired(own, form.format(*offered(own).split("-"))).status_code == 201
 
 
-def test_wrong_tries_end_the_code_and_a_new_one_works(own: ApiServer) -> None:
-    code = offered(own)
-    left = [problem(paired(own, WRONG), 403, "code")["left"] for _ in range(MOST_WRONG)]
+def through(server: ApiServer, address: str, code: str) -> httpx.Response:
+    """A try that the proxy in front of the server says comes from there."""
+    return paired(server, code, **{"X-Forwarded-For": f"6.6.6.6, {address}"})
+
+
+@pytest.fixture
+def behind(tmp_path: Path) -> Iterator[ApiServer]:
+    with api_server(tmp_path / "behind", behind_proxy=True) as server:
+        yield server
+
+
+def test_wrong_tries_shut_out_nobody_but_where_they_come_from(behind: ApiServer) -> None:
+    """Five at once from an address; then it is told when to try again, and the others are let in as before."""
+    code = offered(behind)
+    left = [problem(through(behind, "10.0.0.1", WRONG), 403, "code")["left"] for _ in range(EACH.most)]
     assert left == [4, 3, 2, 1, 0]
-    assert "token pair" in problem(paired(own, code), 403, "code")["detail"]
-    assert paired(own, offered(own)).status_code == 201
+    for tried_now in (WRONG, code):
+        answer = through(behind, "10.0.0.1", tried_now)
+        wait_s = int(answer.headers["Retry-After"])
+        assert 0 < wait_s <= EACH.refill_s
+        assert f"try again in {wait_s} s" in problem(answer, 429, "code")["detail"]
+    assert through(behind, "10.0.0.2", code).status_code == 201
+    assert paired(behind, code).status_code == 201, "the proxy itself is another address, too"
 
 
-def test_a_right_try_does_not_give_the_wrong_ones_back(own: ApiServer) -> None:
+def test_an_address_of_ipv6_is_its_network(behind: ApiServer) -> None:
+    """One household has 2^64 of them."""
+    code = offered(behind)
+    answers = [through(behind, f"2001:db8::{n:x}", WRONG).status_code for n in range(EACH.most + 1)]
+    assert answers == [403] * EACH.most + [429]
+    assert through(behind, "2001:db8:0:1::1", code).status_code == 201
+
+
+def test_a_caller_that_no_proxy_stands_before_cannot_make_addresses_up(own: ApiServer) -> None:
+    offered(own)
+    answers = [through(own, f"10.0.0.{n}", WRONG).status_code for n in range(EACH.most + 1)]
+    assert answers == [403] * EACH.most + [429]
+
+
+def test_a_right_try_costs_nothing_and_gives_the_wrong_ones_not_back(own: ApiServer) -> None:
     code = offered(own)
-    for _ in range(MOST_WRONG - 1):
+    for _ in range(EACH.most - 1):
         problem(paired(own, WRONG), 403)
-    assert paired(own, code).status_code == 201
+    assert [paired(own, code).status_code for _ in range(3)] == [201] * 3
     assert problem(paired(own, WRONG), 403)["left"] == 0
-    problem(paired(own, code), 403)
+    problem(paired(own, code), 429)
 
 
-def test_neither_a_restart_nor_the_same_offer_again_gives_tries_back(tmp_path: Path) -> None:
+def test_a_restart_gives_no_tries_back(tmp_path: Path) -> None:
     offer = other_than(WRONG)
     for left in (3, 1):
         with api_server(tmp_path / "data") as server:
@@ -106,27 +141,58 @@ def test_neither_a_restart_nor_the_same_offer_again_gives_tries_back(tmp_path: P
             assert [problem(paired(server, WRONG), 403)["left"] for _ in range(2)][-1] == left
     with api_server(tmp_path / "data") as server:
         problem(paired(server, WRONG), 403)
-        server.services.pairings.offer(offer)
-        problem(paired(server, code_of(offer)), 403)
+        problem(paired(server, code_of(offer)), 429)
 
 
 def test_tries_at_once_are_counted_one_by_one(database: sa.Engine) -> None:
-    """However many come at the same time: after five wrong ones the right one opens nothing."""
-    book, offer = PairingBook(database, TokenBook(database)), other_than(WRONG)
+    """However many come at the same time: five are looked at, and then not even the right one is."""
+    book, offer = PairingBook(database, TokenBook(database), clock=Clock()), other_than(WRONG)
     book.offer(offer)
     with concurrent.futures.ThreadPoolExecutor(8) as pool:
-        assert not any(pool.map(lambda _: tried(book, WRONG), range(24)))
-    assert not tried(book, code_of(offer))
-    with reading(database) as connection:
-        assert connection.execute(sa.select(pairings.c.wrong)).scalar_one() >= MOST_WRONG
+        told = list(pool.map(lambda _: tried(book, WRONG), range(24)))
+    assert sorted(told) == ["too many"] * (24 - EACH.most) + ["wrong"] * EACH.most
+    assert tried(book, code_of(offer)) == "too many"
 
 
-def tried(book: PairingBook, code: str) -> bool:
+def test_a_crowd_of_addresses_is_slowed_down_but_not_shut_out(
+    database: sa.Engine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever guesses all day wherever they can has 1 chance in 5000; who sits at the server never waits for them."""
+    clock = Clock()
+    book, offer = PairingBook(database, TokenBook(database), clock=clock), other_than(WRONG)
+    monkeypatch.setattr("service.jobs.pairing._digest", lambda code, salt: code)  # the slow one is not what is tested
+    book.offer(offer)
+    told = [tried(book, WRONG, f"10.0.0.{n // 5}") for n in range(ALL.most + 5)]
+    assert told == ["wrong"] * ALL.most + ["too many"] * 5
+    assert tried(book, code_of(offer), "here", counts_for_all=False) == "right"
+    clock.now += ALL.refill_s
+    assert tried(book, code_of(offer), "10.1.1.1") == "right", "a right one uses nothing up"
+    assert [tried(book, WRONG, f"10.2.2.{n}") for n in range(2)] == ["wrong", "too many"]
+    assert 4 * (ALL.most + 86400 / ALL.refill_s) / 10**8 < 1 / 5000
+
+
+def test_with_time_tries_come_back_one_by_one(database: sa.Engine) -> None:
+    clock = Clock()
+    book, offer = PairingBook(database, TokenBook(database), clock=clock), other_than(WRONG)
+    book.offer(offer)
+    for _ in range(EACH.most):
+        tried(book, WRONG)
+    clock.now += EACH.refill_s - 1
+    assert tried(book, WRONG) == "too many", "asking does not make the wait longer"
+    clock.now += 1
+    assert [tried(book, WRONG) for _ in range(2)] == ["wrong", "too many"]
+
+
+def tried(book: PairingBook, code: str, address: str = "10.0.0.1", *, counts_for_all: bool = True) -> str:
     try:
-        book.pair(code, "Ada")
+        book.pair(code, "Ada", address=address, counts_for_all=counts_for_all)
     except WrongCodeError:
-        return False
-    return True
+        return "wrong"
+    except TooManyTriesError:
+        return "too many"
+    except NoCodeError:
+        return "none"
+    return "right"
 
 
 def test_a_code_ends_after_a_day(database: sa.Engine) -> None:
@@ -134,9 +200,9 @@ def test_a_code_ends_after_a_day(database: sa.Engine) -> None:
     book, offer = PairingBook(database, TokenBook(database), clock=clock), new_offer()
     book.offer(offer)
     clock.now += CODE_LIFE_S - 1
-    assert tried(book, code_of(offer))
+    assert tried(book, code_of(offer)) == "right"
     clock.now += 2
-    assert not tried(book, code_of(offer))
+    assert tried(book, code_of(offer)) == "none"
 
 
 def test_the_database_holds_no_code(own: ApiServer) -> None:
@@ -149,7 +215,7 @@ def test_the_database_holds_no_code(own: ApiServer) -> None:
 def test_a_foreign_page_can_neither_pair_nor_use_the_tries_up(own: ApiServer) -> None:
     code = offered(own)
     for headers in ({"Origin": "https://evil.example"}, {"Sec-Fetch-Site": "cross-site"}, {"Host": "evil.example"}):
-        for _ in range(MOST_WRONG):
+        for _ in range(EACH.most):
             problem(paired(own, WRONG, **headers), 403)
         problem(paired(own, code, **headers), 403)
     assert paired(own, code, Origin=own.address).status_code == 201
@@ -200,3 +266,40 @@ def test_the_command_prints_a_code_that_works(own: ApiServer) -> None:
     command = [sys.executable, "-m", "service.cli", "token", "pair", "--data", str(own.services.settings.data)]
     code = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     assert paired(own, code).status_code == 201
+
+
+class Screen(io.StringIO):
+    """Where the server's words go."""
+
+    def __init__(self, *, is_terminal: bool) -> None:
+        super().__init__()
+        self.is_terminal = is_terminal
+
+    def isatty(self) -> bool:
+        return self.is_terminal
+
+
+def test_the_code_is_shown_again_on_a_terminal_only(database: sa.Engine) -> None:
+    """And one that is taken: a new one where the first has ended. Not at every guess."""
+    clock, offer = Clock(), new_offer()
+    book = PairingBook(database, TokenBook(database), clock=clock)
+    book.offer(offer)
+    log = Screen(is_terminal=False)
+    assert not CodeOnTerminal(book, offer, "http://here", stream=log, clock=clock).show()
+    assert log.getvalue() == ""
+    screen = Screen(is_terminal=True)
+    shown = CodeOnTerminal(book, offer, "http://here", stream=screen, clock=clock)
+    assert [shown.show() for _ in range(3)] == [True] * 3
+    assert screen.getvalue().count(code_of(offer)) == 1
+    clock.now += CODE_LIFE_S + 1
+    assert shown.show()
+    (newest,) = re.findall(r"\d{4}-\d{4}", screen.getvalue())[1:]
+    assert newest != code_of(offer) and tried(book, newest) == "right"
+
+
+def test_a_wrong_code_has_the_right_one_printed(own: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The person at the page is told where to look."""
+    offered(own)
+    assert "printed" not in problem(paired(own, WRONG), 403)["detail"]
+    monkeypatch.setattr(type(own.services.terminal), "show", lambda _: True)
+    assert "printed again where the server runs" in problem(paired(own, WRONG), 403)["detail"]

@@ -22,13 +22,14 @@ from tests.trials.server.pictures import picture
 
 ROOT = Path(__file__).parents[3]
 SMALL = ("--preset", "draft", "--set", "image.pixels=48", "--set", "optics.width_mm=8", "--set", "optics.height_mm=8")
+SHARED = (*SMALL, "--set", "optics.throw_mm=33")
 
 
 @dataclass(frozen=True)
 class Shop:
     deployment: Deployment
     folder: Path
-    _jobs: dict[str, str] = field(default_factory=dict)
+    _made: list[subprocess.CompletedProcess[str]] = field(default_factory=list)
 
     @property
     def url(self) -> str:
@@ -39,13 +40,23 @@ class Shop:
         path.write_bytes(picture(number, 48))
         return path
 
+    @property
+    def out(self) -> Path:
+        """Where the files of `made` are."""
+        return self.folder / "out"
+
+    def made(self) -> subprocess.CompletedProcess[str]:
+        """The one job that has succeeded: SHARED, submitted and fetched with one command; made once."""
+        if not self._made:
+            words = ("submit", str(self.picture(1)), *SHARED, "-o", str(self.out))
+            self._made.append(run(*words, server=self.url, timeout_s=300.0))
+        return self._made[0]
+
     def job(self) -> str:
-        """Id of a job that has succeeded; made once."""
-        if "done" not in self._jobs:
-            done = run("submit", str(self.picture()), *SMALL, "--follow", "--quiet", server=self.url)
-            assert done.returncode == 0, done.stderr
-            self._jobs["done"] = done.stdout.strip()
-        return self._jobs["done"]
+        """Id of that job."""
+        done = self.made()
+        assert done.returncode == 0, done.stderr
+        return done.stdout.splitlines()[0]
 
     def count(self) -> int:
         return len(httpx.get(f"{self.url}/v1/jobs?limit=200", trust_env=False).json()["jobs"])

@@ -11,14 +11,13 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.service.client.shop import ROOT, SMALL, BadWire, Shop, begun, run
+from tests.service.client.shop import ROOT, SHARED, SMALL, BadWire, Shop, begun, run
 from tests.trials.server.deployment import free_port
 
 
-def test_a_picture_becomes_files_with_one_command(shop: Shop, tmp_path: Path) -> None:
+def test_a_picture_becomes_files_with_one_command(shop: Shop) -> None:
     """Id, stages, then the files; the spec that the server resolved is what was asked for."""
-    out = tmp_path / "out"
-    done = run("submit", str(shop.picture(1)), *SMALL, "--set", "optics.throw_mm=33", "-o", str(out), server=shop.url)
+    done = shop.made()
     assert done.returncode == 0, done.stderr
     job_id, *lines = done.stdout.splitlines()
     job = httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False).json()
@@ -26,16 +25,15 @@ def test_a_picture_becomes_files_with_one_command(shop: Shop, tmp_path: Path) ->
     assert job["spec"]["preset"] == "draft"
     for stage in ("image", "map", "heightfield", "pass-1", "check", "report"):
         assert any(line.startswith(f"{stage}:") for line in lines), done.stdout
-    assert {"report.html", "heightfield.npz", "pass-1-rough.nc"} <= {path.name for path in out.iterdir()}
+    assert {"report.html", "heightfield.npz", "pass-1-rough.nc"} <= {path.name for path in shop.out.iterdir()}
 
 
 def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: Shop) -> None:
     """By the events of the second job: the lens, its light and the roughing are taken over, the rest is made."""
-    pitches = ("0.2", "0.3")
-    for pitch in pitches:
-        words = ("submit", str(shop.picture(7)), *SMALL, "--set", f"passes.1.pitch_mm={pitch}", "--follow", "--quiet")
-        done = run(*words, server=shop.url)
-        assert done.returncode == 0, done.stderr
+    assert shop.job()
+    words = ("submit", str(shop.picture(1)), *SHARED, "--set", "passes.1.pitch_mm=0.3", "--follow", "--quiet")
+    done = run(*words, server=shop.url)
+    assert done.returncode == 0, done.stderr
     events = httpx.get(f"{shop.url}/v1/jobs/{done.stdout.strip()}/events", trust_env=False).text
     kinds: dict[str, list[str]] = {"stage.reused": [], "stage.committed": []}
     for kind, stage in re.findall(r'^event: (\S+)\ndata: {"stage":"(\S+?)"', events, flags=re.MULTILINE):

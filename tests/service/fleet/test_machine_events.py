@@ -30,6 +30,12 @@ def events(lines: Iterator[str]) -> Iterator[Event]:
             now = {"id": "", "event": "", "data": ""}
 
 
+def x_mm(now: Any) -> float:
+    """Of a machine's status; 0 where it is not known yet."""
+    work_mm = (now["mill"] or {}).get("work_mm")
+    return float(work_mm[0]) if work_mm else 0.0
+
+
 class Reader:
     """Reads a machine's stream, and knows the last id and every log entry it has had."""
 
@@ -88,9 +94,9 @@ def test_orders_and_control_are_told(floor: Shop) -> None:
         assert order.status_code == 202
 
     reader.follow(floor, state("jog"), take_and_jog)
-    now = reader.follow(floor, lambda now: now["mill"]["work_mm"][0] == 30)
+    now = reader.follow(floor, lambda now: x_mm(now) == 30)
     assert now["control"]["operator"] == "Ada"
-    assert any(0 < now["mill"]["work_mm"][0] < 30 for now in reader.states), "the position is live"
+    assert any(0 < x_mm(now) < 30 for now in reader.states), "the position is live"
     floor.operator.delete(f"{HERE}/control", headers={"Causticmill-Control": control})
     reader.follow(floor, lambda now: now["control"] is None)
     assert reader.logs == list(range(1, len(reader.logs) + 1)), "each entry once, over three connections"

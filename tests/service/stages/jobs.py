@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from service.stages.plan import plan, stage_key
 from service.stages.run import run_order
 from service.store.local import LocalStore
 
-TINY = ("image.pixels=24", "image.tone=linear", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=40")
+TINY = ("image.pixels=24", "image.tone=linear", "optics.width_mm=6", "optics.height_mm=6", "optics.throw_mm=40")
 
 
 def tiny_spec(*values: str, preset: str = "draft") -> JobSpec:
@@ -44,6 +44,7 @@ class StagedJob:
     outputs: dict[str, FileRef] = field(default_factory=dict)
     results: dict[str, StageResult] = field(default_factory=dict)
     keys: dict[str, str] = field(default_factory=dict)
+    told: dict[str, list[float]] = field(default_factory=dict)  # progress of each stage
 
     def order(self, stage: str) -> StageOrder:
         return StageOrder(
@@ -64,10 +65,10 @@ class StagedJob:
             stage, self.spec, image_sha256=self.image_sha256, image_name=self.image_name, outputs=self.outputs
         )
 
-    def run(self, stage: str, on_progress: Callable[[float], None] = lambda share: None) -> StageResult:
+    def run(self, stage: str) -> StageResult:
         self.keys[stage] = self.key(stage)
         order = StageOrder.from_plain(self.order(stage).plain())
-        result = run_order(order, self.store, on_progress)
+        result = run_order(order, self.store, self.told.setdefault(stage, []).append)
         self.take(stage, StageResult.from_plain(result.plain()))
         return result
 

@@ -219,6 +219,7 @@ def test_what_a_stage_does_not_declare_does_not_show_in_what_it_makes(job: Stage
     assert key == job.keys[stage]
 
 
+@pytest.mark.thorough
 def test_the_bytes_do_not_depend_on_the_number_of_processors(job: StagedJob, tmp_path: Path) -> None:
     """Another process, bound to one processor, with another seed of hashes."""
     code = (

@@ -1,11 +1,10 @@
-"""What a stage does with its order: progress, refusals in the person's words, and nothing left behind."""
+"""What a stage does with its order: refusals in the person's words, and nothing left behind."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -15,7 +14,6 @@ from PIL import Image
 
 from service.errors import FailedError, InputError, JobError, PictureError
 from service.stages.order import FileRef, PictureLimits, StageOrder, StageResult
-from service.stages.plan import plan
 from service.stages.run import run_order
 from tests.service.stages.jobs import StagedJob, save_picture, staged_job
 
@@ -41,17 +39,6 @@ def refused(job: StagedJob, order: StageOrder, kind: type[JobError]) -> str:
 
 def with_picture(job: StagedJob, path: Path) -> StageOrder:
     return replace(job.order("image"), image_sha256=job.store.put_file(path).sha256, image_name="holiday.png")
-
-
-def test_progress_goes_from_0_to_1_and_never_back(tmp_path: Path) -> None:
-    job = staged_job(tmp_path, "optics.corrections=2", preset="paper")
-    for stage in plan(job.spec):
-        told: list[float] = []
-        job.run(stage, told.append)
-        assert told[0] == 0.0
-        assert told[-1] == 1.0
-        assert all(before <= after for before, after in pairwise(told)), (stage, told)
-        assert stage in ("image", "irradiance", "report", "heightfield") or len(set(told)) > 3, stage
 
 
 @pytest.mark.parametrize(
@@ -105,7 +92,7 @@ def test_a_damaged_input_is_a_failure_not_the_persons_fault(job: StagedJob, tmp_
     ("values", "stage", "words"),
     [
         (("stock.thickness_mm=2.1",), "heightfield", "stock.thickness_mm"),
-        (("machine.travel_mm=[15,200,60]",), "pass-1", "machine.travel_mm.0"),
+        (("machine.travel_mm=[11,200,60]",), "pass-1", "machine.travel_mm.0"),
     ],
 )
 def test_what_does_not_fit_names_the_key(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,20 @@ from service.stages.order import merge_notes, merge_reports
 from service.stages.plan import plan
 from tests.service.stages.jobs import StagedJob, hashes, save_picture, staged_job, tiny_spec
 
+CORRECTED = "optics.corrections=2"
 OWN_OF_A_RUN = {"timings_s", "peak_rss_mb"}  # what a run says of itself, not of the job
 
 
 @pytest.fixture(scope="module")
 def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
-    return staged_job(tmp_path_factory.mktemp("staged"), preset="paper").run_all()
+    return staged_job(tmp_path_factory.mktemp("staged"), CORRECTED, preset="paper").run_all()
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     picture = save_picture(folder / "blob.png")
-    pipeline.make(picture, folder / "out", tiny_spec(preset="paper"), reporter=QuietReporter())
+    pipeline.make(picture, folder / "out", tiny_spec(CORRECTED, preset="paper"), reporter=QuietReporter())
     return folder / "out"
 
 
@@ -75,6 +77,14 @@ def test_nothing_is_left_in_scratch(job: StagedJob) -> None:
     assert list(job.scratch.iterdir()) == []
 
 
+def test_progress_goes_from_0_to_1_and_never_back(job: StagedJob) -> None:
+    for stage, told in job.told.items():
+        assert told[0] == 0.0
+        assert told[-1] == 1.0
+        assert all(before <= after for before, after in pairwise(told)), (stage, told)
+        assert stage in ("image", "irradiance", "report", "heightfield") or len(set(told)) > 3, stage
+
+
 def test_stages_say_what_they_cost(job: StagedJob) -> None:
     for stage, result in job.results.items():
         assert result.seconds > 0, stage
@@ -83,7 +93,7 @@ def test_stages_say_what_they_cost(job: StagedJob) -> None:
 
 @pytest.mark.thorough
 def test_a_second_run_makes_the_same_bytes_and_keys(job: StagedJob, tmp_path: Path) -> None:
-    again = staged_job(tmp_path, preset="paper").run_all()
+    again = staged_job(tmp_path, CORRECTED, preset="paper").run_all()
     own_of_a_run = {"report.json", "report.html"}
     ours = {name: ref for name, ref in job.outputs.items() if name not in own_of_a_run}
     theirs = {name: ref for name, ref in again.outputs.items() if name not in own_of_a_run}

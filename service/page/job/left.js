@@ -1,0 +1,45 @@
+/**
+ * How long a job will go on. Every stage has a time that it usually takes; how much slower or faster this computer is
+ * today is seen in the stages that are done, and in the one at work by its own share.
+ */
+
+const TRUST_S = 3; // of measured work, from which on the measure counts more than the usual
+const TELLING = 0.05; // share of a stage from which on its own pace says something
+const EITHER_WAY = 2; // what a stage may take longer than foreseen
+const UNPLANNED = 3; // the same while the passes are still to be planned
+
+/** {low, high}: seconds that are left of a running job, never less than is certain; live: {stage, share} or null. */
+export function secondsLeft(job, live, now) {
+  const pace = paceOf(job.stages);
+  const planned = !job.stages.some(({ name, state }) => name === "passes" && state !== "committed" && state !== "reused");
+  let low = 0;
+  for (const stage of job.stages) {
+    const usual = pace * stage.usual_s;
+    if (stage.state === "running") low += ofRunning(stage, usual, live?.stage === stage.name ? live.share : 0, now);
+    else if (stage.state === "waiting" || stage.state === "interrupted") low += usual;
+  }
+  return { low, high: low * (planned ? EITHER_WAY : UNPLANNED) };
+}
+
+/** "about 3 min left", "3 to 5 min left", "less than a minute left". */
+export function leftWords({ low, high }) {
+  const [from, to] = [low, high].map((seconds) => Math.ceil(seconds / 60));
+  if (high < 60) return "less than a minute left";
+  if (to >= 120) return `about ${Math.round(low / 3600)} to ${Math.ceil(high / 3600)} h left`.replace(/ (\d+) to \1 /, " $1 ");
+  return from === to ? `about ${to} min left` : `${from} to ${to} min left`;
+}
+
+/** How much longer stages take here than usually; stages that were done before say nothing. */
+function paceOf(stages) {
+  const done = stages.filter(({ state, seconds }) => state === "committed" && seconds !== null);
+  const sum = (key) => done.reduce((total, stage) => total + stage[key], TRUST_S);
+  return sum("seconds") / sum("usual_s");
+}
+
+/** By what it usually takes, and by its own pace: the longer one. One that is late has as long to go as it is late. */
+function ofRunning({ started_at: startedAt, usual_s: usualS }, usual, share, now) {
+  const spent = Math.max(0, (now - new Date(startedAt)) / 1000);
+  const own = share > TELLING ? (spent * (1 - share)) / share : 0;
+  const late = share > TELLING ? 0 : Math.max(0, spent - usual);
+  return Math.max(usual * (1 - share), own, late, usualS * 0.05);
+}

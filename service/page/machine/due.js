@@ -1,0 +1,118 @@
+/**
+ * The one thing to do next: connect, control, home, tool over the zero, zero, load, tick, start; or, before all that, what
+ * is wrong. Pure: it decides, `next.js` says it, and the button that does it is the only blue one of the page.
+ */
+
+import { percent } from "../lib/words.js";
+import { atHome, depthInBlock, placed, riseToSafe, zeroKnown } from "./place.js";
+import { troubleOf } from "./trouble.js";
+import { hasLiveRun } from "./words.js";
+
+const HOME = { label: "Home", what: "home", body: {} };
+const ZERO_XY = { label: "X and Y = 0 here", what: "zero", body: { axes: "XY" } };
+const ZERO_Z = { label: "Z = 0 here", what: "zero", body: { axes: "Z" } };
+const RAISE_MM_PER_MIN = 500;
+
+/**
+ * {step, kind, words, trouble, act, go}: words of what is due; trouble: what is wrong, where something is; act: the order
+ * of its button; go: the card that it is done in. load: {ready, jobs, margin_mm}, ticked: all of the list.
+ */
+export function dueOf(link, { load = {}, ticked = false } = {}) {
+  const trouble = troubleOf(link);
+  const standsStill = trouble && !["home", "recover"].includes(trouble.step);
+  if (!link.machine && !trouble) return due("wait", "ask the server.");
+  if (standsStill) return { ...due("trouble", trouble.next, { kind: trouble.kind }), trouble };
+  if (hasLiveRun(link.machine)) return whileRunning(link);
+  if (!link.mine) return { ...ofControl(link), trouble };
+  return { ...standing(link, trouble, load, ticked), trouble };
+}
+
+function due(step, words, more = {}) {
+  return { step, words, kind: "", trouble: null, act: null, go: "", ...more };
+}
+
+function whileRunning({ machine: { mill, run }, mine }) {
+  if (mill.state === "held") return due("resume", mine ? "Resume when all is clear, or STOP." : "take control, then Resume; or STOP.", { kind: "warn" });
+  if (run.state === "running") return due("run", `The program runs: ${percent(run.share)} is cut.`, { kind: "busy", whole: true });
+  return due("run", "wait until it stands.", { kind: "busy" });
+}
+
+function ofControl({ machine: { control } }) {
+  if (control) return due("other", `${control.operator} has control; you are watching.`, { kind: "off", whole: true });
+  return due("control", "take control of the mill.");
+}
+
+function standing(link, trouble, load, ticked) {
+  const { machine, run } = link;
+  const { mill } = machine;
+  if (mill.state === "homing") return due("wait", "wait until it is home.", { kind: "busy" });
+  if (mill.state === "held") return due("resume", "Resume when all is clear, or STOP.", { kind: "warn" });
+  if (mill.state === "check") return due("check", "end the check mode (line $C), then go on.", { kind: "warn" });
+  if (trouble?.step === "home") return due("home", trouble.next, { kind: trouble.kind, act: HOME });
+  return raising(link, trouble) ?? homing(machine) ?? (trouble ? due("recover", trouble.next, { kind: trouble.kind, go: "recover" }) : settingUp(machine, run, load, ticked));
+}
+
+/** After a stop the tool stands where it was: nothing goes sideways before it is up. */
+function raising({ machine, run }, trouble) {
+  const depth = depthInBlock(machine);
+  const low = trouble?.step === "recover" && machine.mill.state === "idle" && zeroKnown(machine, "Z") && machine.mill.work_mm[2] < (machine.profile?.safe_z_mm ?? 5) - 0.01;
+  if (!depth && !low) return null;
+  const rise = riseToSafe(machine);
+  if (rise < 0.01) return null;
+  const stopped = run && !run.open || trouble;
+  const above = machine.mill.work_mm[2].toFixed(1);
+  const where = depth ? `${depthWords(depth)} ${stopped ? "in the block" : "below the block's top"}` : `only ${above} mm above the block`;
+  const act = { label: "Raise Z", what: "jog", body: { by_mm: [0, 0, rise], feed_mm_per_min: RAISE_MM_PER_MIN } };
+  return due("raise", `The tool stands ${where}: raise Z first.`, { kind: "warn", act, whole: true });
+}
+
+function depthWords(mm) {
+  return mm < 0.1 ? `${mm.toFixed(3)} mm` : `${mm.toFixed(1)} mm`;
+}
+
+function homing({ mill, profile }) {
+  if (mill.position_trusted || profile?.homing === false || !placed(mill)) return null;
+  return due("home", "home the mill, so that it knows where it is.", { act: HOME });
+}
+
+function settingUp(machine, run, load, ticked) {
+  const parked = run?.open && run.state === "parked";
+  if (parked && ticked) return due("start", "start the program.", { go: "program" });
+  const change = parked && machine.mill.needs?.length > 0;
+  if (placed(machine.mill)) {
+    if (!zeroKnown(machine, "XY")) return overTheCorner(machine, load);
+    if (change || !zeroKnown(machine, "Z")) return onTheTop(machine, change ? changeWords(run) : "");
+  }
+  if (run?.open) return ofProgram(run);
+  return loading(run, load);
+}
+
+function overTheCorner(machine, { margin_mm: margin }) {
+  const where = Number.isFinite(margin) ? ` (${margin} mm inside the block)` : "";
+  const words = `jog over the front left corner of the lens${where}`;
+  if (atHome(machine, "XY")) return due("corner", `${words}.`, { go: "jog" });
+  return due("zero", `${words}; set X and Y.`, { act: ZERO_XY });
+}
+
+function onTheTop(machine, before) {
+  if (atHome(machine, "Z")) return due("top", `${before}lower the tool onto the block's top.`, { go: "jog" });
+  return due("zero", `${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
+}
+
+function changeWords({ setup }) {
+  const { from_radius_mm: from, to_radius_mm: to } = setup?.change ?? {};
+  return Number.isFinite(to) && from !== to ? `change the tool to R ${to}, then ` : "";
+}
+
+function ofProgram(run) {
+  if (run.state === "parked") return due("tick", "look, tick the list, then start.", { go: "program" });
+  if (run.state === "preparing") return due("wait", "wait: the program is being handed to the mill.", { kind: "busy" });
+  return due("wait", "see what is said of the program.", { go: "program" });
+}
+
+function loading(run, { ready, jobs }) {
+  if (ready && !jobs) return due("make", "make a lens: its programs are loaded here.", { go: "load" });
+  if (run?.state === "finished" && run.next) return due("load", `load the next program, ${run.next.name}.`, { go: "load" });
+  if (run?.state === "finished") return due("load", "the lens is milled: take it out, or load another program.", { go: "load" });
+  return due("load", "load a program.", { go: "load" });
+}

@@ -1,0 +1,80 @@
+/**
+ * The line that says the next step, or what is wrong and the next safe step; always in sight, and always as high, so that
+ * nothing below it moves. It has the button of that step, or shows where it is done.
+ */
+
+import { h, replace, write } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
+import { enable } from "./said.js";
+
+const REST_MS = 1000; // that a new button rests: the press before it was meant for another one
+
+/** cards: {name: node} that a step may be done in. */
+export function next(link, cards) {
+  const look = h("span", { class: "next-shape" });
+  const trouble = h("p", { class: "trouble", role: "alert" });
+  const step = h("p", { class: "step", role: "status" });
+  const more = h("div", { class: "next-more" });
+  const fold = h("details", { class: "next-fold", hidden: true }, h("summary", {}, "More"), more);
+  const place = h("div", { class: "next-act" });
+  const node = h("section", { class: "next", "aria-label": "Next step" }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
+  let [shown, drawn, refusal] = ["", "", ""];
+  let fresh = 0;
+  let button = null;
+  let now = null;
+
+  function draw(due) {
+    const { act, go } = due;
+    const label = act?.label ?? (go ? "Show" : "");
+    if (label !== drawn) {
+      button = label ? h("button", { type: "button", class: act ? "primary" : "", onclick: () => press() }, label) : null;
+      replace(place, button);
+      fresh = Date.now() + REST_MS;
+      setTimeout(() => link.changed(), REST_MS + 20);
+    }
+    drawn = label;
+  }
+
+  async function press() {
+    const { act, go } = now;
+    if (!act) return void reveal(cards[go]);
+    refusal = "";
+    try {
+      await link.order(act.what, act.body);
+    } catch (error) {
+      if (error.name !== "AbortError") refusal = error.detail ?? error.message;
+    }
+    link.changed();
+  }
+
+  function say(due) {
+    const kind = refusal ? "bad" : due.kind;
+    node.className = `next ${kind}`;
+    replace(look, shape(kind || "wait"));
+    write(trouble, refusal || due.trouble?.wrong || "");
+    const words = due.whole ? due.words : `Next: ${due.words}`;
+    write(step, words);
+    write(more, due.trouble?.more ?? "");
+    fold.hidden = !due.trouble?.more;
+    if (fold.hidden) fold.open = false;
+  }
+
+  return {
+    node,
+    update(due) {
+      if (now && due.step !== now.step) refusal = "";
+      now = due;
+      const key = [due.kind, due.words, due.trouble?.wrong, due.trouble?.more, refusal].join("|");
+      if (key !== shown) say(due);
+      shown = key;
+      draw(due);
+      if (button) enable([button], Date.now() >= fresh && (!due.act || (!link.busy && link.machine?.mill?.state !== "jog")));
+    },
+  };
+}
+
+/** Into view, under no bar, with the focus on what can be used there. */
+function reveal(card) {
+  card?.scrollIntoView({ block: "start" });
+  card?.querySelector("button:enabled, select:enabled, input:enabled")?.focus({ preventScroll: true });
+}

@@ -1,0 +1,55 @@
+/** What the position says: is the work zero known, does the tool stand in the block, how far may it still go. Pure. */
+
+const SMALL_MM = 0.0005; // half a digit of the readout
+const CORNER_MM = 5; // how far homing pulls off, at most
+const EDGE_MM = 2; // that a long step keeps from the end of travel
+const LONG_MM = 20;
+const AXES = "XYZ";
+
+/** Whether the work zero of these axes was set: by a person here, or before, so that it differs from the machine's own. */
+export function zeroKnown({ mill }, axes) {
+  if (!placed(mill)) return false;
+  const set = (k) => mill.zeroed?.includes(AXES[k]) || Math.abs(mill.machine_mm[k] - mill.work_mm[k]) > SMALL_MM;
+  return Boolean(mill.position_trusted) && [...axes].every((axis) => set(AXES.indexOf(axis)));
+}
+
+/** A link that tells no position leaves zero and height to the person. */
+export function placed(mill) {
+  return [mill?.machine_mm, mill?.work_mm].every((place) => place?.length === 3 && place.every(Number.isFinite));
+}
+
+/** How deep the tip stands under the top of the block, mm; 0 where it does not, or nobody can say. */
+export function depthInBlock(machine) {
+  const { mill } = machine ?? {};
+  if (mill?.state !== "idle" || mill.needs?.length || !zeroKnown(machine, "Z")) return 0;
+  return mill.work_mm[2] < -SMALL_MM ? -mill.work_mm[2] : 0;
+}
+
+/** How far Z has to rise to the height at which the tool travels, mm; no farther than the machine goes. */
+export function riseToSafe({ mill, profile }) {
+  const wanted = (profile?.safe_z_mm ?? 5) - mill.work_mm[2];
+  const room = mill.machine_mm[2] <= 0 ? -mill.machine_mm[2] - 0.5 : wanted;
+  return Math.max(0, Math.min(wanted, room));
+}
+
+/** Whether an axis stands where homing leaves it: nobody has put the tool anywhere yet. */
+export function atHome({ mill, profile }, axes) {
+  const travel = profile?.travel_mm;
+  if (!profile?.homing || !travel || !placed(mill)) return false;
+  const ends = (k) => Math.min(Math.abs(mill.machine_mm[k]), Math.abs(mill.machine_mm[k] + travel[k]));
+  return [...axes].every((axis) => ends(AXES.indexOf(axis)) < CORNER_MM);
+}
+
+/**
+ * A step as far as the machine goes. Machine coordinates run from -travel to 0 after homing; where they do not, or the
+ * mill was never homed, the controller alone knows. A short step is always as it was asked for.
+ */
+export function withinTravel({ mill, profile }, by_mm) {
+  const travel = profile?.homing && mill?.position_trusted && placed(mill) ? profile.travel_mm : null;
+  const inside = (k) => mill.machine_mm[k] <= 0 && mill.machine_mm[k] >= -travel[k];
+  return by_mm.map((by, k) => {
+    if (!travel || Math.abs(by) <= LONG_MM || !inside(k)) return by;
+    const room = by > 0 ? -EDGE_MM - mill.machine_mm[k] : travel[k] - EDGE_MM + mill.machine_mm[k];
+    return Math.sign(by) * Math.min(Math.abs(by), Math.max(0, room));
+  });
+}

@@ -1,0 +1,30 @@
+/** Which machine a job is for: the mills of this server first, by their own names. */
+
+const HERE = "Mills of this server";
+const OTHERS = "Other machines";
+
+/** The field of the machine with a choice for each profile: [name, words, description, group]. */
+export function withProfiles(field, profiles) {
+  if (field.named !== "profiles" || !profiles.length) return field;
+  const [here, others] = [profiles.filter(isHere), profiles.filter((profile) => !isHere(profile))];
+  const choice = (group) => (profile) => [profile.name, words(profile), profile.description, here.length ? group : undefined];
+  return { ...field, choices: [...here.map(choice(HERE)), ...others.map(choice(OTHERS))] };
+}
+
+/** What a job is begun with: the profile of the one mill there is, a real one before a simulated one; else the usual. */
+export function firstProfile(profiles, usual) {
+  const real = profiles.filter(({ mills }) => mills?.some(({ simulated }) => !simulated));
+  const here = real.length ? real : profiles.filter(isHere);
+  return here.length && !here.some(({ name }) => name === usual) ? here[0].name : usual;
+}
+
+function isHere({ mills }) {
+  return mills?.length > 0;
+}
+
+/** "simulated mill (grbl)", "shop" for a mill with a profile of its own, "grbl: desktop router". */
+function words(profile) {
+  if (!isHere(profile)) return `${profile.name}: ${profile.description.split(/[,;]/)[0]}`;
+  const names = profile.mills.map(({ name, simulated }) => (simulated ? `${name} mill` : name)).join(", ");
+  return profile.mills.some(({ name }) => name === profile.name) ? names : `${names} (${profile.name})`;
+}

@@ -1,0 +1,65 @@
+"""Which tests stay together, and which begin first, when several processes share them.
+
+A file of tests stays in one process, so that what its tests share is made once; the files of some folders, whose tests
+share a server and its jobs, do so together. What takes minutes begins early: at the end nobody waits for one that has
+just begun. And no two begin with a job, whose kernels both would have to compile.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import pytest
+from xdist.scheduler import LoadFileScheduling
+
+TOGETHER = ("tests/page/", "tests/service/client/")
+FIRST = (
+    "tests/service/stages/test_whole_job.py",  # compiles what a job needs, while the others begin with what needs less
+    "tests/service/worker/",
+    "tests/service/fleet/",
+    "tests/page/",
+    "tests/service/host/",
+    "tests/end_to_end/test_small_lenses.py",
+    "tests/service/client/",
+    "tests/service/test_estimate.py",
+    "tests/end_to_end/",
+    "tests/optics/test_any_bench.py",
+    "tests/service/stages/",
+    "tests/docker/",
+    "tests/test_documents.py",
+    "tests/cam/test_as_milled_brute_force.py",
+    "tests/cam/contour/test_contour_path.py",
+    "tests/optics/test_hard_pictures.py",
+    "tests/service/test_stream_command.py",
+    "tests/service/api/",
+)
+_TOP = Path(__file__).parents[1]
+
+
+def in_good_order(items: list[pytest.Item]) -> None:
+    """In place; the order within a file stays."""
+    items.sort(key=lambda item: _rank(item.path.relative_to(_TOP).as_posix()))
+
+
+def _rank(path: str) -> int:
+    return next((rank for rank, beginning in enumerate(FIRST) if path.startswith(beginning)), len(FIRST))
+
+
+def processes() -> int:
+    """Half as many again as there are processors: tests of servers and mills wait half of their time."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return math.ceil(1.5 * processors)
+
+
+class Scheduling(LoadFileScheduling):
+    """xdist's `loadfile`, in the order of the collection, with some folders for files."""
+
+    def __init__(self, config: pytest.Config, log: object = None) -> None:
+        config.option.loadscopereorder = False
+        super().__init__(config, log)
+
+    def _split_scope(self, nodeid: str) -> str:
+        file = super()._split_scope(nodeid)
+        return next((folder for folder in TOGETHER if file.startswith(folder)), file)

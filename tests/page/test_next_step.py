@@ -1,0 +1,187 @@
+"""The line that says the next step: what is due, one blue button, and nothing that is not safe before its time."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.page.conftest import Opened
+from tests.page.driving import machine_state
+from tests.page.machine_states import MACHINE, PLAN, RUN, machine_in, told, with_control
+from tests.page.shop import MILL
+
+SCREEN = f"#/machines/{MILL}"
+LOST = {"position_trusted": False, "zeroed": ""}
+# What one finds in the morning: homed, nobody has set a zero, the tool in the corner that it was homed into.
+FRESH = {"zeroed": "", "needs": [], "work_mm": [-1.0, -1.0, -1.0], "machine_mm": [-1.0, -1.0, -1.0]}
+OVER_IT = FRESH | {"work_mm": [-150.0, -150.0, -1.0], "machine_mm": [-150.0, -150.0, -1.0]}
+XY_SET = FRESH | {"zeroed": "XY", "work_mm": [0.0, 0.0, -1.0], "machine_mm": [-150.0, -150.0, -1.0]}
+ON_TOP = XY_SET | {"work_mm": [0.0, 0.0, -21.0], "machine_mm": [-150.0, -150.0, -21.0]}
+ALL_SET = ON_TOP | {"zeroed": "XYZ", "work_mm": [0.0, 0.0, 0.0]}
+DUE = """async ([machine, run, mine, ticked]) => {
+    const { dueOf } = await import("/page/machine/due.js");
+    const due = dueOf({machine, run, mine, away: "", gone: ""}, {load: {ready: true, jobs: 1}, ticked});
+    return [due.step, due.act?.label ?? "", due.words];
+}"""
+JARGON = re.compile(r"\b(preset|parked|vouch\w*|agent|latched)\b", re.IGNORECASE)
+
+
+def after(sent: list[Any], count: int, page: Page) -> None:
+    """Until so many orders are given; a moment longer, for one too many."""
+    for _ in range(100):
+        if len(sent) >= count:
+            break
+        page.wait_for_timeout(50)
+    page.wait_for_timeout(100)
+    assert len(sent) == count, sent
+
+
+def orders_of(page: Page) -> list[tuple[str, dict[str, Any]]]:
+    """Every order that this page gives from now on: (its name, its body). None of them reaches a mill."""
+    sent: list[tuple[str, dict[str, Any]]] = []
+
+    def take(route: Any) -> None:
+        sent.append((route.request.url.rpartition("/")[2], json.loads(route.request.post_data or "{}")))
+        route.fulfill(status=202, json=machine_in("held")[1])
+
+    page.route(re.compile(r"/control/\w|/v1/runs/[^/]+:\w"), take)
+    return sent
+
+
+def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
+    """Connect, control, home, tool over the zero, zero, load, tick, start: only the one that is due."""
+    page = opened("#/machines")
+
+    def due(mill: dict[str, Any], *, mine: bool = True, run: Any = None, ticked: bool = False) -> list[str]:
+        machine = copy.deepcopy(MACHINE)
+        machine["mill"] |= mill
+        found: list[str] = page.evaluate(DUE, [machine, run, mine, ticked])
+        return found
+
+    assert due({"state": "disconnected", "connected": False}, mine=False)[0] == "trouble"
+    assert due(FRESH | LOST, mine=False)[0] == "control"
+    assert due(FRESH | LOST)[:2] == ["home", "Home"]
+    assert due({"state": "alarm"} | LOST)[:2] == ["home", "Home"]
+    assert due(FRESH)[:2] == ["corner", ""], "nothing sets a zero where homing has left the tool"
+    assert due(OVER_IT)[:2] == ["zero", "X and Y = 0 here"]
+    assert due(XY_SET)[:2] == ["top", ""]
+    assert due(ON_TOP)[:2] == ["zero", "Z = 0 here"]
+    assert due(ALL_SET)[0] == "load"
+    assert due(ALL_SET, run=RUN)[0] == "tick"
+    assert due(ALL_SET, run=RUN, ticked=True)[0] == "start"
+    new_tool = due(ALL_SET | {"needs": ["a program has ended"]}, run=RUN)
+    assert new_tool[:2] == ["zero", "Z = 0 here"] and "R 0.5" in new_tool[2]
+    finished = RUN | {"state": "finished", "open": False}
+    assert due(ALL_SET, run=finished)[::2] == ["load", f"load the next program, {RUN['next']['name']}."]
+
+
+SEEN = ("parked", "stopped", *(pytest.param(one, marks=pytest.mark.thorough) for one in ("locked", "held", "finished")))
+
+
+@pytest.mark.parametrize("state", SEEN)
+def test_only_what_is_due_is_blue_and_every_word_is_plain(opened: Opened, state: str) -> None:
+    page = with_control(opened, state)
+    expect(page.locator(".running .mark").or_(page.locator(".loading")).first).to_be_visible()
+    expect(page.locator(".primary:visible")).to_have_count(0 if state == "finished" else 1)
+    assert not (found := JARGON.search(page.locator("main").inner_text())), found
+
+
+def test_a_tool_in_the_block_is_said_and_goes_up_before_it_goes_sideways(opened: Opened) -> None:
+    page = with_control(opened, "stopped")
+    expect(machine_state(page)).to_have_text("idle, tool in the block")
+    line = page.locator(".next")
+    expect(line).to_contain_text("The tool stands 2.3 mm in the block: raise Z first.")
+    for name in ("X minus", "X plus", "Y minus", "Y plus"):
+        expect(page.get_by_role("button", name=name)).to_be_disabled()
+    expect(page.get_by_role("button", name="Z up")).to_be_enabled()
+    sent = orders_of(page)
+    line.get_by_role("button", name="Raise Z").click()
+    after(sent, 1, page)
+    assert sent == [("jog", {"by_mm": [0, 0, pytest.approx(7.3)], "feed_mm_per_min": 500})]
+    page.get_by_role("button", name="X and Y in the block").click()
+    page.get_by_role("button", name="X minus").click()
+    after(sent, 2, page)
+    assert sent[1:] == [("jog", {"by_mm": [-1, 0, 0], "feed_mm_per_min": 1000})], "out by hand is never impossible"
+    told(page, "stopped", operator="Ada", mill={"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]})
+    expect(machine_state(page)).to_have_text("idle")
+    expect(line).to_contain_text("go on with it, step by step")
+
+
+@pytest.mark.thorough
+def test_a_long_step_ends_before_the_travel_does_and_z_takes_none(opened: Opened) -> None:
+    at = {"work_mm": [0.0, 0.0, 5.0], "machine_mm": [-60.0, -5.0, -40.0], "needs": []}
+    page = with_control(opened, "idle", mill=at)
+    sent = orders_of(page)
+    page.get_by_label("100", exact=True).check()
+    for count, name in enumerate(("X plus", "X minus", "Z up"), 1):
+        page.get_by_role("button", name=name).click()
+        after(sent, count, page)
+        page.wait_for_timeout(1600)  # an order of which the log says nothing is given up
+    assert [body["by_mm"] for _, body in sent] == [[58, 0, 0], [-100, 0, 0], [0, 0, 10]]
+    told(page, "idle", operator="Ada", mill=at | {"machine_mm": [-1.0, -5.0, -40.0]})
+    expect(page.locator(".readout .own").first).to_have_text("−1.000")
+    page.get_by_role("button", name="X plus").click()
+    expect(page.locator(".jog .said")).to_contain_text("The travel ends here")
+    assert len(sent) == 3
+
+
+def test_what_is_held_goes_on_by_key_only_where_that_is_meant(opened: Opened) -> None:
+    """Space on Resume, and Shift with R anywhere; Space anywhere else still holds."""
+    page = with_control(opened, "held")
+    sent = orders_of(page)
+    resume = page.get_by_role("button", name="Resume")
+    expect(resume).to_contain_text("Shift+R")
+    presses = (lambda: resume.press(" "), lambda: page.keyboard.press("Shift+R"))
+    for count, press in enumerate(presses, 1):
+        press()
+        after(sent, count, page)
+    assert [name.partition(":")[2] for name, _ in sent] == ["resume", "resume"]
+    page.get_by_role("button", name="Give control back").press(" ")
+    after(sent, 3, page)
+    page.keyboard.press("Escape")
+    after(sent, 4, page)
+    assert [name for name, _ in sent[2:]] == ["hold", "abort"]
+
+
+def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
+    page = with_control(opened, "running")
+    page.route("**/v1/machines/shop/control", lambda route: route.fulfill(status=204))
+    page.evaluate("location.hash = '#/machines'")
+    toast = page.locator(".toast")
+    expect(toast).to_contain_text("You gave back control of shop. pass-2-finish.nc goes on")
+    toast.get_by_role("button", name="Back to it").click()
+    expect(page.get_by_role("heading", level=1, name=MILL)).to_be_visible()
+
+
+def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
+    page = with_control(opened, "stopped", mill={"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]})
+    plan = {"needs": [{"code": "zero", "words": "G54 differs"}], "zero_back": "G10 L2 P1 X-150.000 Y-150.000 Z-20.000"}
+    again = page.get_by_role("button", name="Look again")
+    expect(again).to_be_visible()
+    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | plan))
+    again.click()
+    sent = orders_of(page)
+    page.get_by_role("button", name="Put the zero back").click()
+    after(sent, 1, page)
+    assert sent == [("block", {"text": plan["zero_back"]})]
+    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | plan | {"zero_back": ""}))
+    again.click()
+    expect(page.locator(".recover .needs")).to_contain_text("Touch off and set X, Y and Z again")
+
+
+def test_the_console_tells_what_matters(opened: Opened) -> None:
+    page = opened("#/machines", key="Ada")
+    told(page, "idle")
+    entries = [("state", "run"), ("state", "idle"), ("state", "jog"), ("state", "alarm"), ("command", "Home: done")]
+    entries += [("run", "pass-1.nc: parked"), ("state", "idle")]
+    logged = [{"number": k, "at_s": 1.0, "kind": kind, "words": words} for k, (kind, words) in enumerate(entries)]
+    body = "".join(f"event: log\ndata: {json.dumps(entry)}\n\n" for entry in logged)
+    page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=body, content_type="text/event-stream"))
+    page.evaluate(f"location.hash = '{SCREEN}'")
+    lines = page.locator(".log li span")
+    expect(lines).to_have_text(["locked", "Home: done", "pass-1.nc: waits for your start"])

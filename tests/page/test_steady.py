@@ -1,0 +1,137 @@
+"""What moves or starts the mill keeps its place when words come and go, and nothing else comes to where it was."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from playwright.sync_api import Page, expect
+
+from tests.page.browser import SIZES
+from tests.page.conftest import Opened
+from tests.page.driving import machine_state
+from tests.page.machine_states import STATES, told, with_control
+
+REFUSAL = "start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
+BOXES = """(names) => Object.fromEntries([...document.querySelectorAll("main button")]
+    .filter((one) => one.checkVisibility() && names.includes(one.getAttribute("aria-label") ?? one.textContent))
+    .filter((one) => !one.closest(".next"))
+    .map((one) => [one.getAttribute("aria-label") ?? one.textContent, one.getBoundingClientRect().toJSON()])
+    .map(([name, {x, y, width, height}]) => [name, [x, y, width, height]]))"""
+MOVING = ["X minus", "X plus", "Y minus", "Y plus", "Z up", "Z down", "End jog"]
+SETTING = ["Home", "Unlock", "Reset", "X = 0 here", "Y = 0 here", "X and Y = 0 here", "Z = 0 here"]
+START = "Start pass-2-finish.nc"
+# What a mill without a program may say, one after the other: notices come and go.
+SAID: list[tuple[str, dict[str, Any], str]] = [
+    ("idle", {"needs": []}, "idle"),
+    ("locked", {}, "locked"),
+    ("idle", {}, "idle"),
+    ("idle", {"position_trusted": False, "zeroed": "", "needs": []}, "idle"),
+    ("idle", {"work_mm": [0, 0, -2.3], "needs": []}, "idle, tool in the block"),
+    ("idle", {"state": "sleep"}, "asleep"),
+    ("idle", {"state": "door"}, "door open"),
+    ("unplugged-idle", {}, "not connected"),
+    ("no-agent", {}, "out of reach"),
+    ("idle", {"needs": []}, "idle"),
+]
+
+
+def boxes(page: Page, names: list[str]) -> dict[str, list[float]]:
+    found: dict[str, list[float]] = page.evaluate(BOXES, names)
+    assert set(found) == set(names)
+    return found
+
+
+def say(page: Page, state: str, mill: dict[str, Any]) -> None:
+    if state == "unplugged-idle":
+        state, mill = "idle", {"state": "disconnected", "connected": False, "problem": "port lost: the device is gone"}
+    told(page, state, operator="Ada", mill=mill)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_words_that_come_and_go_move_no_button_that_moves_the_mill(opened: Opened, size: str) -> None:
+    page = with_control(opened, "idle", size=size, mill={"needs": []}, errors=("status of 409",))
+    expect(machine_state(page)).to_have_text("idle")
+    before, high = boxes(page, MOVING + SETTING), page.locator(".next").bounding_box()
+    for state, mill, word in SAID:
+        say(page, state, mill)
+        expect(machine_state(page)).to_have_text(word)
+        assert boxes(page, MOVING + SETTING) == before, word
+        assert page.locator(".next").bounding_box() == high, word
+    page.route("**/control/jog", lambda route: route.fulfill(status=409, json={"detail": "Jog: it leaves the travel"}))
+    page.get_by_role("button", name="Z up").click()
+    expect(page.locator(".jog .said")).to_have_text("Jog: it leaves the travel")
+    page.evaluate("scrollTo(0, 0)")
+    assert boxes(page, MOVING + SETTING) == before, "a refusal has its place, too"
+
+
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_start_keeps_its_place_and_nothing_comes_to_it_when_the_run_begins(opened: Opened, size: str) -> None:
+    page = with_control(opened, "parked", size=size)
+    start = page.get_by_role("button", name=START)
+    expect(page.locator("canvas")).to_be_visible()
+    page.wait_for_timeout(300)
+    before = boxes(page, [START])
+    for mill in ({"needs": []}, {"position_trusted": False}, {"state": "alarm"}):
+        told(page, "parked", operator="Ada", mill=mill)
+        page.wait_for_timeout(300)
+        assert boxes(page, [START]) == before, mill
+    told(page, "parked", operator="Ada")
+    start.evaluate("one => one.scrollIntoView({block: 'center'})")
+    box = start.bounding_box()
+    assert box is not None
+    for box_to_tick in page.locator(".checklist input[type=checkbox]").all():
+        box_to_tick.check()
+    told(page, "running", operator="Ada")
+    expect(page.get_by_role("heading", name="Overrides, %")).to_be_visible()
+    found = page.evaluate(
+        """({x, y, width, height}) => [0.1, 0.3, 0.5, 0.7, 0.9].flatMap((u) => [0.1, 0.5, 0.9].map((v) =>
+            document.elementFromPoint(x + u * width, y + v * height)))
+            .map((one) => one?.closest("button, input, select")?.textContent ?? "")""",
+        box,
+    )
+    assert set(found) == {""}, found
+
+
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_what_a_start_was_refused_for_is_in_sight(opened: Opened, size: str) -> None:
+    page = with_control(opened, "parked", size=size, errors=("status of 409",))
+    page.route("**/v1/runs/*:start", lambda route: route.fulfill(status=409, json={"detail": REFUSAL}))
+    for box in page.locator(".checklist input[type=checkbox]").all():
+        box.check()
+    page.get_by_role("button", name=START).click()
+    words = page.locator(".running .said")
+    expect(words).to_have_text(REFUSAL.strip())
+    on_top = words.evaluate("""(one) => {
+        const {left, top, width, height} = one.getBoundingClientRect();
+        const at = (v) => one.contains(document.elementFromPoint(left + width / 2, top + v * height));
+        return [0.02, 0.5, 0.98].every(at);
+    }""")
+    assert on_top
+
+
+def test_on_a_phone_what_is_on_the_mill_comes_first(opened: Opened) -> None:
+    page = with_control(opened, "parked", size="phone")
+    tops = "(names) => names.map((one) => document.querySelector(one).getBoundingClientRect().top)"
+    program, jog = page.evaluate(tops, [".running", ".jog"])
+    assert program < jog
+    page = with_control(opened, "idle", size="phone")
+    expect(page.locator(".loading")).to_be_visible()
+    jog, load = page.evaluate(tops, [".jog", ".loading"])
+    assert jog < load
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("size", SIZES)
+def test_the_line_is_as_high_whatever_it_says(opened: Opened, size: str) -> None:
+    page = opened("#/machines", size=size)
+    heights = {}
+    for state in STATES:
+        told(page, state)
+        page.evaluate("location.hash = '#/machines/shop'")
+        expect(machine_state(page)).not_to_have_text("asking the server")
+        found = page.locator(".next").evaluate("one => [one.offsetHeight, one.scrollHeight - one.clientHeight]")
+        heights[state] = tuple(found)
+        page.evaluate("location.hash = '#/machines'")
+        expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
+    assert set(heights.values()) == {(heights["idle"][0], 0)}, heights
