@@ -69,9 +69,9 @@ def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel:
     if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
         black = 100 * np.mean(target < DARK * target.max())
         words.append(
-            f"black covers {black:.0f} % of the picture, and in valleys for a ball of {radius_mm:g} mm radius about "
-            f"{100 * leak:.1f} % of the light ends there: half the radius or a wall twice as far away halves that"
-            f"{_turning_helps(target, bench, radius_mm)}"
+            "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light in it"
+            f"{_turning_helps(target, bench, radius_mm)} (black covers {black:.0f} % of the picture; in valleys for a "
+            f"ball of radius {radius_mm:g} mm, Ø {2 * radius_mm:g}, about {100 * leak:.1f} % of the light ends there)"
         )
     if fine >= _FINE_WORTH_A_WORD:
         finer = ", a finer lens grid (vertices per pixel)" if vertices_per_pixel < 4 else ""

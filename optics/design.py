@@ -126,7 +126,8 @@ def _warnings(done: Corrected) -> tuple[str, ...]:
     if lost_db < _DEAR_DB and leak < _DEAR_LEAK:
         return ()
     return (
-        f"filling valleys for a ball of radius {cost.radius_mm:g} mm costs {lost_db:.1f} dB and brings "
-        f"{100 * leak:.1f} % more of the light into dark areas: a smaller ball, a wall "
-        "farther away or a wider lens keeps more of the picture",
+        "the picture will be flatter and its dark areas brighter, as the ball does not fit the lens's narrow valleys: "
+        "a smaller ball, a wall farther away or a wider lens keeps more of it "
+        f"(ball of radius {cost.radius_mm:g} mm, Ø {2 * cost.radius_mm:g}: {lost_db:.1f} dB, "
+        f"{100 * leak:.1f} % more of the light in dark areas)",
     )

@@ -6,6 +6,7 @@ its slopes miss what only fine detail makes steeper.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import ceil, hypot, sqrt
@@ -34,6 +35,7 @@ from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import read_picture
 from service.picture_limits import PictureLimits
 from service.planning import plan_for_picture
+from service.report_words import ball
 from service.spec import MIN_FLOOR_MM, JobSpec
 from service.stages.light import blocked_by_the_screen
 from service.stages.optical_task import branch_of, lens_settings
@@ -47,6 +49,7 @@ _STEEP_DEG = 45.0
 _REFLECTED = 1e-6  # share of the light, from which on it is no rounding
 _WIDTH = 2.355  # of a blur at half its height, in standard deviations
 _TUBES, _BEAMS = 2, 7
+_FIGURES = re.compile(r" \([^()]*\)$")  # those at the end of a sentence: of a coarse lens no more than a first guess
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -163,8 +166,7 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
         else:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
-        tool = f"ball {spec.radius_mm:g} mm"
-        yield {"name": spec.name, "tool": tool, "hours": seconds / 3600}
+        yield {"name": spec.name, "tool": f"ball {ball(spec.radius_mm)}", "hours": seconds / 3600}
 
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
@@ -268,7 +270,8 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
 
 
 def _warnings(quick: QuickLens) -> Iterator[str]:
-    yield from quick.design.warnings
+    for sentence in quick.design.warnings:
+        yield _FIGURES.sub("", sentence)
     if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
         share = 100 * quick.reflected_share
         yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from optics.irradiance import picture_from_irradiance
 from service.figures import new_figure, panel_height, png_bytes, srgb_levels
 from service.plan_words import finish_words, rest_words
+from service.report_words import ball
 from service.summary import duration
 
 if TYPE_CHECKING:
@@ -64,9 +65,9 @@ def _curve(axes: Axes, planned: Planned) -> None:
     axes.plot(hours, psnr, "-", color=_QUIET, linewidth=1.2, zorder=1)
     axes.plot(hours, psnr, "o", color=_INK, markersize=4, zorder=2)
     axes.plot([chosen.hours], [chosen.psnr_db], "o", color=_MARK, markersize=9, zorder=3)
-    words = f"chosen: ball {chosen.finish.radius_mm:g} mm, pitch {chosen.finish.pitch_mm:g} mm"
+    words = f"chosen: ball {ball(chosen.finish.radius_mm)}, pitch {chosen.finish.pitch_mm:g} mm"
     if chosen.rest is not None:
-        words += f", then ball {chosen.rest.spec.radius_mm:g} mm"
+        words += f", then ball {ball(chosen.rest.spec.radius_mm)}"
     late = chosen.hours**2 > hours[0] * hours[-1]  # in the right half of the axis
     axes.annotate(
         words, (chosen.hours, chosen.psnr_db), xytext=(4, -44) if late else (10, -16), textcoords="offset points",

@@ -17,6 +17,7 @@ from optics.heightfield import Heightfield
 from service.errors import FailedError, InputError
 from service.lens_facts import LensFacts
 from service.program_size import SURE, pass_bytes
+from service.report_words import ball
 
 
 def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
@@ -34,10 +35,7 @@ def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm:
             f"allowed: at least {100 * LEAST_REACHED:.0f} %; {fits}"
         )
     remedy = "" if shaped_for_mm >= radius_mm else f"; optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
-    return (
-        f"the finishing ball of radius {radius_mm:g} mm does not fit {100 * (1 - share):.2g} % of the lens; "
-        f"{fits}{remedy}"
-    )
+    return f"the finishing ball {ball(radius_mm)} does not fit {100 * (1 - share):.2g} % of the lens; {fits}{remedy}"
 
 
 def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:

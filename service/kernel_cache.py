@@ -16,7 +16,7 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-ESTIMATES = "estimates"  # a task of `ready_mark`
+ESTIMATES, JOBS = "estimates", "jobs"  # tasks of `ready_mark`
 
 _KEPT = 3  # states of the sources
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")

@@ -12,6 +12,7 @@ from cam.passes import PassSpec
 from cam.planner import TOLERATED_DB, Candidate
 from cam.row_slopes import row_slopes
 from cam.tools import contact_speed_m_per_min
+from service.report_words import ball
 from service.summary import duration
 
 if TYPE_CHECKING:
@@ -38,30 +39,31 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
     chosen = planned.chosen
     if not planned.plan.met:
         found.append(_not_met(planned))
-    if (lost := blur_warning(planned, chosen)) and not milled_next:
-        found.append(f"{lost}; {_remedy(planned)}")
+    if not milled_next and (lost := blur_warning(planned, chosen, f"; {_remedy(planned)}")):
+        found.append(lost)
     if (speed := _cutting_speed(planned)) < RUBBING_M_PER_MIN:
         found.append(
-            f"on half of the lens the ball of {chosen.finish.radius_mm:g} mm cuts at less than {speed:.0f} m/min and "
-            f"rubs more than it cuts; a larger ball or a faster spindle leaves a clearer surface"
+            "on half of the lens the ball rubs more than it cuts; a larger ball or a faster spindle leaves a clearer "
+            f"surface (less than {speed:.0f} m/min; ball of radius {chosen.finish.radius_mm:g} mm, "
+            f"Ø {2 * chosen.finish.radius_mm:g})"
         )
     return found
 
 
-def blur_warning(planned: Planned, one: Candidate) -> str | None:
-    """What a plan cannot show of the picture, if anything."""
+def blur_warning(planned: Planned, one: Candidate, remedy: str = "") -> str | None:
+    """What a plan cannot show of the picture, if anything; figures last."""
     if (pixels := planned.blur_px(one)) <= 1.0:
         return None
     return (
-        f"the tool's marks will blur the picture by {one.blur_mm:.2g} mm, {pixels:.1f} pixels: finer detail "
-        "will not be seen"
+        f"the picture's finest detail will not be seen{remedy} (the tool's marks blur it by {one.blur_mm:.2g} mm, "
+        f"{pixels:.1f} pixels)"
     )
 
 
 def finish_words(finish: PassSpec) -> str:
     """A finishing pass in a few words."""
     rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
-    return f"ball {finish.radius_mm:g} mm, pitch {finish.pitch_mm:g} mm, {rows}"
+    return f"ball {ball(finish.radius_mm)}, pitch {finish.pitch_mm:g} mm, {rows}"
 
 
 def candidate_words(one: Candidate) -> str:
@@ -71,7 +73,7 @@ def candidate_words(one: Candidate) -> str:
 
 def rest_words(one: Candidate) -> str:
     """Of the rest pass; nothing where there is none."""
-    return "" if one.rest is None else f"then ball {one.rest.spec.radius_mm:g} mm in what it leaves"
+    return "" if one.rest is None else f"then ball {ball(one.rest.spec.radius_mm)} in what it leaves"
 
 
 def best_possible(planned: Planned) -> str:
@@ -111,7 +113,7 @@ def _ball(planned: Planned) -> Iterator[str]:
     """What the ball is chosen for, and which others were not."""
     radius = planned.chosen.finish.radius_mm
     across = 1000 * planned.chosen.slopes.across.rms
-    words = f"A ball of {radius:g} mm finishes: its rows leave slopes of {across:.1f} mrad, a smaller ball steeper ones"
+    words = f"A ball {ball(radius)} finishes: its rows leave slopes of {across:.1f} mrad, a smaller ball steeper ones"
     if planned.shapes_lens:
         perfect, least = planned.light.perfect_db(radius), planned.light.perfect_db(min(planned.light.lenses))
         lost = max(0.0, least - perfect)
@@ -136,8 +138,8 @@ def _rest(planned: Planned) -> Iterator[str]:
         share = 100 * rest.extent.area_mm2 / (form.width_mm * form.height_mm)
         places = "one place" if rest.extent.regions == 1 else f"{rest.extent.regions} places"
         yield (
-            "It does not fit every valley: a rest pass takes out what it leaves, with a ball of "
-            f"{rest.spec.radius_mm:g} mm in rows {rest.spec.pitch_mm:g} mm apart, only there: {places}, {share:.2g} % "
+            "It does not fit every valley: a rest pass takes out what it leaves, with a ball "
+            f"{ball(rest.spec.radius_mm)} in rows {rest.spec.pitch_mm:g} mm apart, only there: {places}, {share:.2g} % "
             f"of the lens, {duration(rest.extent.seconds)}. That gains {gain:.1f} dB."
         )
     elif filled is not None and filled.share >= _SEEN_SHARE:
@@ -193,9 +195,9 @@ def _steps(planned: Planned) -> Iterator[str]:
 def _rough(planned: Planned) -> Iterator[str]:
     before = planned.chosen.before
     first = before[0]
-    words = f"A ball of {first.radius_mm:g} mm roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
+    words = f"A ball {ball(first.radius_mm)} roughs in layers of {first.step_down_mm:g} mm, the quickest of the tools"
     if len(before) > 1:
-        words += f"; a second rough of {before[1].radius_mm:g} mm is quicker than layers of the finish"
+        words += f"; a second rough with {ball(before[1].radius_mm)} is quicker than layers of the finish"
     else:
         words += "; a second rough would not pay"
     yield words + "."

@@ -49,11 +49,16 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | No
     pixels = math.hypot(milled["blur_x_px"], milled["blur_y_px"])
     if not pixels > 1.0:
         return None
-    seen = f"the tool's marks blur the picture by {pixels:.1f} of its pixels: "
+    figures = f"(the tool's marks blur it by {pixels:.1f} of its pixels)"
     if planned:
-        return f"{seen}its finer detail will not be seen with the passes planned for this goal"
-    told = "`recommended` plans those that show most on this mill"
-    return f"{seen}these passes cannot show its finer detail; {told}"
+        return (
+            "the picture's fine detail will not be seen with the passes planned for this goal: a larger lens shows "
+            f"more {figures}"
+        )
+    return (
+        "the picture's fine detail will not be seen: “Recommended” plans the passes that show most on this mill, and a "
+        f"larger lens shows more {figures}"
+    )
 
 
 def _expected(milled: Mapping[str, Any]) -> str:

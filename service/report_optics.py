@@ -6,13 +6,13 @@ from collections.abc import Mapping
 from math import radians, tan
 from typing import Any
 
-from service.report_words import misplaced_in_words, number, psnr_in_words
+from service.report_words import ball, misplaced_in_words, number, psnr_in_words
 
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
 _STRAIGHT_MM = 0.005
 _MILLED_AWAY = (
-    "it shows only on a surface smoothed after milling: straight from a 0.5 mm ball at 0.02 mm pitch nothing of it is "
-    "left, with scallops smoothed to a tenth about half"
+    "it shows only on a surface smoothed after milling: straight from a ball R 0.5 (Ø 1 mm) at 0.02 mm pitch nothing "
+    "of it is left, with scallops smoothed to a tenth about half"
 )
 
 
@@ -52,7 +52,7 @@ def _leak_in_words(scores: Mapping[str, Any]) -> str:
     if (estimate := scores.get("dark_leak_estimate")) is None:
         return words
     radius = scores.get("min_radius_mm") or 0.0
-    valleys = f"valleys that a ball of {number(radius)} mm cuts" if radius else "valleys as narrow as the grid allows"
+    valleys = f"valleys that a ball {ball(radius)} cuts" if radius else "valleys as narrow as the grid allows"
     return f"{words}; {valleys} let about {100 * estimate:.2f} % through"
 
 
@@ -81,10 +81,10 @@ def _surface_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
     if optics.get("max_slope_deg") is not None:
         rows.append(("Steepest slope", f"{optics['max_slope_deg']:.1f}°"))
     if optics.get("min_concave_radius_mm") is not None:
-        rows.append(("Largest ball that fits everywhere", f"{optics['min_concave_radius_mm']:.2f} mm radius"))
+        rows.append(("Largest ball that fits everywhere", ball(round(optics["min_concave_radius_mm"], 2))))
     for share, key in (("99.9 %", "concave_radius_999_mm"), ("99 %", "concave_radius_99_mm")):
         if optics.get(key) is not None:
-            rows.append((f"{share} of the lens: a ball up to", f"{optics[key]:.2f} mm radius fits"))
+            rows.append((f"{share} of the lens: a ball up to", f"{ball(round(optics[key], 2))} fits"))
     curvature = table(optics.get("concave_curvature_per_mm"))
     if curvature:
         told = (("half of the area", "p50"), ("90 %", "p90"), ("99.9 %", "p99.9"))
@@ -101,7 +101,7 @@ def _closing_rows(closing: Mapping[str, Any]) -> list[tuple[str, str]]:
     if closing["dark_leak_with"] > 0:
         leaks = " → ".join(f"{100 * closing[key]:.2f}" for key in ("dark_leak_without", "dark_leak_with"))
         words += f", light where it is to be dark {leaks} %"
-    return [(f"Valleys filled for a ball of {number(closing['radius_mm'])} mm radius", words)]
+    return [(f"Valleys filled for a ball {ball(closing['radius_mm'])}", words)]
 
 
 def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -46,6 +46,11 @@ def _rounded(value: float) -> int:
     return floor(value + 0.5)
 
 
+def ball(radius_mm: float) -> str:
+    """A ball's size: by its radius as in the spec, by its diameter as on its box."""
+    return f"R {radius_mm:g} (Ø {2 * radius_mm:g} mm)"
+
+
 def size(count: Any) -> str:
     """Bytes in the largest unit that keeps the figure above 1."""
     if count is None:

@@ -39,7 +39,7 @@ class ServerSettings(BaseSettings):
     requests_per_s    : of one caller, with bursts of ten times as many; POST of jobs: jobs_per_min
     agents_file       : TOML that lists the agents of mills on other computers
     start_agents      : `serve` starts an agent for every configured machine that has a port
-    prepare_estimates : compile soon after the start what the first estimate would have to wait for
+    prepare           : compile soon after the start what the first estimate and the first job would have to wait for
     simulated_mill    : `serve` offers a simulated mill, too, to try everything on
     log_format        : json, a line each; text, for people; auto: text on a terminal, json elsewhere
     """
@@ -69,7 +69,7 @@ class ServerSettings(BaseSettings):
     jobs_per_min: Annotated[float, Field(gt=0)] = 600.0
     agents_file: Path | None = None
     start_agents: bool = True
-    prepare_estimates: bool = True
+    prepare: bool = True
     simulated_mill: bool = False
     log_level: Literal["debug", "info", "warning"] = "info"
     log_format: Literal["auto", "json", "text"] = "auto"

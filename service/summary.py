@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from service.job_files import REPORT_PAGE
+from service.report_words import ball
 
 
 def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
@@ -50,7 +51,7 @@ def _light_lines(optics: Mapping[str, Any]) -> Iterator[str]:
     done = []
     if closing := optics.get("closing"):
         lost = closing["psnr_db_without"] - closing["psnr_db_with"]
-        done.append(f"shaped for a ball of {closing['radius_mm']:g} mm radius ({-lost:+.1f} dB)")
+        done.append(f"shaped for a ball {ball(closing['radius_mm'])} ({-lost:+.1f} dB)")
     if polish := optics.get("polish"):
         done.append(f"polished ({polish['psnr_db_after'] - polish['psnr_db_before']:+.1f} dB)")
     if optics.get("dark_leak"):

@@ -122,7 +122,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
 
 async def _serve(services: Services, listener: socket.socket) -> None:
     server = server_of(services, on_ready=lambda: print(f"causticmill on {address.url_of(listener)}", flush=True))
-    if services.settings.prepare_estimates:
+    if services.settings.prepare:
         loop = asyncio.get_running_loop()
         loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
     turning = asyncio.create_task(_turn())

@@ -15,8 +15,8 @@ ESTIMATE_EXAMPLE: dict[str, Any] = {
     "throw_ok": True,
     "smallest_detail_mm": 2.5,
     "passes": [
-        {"name": "rough", "tool": "ball 3 mm", "hours": 0.82},
-        {"name": "finish", "tool": "ball 3 mm", "hours": 1.4},
+        {"name": "rough", "tool": "ball R 3 (Ø 6 mm)", "hours": 0.82},
+        {"name": "finish", "tool": "ball R 3 (Ø 6 mm)", "hours": 1.4},
     ],
     "planned": False,
     "hours": 2.22,

@@ -8,6 +8,7 @@ from typing import Any
 
 from service.job_files import is_program, run_order
 from service.jobs.records import Artifact, Job
+from service.report_words import ball
 
 Json = dict[str, Any]
 
@@ -61,6 +62,7 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
         "width_mm": None if width_mm is None else width_mm + 2 * margin_mm,
         "height_mm": None if height_mm is None else height_mm + 2 * margin_mm,
         "thickness_mm": thickness_mm,
+        "margin_mm": margin_mm,
         "material": stock.get("material"),
     }
     zero = (
@@ -74,7 +76,7 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
 def _same_pass(row: Mapping[str, Any]) -> Json:
     """Between two parts of one pass nothing may change: a mark would show where one goes on from the other."""
     radius = row.get("radius_mm")
-    words = f"the same tool as before, R {_mm(radius)}, and all zeros as they are: the pass goes on where it ended"
+    words = f"the same tool as before, {_ball(radius)}, and all zeros as they are: the pass goes on where it ended"
     return {"from_radius_mm": radius, "to_radius_mm": radius, "words": words}
 
 
@@ -82,9 +84,9 @@ def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
     """What to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
     old, new = before.get("radius_mm"), row.get("radius_mm")
     if old is not None and old == new:
-        words = f"the same tool as before, R {_mm(new)}: it stays in, and all zeros as they are"
+        words = f"the same tool as before, {_ball(new)}: it stays in, and all zeros as they are"
     else:
-        words = f"change the tool from R {_mm(old)} to R {_mm(new)}, set Z zero again; X and Y zero stay"
+        words = f"change the tool from {_ball(old)} to {_ball(new)}, set Z zero again; X and Y zero stay"
     return {"from_radius_mm": old, "to_radius_mm": new, "words": words}
 
 
@@ -100,8 +102,8 @@ def _pass(job: Job, number: int) -> Mapping[str, Any]:
     return row
 
 
-def _mm(value: float | None) -> str:
-    return "?" if value is None else f"{value:g}"
+def _ball(radius_mm: float | None) -> str:
+    return "R ?" if radius_mm is None else ball(radius_mm)
 
 
 def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -21,7 +21,7 @@ TIME_FACTOR = 20.0
 _TOUCHED_AT_MM = -30.0  # machine Z of what a probe touches: the top of a block on the table
 _PROFILE = """# Written anew each time that `causticmill serve --with-simulated-mill` starts.
 extends = "grbl"
-description = "SIMULATED: no mill, a model of one, {factor:g} times as fast"
+description = "a simulated mill, {factor:g} times as fast as a real one"
 homing = true
 
 [link]

@@ -32,7 +32,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
         try:
             if _jobs_wait(settings):
                 processes.warm()
-            _work(settings, processes, end)
+            _work(settings, processes, end, prepare=settings.prepare and entry == STAGE_ENTRY)
         finally:
             processes.close()
     except JobError as error:
@@ -44,10 +44,11 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
     os._exit(0)
 
 
-def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Event) -> None:
+def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Event, *, prepare: bool) -> None:
     import sqlalchemy as sa
 
     from service.logs import configure_logs
+    from service.worker import preparing
     from service.worker.refusals import executor_name
     from service.worker.whole import open_worker
 
@@ -56,6 +57,8 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Ev
         with open_worker(settings, processes) as worker:
             worker.start()
             print(f"ready: worker {worker.bench.executor}", flush=True)
+            if prepare:
+                preparing.begin()
             gc.freeze()  # what is here now stays: not worth looking at again and again
             end.wait()
             worker.stop()

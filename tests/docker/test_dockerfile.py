@@ -73,7 +73,7 @@ def test_its_steps_make_a_server_that_serves(tmp_path: Path) -> None:
         "PATH": f"{venv}/bin:/usr/bin:/bin",
         "CAUSTICMILL_DATA": str(tmp_path / "data"),
         "CAUSTICMILL_START_AGENTS": "false",
-        "CAUSTICMILL_PREPARE_ESTIMATES": "false",
+        "CAUSTICMILL_PREPARE": "false",
         "XDG_CACHE_HOME": str(tmp_path / "cache"),
     }
     server = subprocess.Popen(

@@ -47,7 +47,7 @@ def shell(script: str, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], 
     (folder / ".venv").symlink_to(sys.prefix)
     own = {name: value for name, value in os.environ.items() if not name.startswith("CAUSTICMILL_")}
     environment = {**own, "HOME": str(folder), "XDG_STATE_HOME": str(folder / "state"), MARK: mark}
-    environment["CAUSTICMILL_PREPARE_ESTIMATES"] = "false"  # nobody asks for one
+    environment["CAUSTICMILL_PREPARE"] = "false"
     with (folder / "output").open("wb") as output:
         words = ["bash", "-e", "-o", "pipefail", "-c", script]
         process = subprocess.Popen(words, cwd=folder, env=environment, stdout=output, stderr=output)

@@ -90,7 +90,7 @@ def test_each_difficulty_gets_its_words() -> None:
     dots = np.zeros((64, 64))
     dots[20, 30] = dots[50, 40] = 64 * 64 / 2
     noise = np.random.default_rng(1).integers(0, 2, (64, 64)) * 2.0
-    assert any("half the radius or a wall twice as far away" in words for words in advice(ring(), BENCH, 2.0))
+    assert any("a ball of half the radius or a wall twice as far away" in words for words in advice(ring(), BENCH, 2.0))
     assert any("thin strokes, dots, noise" in words for words in advice(noise, BENCH, 0.1))
     assert any("2048 times the mean" in words for words in advice(dots, BENCH, 0.1))
     assert fine_detail(dots) > fine_detail(noise) > 0.3 > fine_detail(ring())

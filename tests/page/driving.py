@@ -25,6 +25,20 @@ def readout(page: Page, axis: str, *, own: bool = False) -> Locator:
     return page.locator(".readout .own" if own else ".readout .work").nth("XYZ".index(axis))
 
 
+def out_of_sight(page: Page, selector: str) -> list[str]:
+    """What of it is beside the window, or under a bar of the page."""
+    found: list[str] = page.evaluate(
+        """(selector) => [...document.querySelectorAll(selector)].filter((one) => {
+            const {left, top, width, height} = one.getBoundingClientRect();
+            const seen = (u, v) => one.contains(document.elementFromPoint(left + u * width, top + v * height));
+            return !(seen(0.5, 0.05) && seen(0.5, 0.95));
+        }).map((one) => one.outerHTML)""",
+        selector,
+    )
+    assert page.locator(selector).count() > 0
+    return found
+
+
 def setup(page: Page) -> Locator:
     """The card in which a mill is homed and zeroed at any time; the next step has a button of its own."""
     return page.get_by_role("region", name="Zero and home")

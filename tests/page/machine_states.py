@@ -67,12 +67,12 @@ RUN: dict[str, Any] = {
     "warnings": ["the program cannot be held against the travel: the position is not trusted"],
     "setup": {
         "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
-        "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "material": "pmma"},
+        "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "margin_mm": 8.0, "material": "pmma"},
         "zero": "X0 Y0: lower left corner of the lens, 8 mm from the block's left and front edges; Z0: the block's top",
         "change": {
             "from_radius_mm": 3.0,
             "to_radius_mm": 0.5,
-            "words": "change the tool from R 3 to R 0.5, set Z zero again; X and Y zero stay",
+            "words": "change the tool from R 3 (Ø 6 mm) to R 0.5 (Ø 1 mm), set Z zero again; X and Y zero stay",
         },
     },
     "required_checks": _CHECKS,

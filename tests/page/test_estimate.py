@@ -43,6 +43,23 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     expect(estimate.get_by_text("Machine time")).to_have_count(0)
 
 
+LINE = "estimate => import('/page/new/estimate.js').then(({estimateLine}) => estimateLine(estimate))"
+
+
+def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(opened: Opened) -> None:
+    """By what costs it most; nobody is told to take what was taken already."""
+    page = opened()
+    lamp = {"blur_by": {"light_mm": 2.0, "milling_mm": 1.0}, "planned": True}
+    for change, words in (
+        ({"psnr_db": 21.0}, "visibly soft or uneven"),
+        ({}, "hard to recognise: “Recommended” or a larger lens shows more"),
+        ({"planned": True}, "hard to recognise: a larger lens shows more"),
+        (lamp | {"spec": {"optics": {"light": {"kind": "sun"}}}}, ": a nearer wall or a larger lens shows more"),
+        (lamp | {"spec": {"optics": {"light": {"kind": "point"}}}}, ": a smaller lamp or a larger lens shows more"),
+    ):
+        assert page.evaluate(LINE, ESTIMATE_EXAMPLE | {"psnr_db": 20.9} | change).endswith(words)
+
+
 def test_two_tabs_side_by_side_get_their_estimates_both(opened: Opened, shop: Shop) -> None:
     """One computer, one caller; only of the same tab the newer question ends the older one."""
     pages = [opened("#/new") for _ in range(2)]

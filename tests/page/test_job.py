@@ -103,6 +103,23 @@ def test_page_and_setup_sheet_say_the_same_of_likeness_and_time(opened: Opened) 
     ]
 
 
+HEADLINES = """([optics, milled, foretold]) => import("/page/job/figures.js").then(({headlines}) =>
+    headlines({optics: {width_mm: 30, height_mm: 30}, image: {pixels: 64}}, {optics, as_milled: milled}, foretold)
+    .filter(([what]) => what.startsWith("On the wall")))"""
+
+
+def test_what_was_foretold_stands_first_until_the_milled_lens_is_simulated(opened: Opened) -> None:
+    """So that nobody who was told of a poor picture reads for a while only of a good one."""
+    page = opened()
+    designed, hard = {"psnr_db": 32.0}, "hard to recognise"
+    first, second = page.evaluate(HEADLINES, [designed, None, 18.0])
+    assert first == ["On the wall, as milled", hard, "as foretold, simulated in the last steps"]
+    assert second[0] == "On the wall, if polished"
+    (only,) = page.evaluate(HEADLINES, [designed, None, None])
+    assert only[0] == "On the wall, if polished" and "as milled it may be less" in only[2]
+    assert page.evaluate(HEADLINES, [designed, {"psnr_db": 18.5}, 30.0])[0] == ["On the wall, as milled", hard, ""]
+
+
 LEFT = """([job, live, now]) => import("/page/job/left.js").then(({secondsLeft, leftWords}) => {
     const left = secondsLeft(job, live, now);
     return [left.low, left.high, leftWords(left)];
@@ -136,6 +153,28 @@ def test_time_left_goes_down_to_the_end_and_never_to_nothing_while_minutes_remai
         if share > 0.1:
             assert 0.5 * left < high and low < 2.0 * left, (share, left, low, high)
         assert not (left > 120 and words.startswith("less")), (share, left, words)
+
+
+FIRST = (3.1, 1.0, 4.3, 3.3, 12.3, 21.6, 11.5, 20.1, 37.5, 0.1)  # s, of a first job: each stage compiles its kernels
+
+
+def test_the_first_job_on_a_computer_is_never_all_but_done_while_minutes_remain(opened: Opened) -> None:
+    page = opened()
+    size = ["optics.width_mm=30", "optics.height_mm=30"]
+    usual = list(usual_seconds(resolve_spec(preset="draft", overrides=size)).items())
+    ends = np.cumsum(FIRST)
+    for share in np.arange(0.0, 0.45, 0.04):
+        now = share * ends[-1]
+        at = int(np.searchsorted(ends, now, side="right"))
+        stages = [
+            {"name": name, "usual_s": own, "state": "committed" if k < at else "running" if k == at else "waiting",
+             "seconds": FIRST[k] if k < at else None, "started_at": _iso(ends[k] - FIRST[k])}
+            for k, (name, own) in enumerate(usual)
+        ]  # fmt: skip
+        live = {"stage": usual[at][0], "share": (now - ends[at] + FIRST[at]) / FIRST[at]}
+        _, high, words = page.evaluate(LEFT, [{"stages": stages}, live, now * 1000])
+        assert high > 0.8 * (ends[-1] - now) and not words.startswith("less"), (share, words)
+        assert words == "some minutes left at most" or share > 0.05
 
 
 def _iso(seconds: float) -> str:

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, Route, expect
 from tests.page.browser import Scheme, layout_faults, serious_faults
 from tests.page.conftest import Opened
 from tests.page.driving import WAIT_MS, homed, machine_state, readout, release, setup, take_control
-from tests.page.machine_states import STATES, machine_in, told
+from tests.page.machine_states import STATES, machine_in, told, with_control
 from tests.page.shop import MILL, Shop
 
 SCREEN = f"#/machines/{MILL}"
@@ -74,6 +74,19 @@ def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(op
             page.get_by_role("button", name=name).click()
         assert told.value.status == 202
     expect(machine_state(page)).to_have_text("idle", timeout=WAIT_MS)
+
+
+def test_without_a_server_nothing_is_offered_and_nobody_is_said_to_have_control(opened: Opened) -> None:
+    page = with_control(opened, "stopped", errors=("ERR_FAILED",))
+    inside = page.get_by_role("button", name="Jog in the block")
+    expect(inside).to_be_enabled()
+    page.route(re.compile(".*"), lambda route: route.abort())
+    page.evaluate("window.dispatchEvent(new Event('online'))")
+    expect(page.locator(".trouble")).to_have_text("The server does not answer.")
+    expect(inside).to_be_disabled()
+    for choice in page.locator(".steps input").all():
+        expect(choice).to_be_disabled()
+    expect(page.locator(".control .who")).to_have_text("Who has control is not known now.")
 
 
 def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened, shop: Shop) -> None:

@@ -353,7 +353,7 @@ def test_the_way_to_a_job_needs_no_mouse(new_job: Page, sent: list[Any]) -> None
 def test_mills_of_this_server_are_offered_first_by_their_own_names(new_job: Page) -> None:
     choice = new_job.get_by_role("combobox", name="Machine")
     names = choice.locator("optgroup").first.locator("option").all_inner_texts()
-    assert names == ["simulated mill (grbl)", MILL]
+    assert names == ["simulated (grbl)", MILL]
     assert choice.locator("option:checked").inner_text() == names[1]
 
 

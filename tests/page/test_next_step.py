@@ -11,7 +11,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state
+from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import MACHINE, PLAN, RUN, machine_in, told, with_control
 from tests.page.shop import MILL
 
@@ -23,9 +23,10 @@ OVER_IT = FRESH | {"work_mm": [-150.0, -150.0, -1.0], "machine_mm": [-150.0, -15
 XY_SET = FRESH | {"zeroed": "XY", "work_mm": [0.0, 0.0, -1.0], "machine_mm": [-150.0, -150.0, -1.0]}
 ON_TOP = XY_SET | {"work_mm": [0.0, 0.0, -21.0], "machine_mm": [-150.0, -150.0, -21.0]}
 ALL_SET = ON_TOP | {"zeroed": "XYZ", "work_mm": [0.0, 0.0, 0.0]}
-DUE = """async ([machine, run, mine, ticked]) => {
+RAISED = {"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]}
+DUE = """async ([machine, run, mine, ticked, load]) => {
     const { dueOf } = await import("/page/machine/due.js");
-    const due = dueOf({machine, run, mine, away: "", gone: ""}, {load: {ready: true, jobs: 1}, ticked});
+    const due = dueOf({machine, run, mine, away: "", gone: ""}, {load: {ready: true, ...load}, ticked});
     return [due.step, due.act?.label ?? "", due.words];
 }"""
 JARGON = re.compile(r"\b(preset|parked|vouch\w*|agent|latched)\b", re.IGNORECASE)
@@ -54,28 +55,50 @@ def orders_of(page: Page) -> list[tuple[str, dict[str, Any]]]:
 
 
 def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
-    """Connect, control, home, tool over the zero, zero, load, tick, start: only the one that is due."""
+    """Connect, control, home, load, tool over the zero, zero, tick, start: only the one that is due."""
     page = opened("#/machines")
 
-    def due(mill: dict[str, Any], *, mine: bool = True, run: Any = None, ticked: bool = False) -> list[str]:
+    def due(
+        mill: dict[str, Any],
+        *,
+        mine: bool = True,
+        run: Any = None,
+        ticked: bool = False,
+        jobs: int = 1,
+        at: bool = False,
+    ) -> list[str]:
         machine = copy.deepcopy(MACHINE)
         machine["mill"] |= mill
-        found: list[str] = page.evaluate(DUE, [machine, run, mine, ticked])
+        found: list[str] = page.evaluate(DUE, [machine, run, mine, ticked, {"jobs": jobs, "atWork": at}])
         return found
 
     assert due({"state": "disconnected", "connected": False}, mine=False)[0] == "trouble"
     assert due(FRESH | LOST, mine=False)[0] == "control"
     assert due(FRESH | LOST)[:2] == ["home", "Home"]
     assert due({"state": "alarm"} | LOST)[:2] == ["home", "Home"]
-    assert due(FRESH)[:2] == ["corner", ""], "nothing sets a zero where homing has left the tool"
-    assert due(OVER_IT)[:2] == ["zero", "X and Y = 0 here"]
-    assert due(XY_SET)[:2] == ["top", ""]
-    assert due(ON_TOP)[:2] == ["zero", "Z = 0 here"]
+    assert due(FRESH, jobs=0)[0] == "make"
+    assert due(FRESH, jobs=0, at=True)[0] == "wait"
+    assert due(FRESH)[0] == "load", "the program says which tool and which block the zero is for"
+    corner = due(FRESH, run=RUN)
+    assert corner[:2] == ["corner", ""], "nothing sets a zero where homing has left the tool"
+    assert "R 0.5 (Ø 1)" in corner[2]
+    over_it = due(OVER_IT, run=RUN)
+    assert over_it[:2] == ["zero", "X and Y = 0 here"]
+    assert "8 mm inside the block" in over_it[2]
+    assert due(XY_SET, run=RUN)[:2] == ["top", ""]
+    assert due(ON_TOP, run=RUN)[:2] == ["zero", "Z = 0 here"]
     assert due(ALL_SET)[0] == "load"
     assert due(ALL_SET, run=RUN)[0] == "tick"
     assert due(ALL_SET, run=RUN, ticked=True)[0] == "start"
-    new_tool = due(ALL_SET | {"needs": ["a program has ended"]}, run=RUN)
-    assert new_tool[:2] == ["zero", "Z = 0 here"] and "R 0.5" in new_tool[2]
+    after_another = ALL_SET | {"needs": ["a program has ended"]}
+    new_tool = due(after_another, run=RUN)
+    assert new_tool[:2] == ["zero", "Z = 0 here"]
+    assert "R 0.5 (Ø 1)" in new_tool[2]
+    change = {"from_radius_mm": 0.5, "to_radius_mm": 0.5, "words": "the same tool as before"}
+    same_tool = RUN | {"setup": RUN["setup"] | {"change": change}}
+    assert due(after_another, run=same_tool)[0] == "tick", "a tool that stays in keeps its zero"
+    new_block = RUN | {"setup": RUN["setup"] | {"change": None}}
+    assert due(after_another, run=new_block)[:2] == ["zero", "Z = 0 here"]
     finished = RUN | {"state": "finished", "open": False}
     assert due(ALL_SET, run=finished)[::2] == ["load", f"load the next program, {RUN['next']['name']}."]
 
@@ -85,7 +108,12 @@ SEEN = ("parked", "stopped", *(pytest.param(one, marks=pytest.mark.thorough) for
 
 @pytest.mark.parametrize("state", SEEN)
 def test_only_what_is_due_is_blue_and_every_word_is_plain(opened: Opened, state: str) -> None:
-    page = with_control(opened, state)
+    def without_jobs(*place: str, **how: Any) -> Page:
+        page = opened(*place, **how)
+        page.route("**/v1/jobs?*", lambda route: route.fulfill(json={"jobs": []}))  # whatever other tests have made
+        return page
+
+    page = with_control(without_jobs, state)
     expect(page.locator(".running .mark").or_(page.locator(".loading")).first).to_be_visible()
     expect(page.locator(".primary:visible")).to_have_count(0 if state == "finished" else 1)
     assert not (found := JARGON.search(page.locator("main").inner_text())), found
@@ -96,20 +124,44 @@ def test_a_tool_in_the_block_is_said_and_goes_up_before_it_goes_sideways(opened:
     expect(machine_state(page)).to_have_text("idle, tool in the block")
     line = page.locator(".next")
     expect(line).to_contain_text("The tool stands 2.3 mm in the block: raise Z first.")
-    for name in ("X minus", "X plus", "Y minus", "Y plus"):
+    for name in ("X minus", "X plus", "Y minus", "Y plus", "Z down"):
         expect(page.get_by_role("button", name=name)).to_be_disabled()
     expect(page.get_by_role("button", name="Z up")).to_be_enabled()
     sent = orders_of(page)
     line.get_by_role("button", name="Raise Z").click()
     after(sent, 1, page)
     assert sent == [("jog", {"by_mm": [0, 0, pytest.approx(7.3)], "feed_mm_per_min": 500})]
-    page.get_by_role("button", name="X and Y in the block").click()
+    page.get_by_role("button", name="Jog in the block").click()
+    expect(page.get_by_role("button", name="Z down")).to_be_enabled()
     page.get_by_role("button", name="X minus").click()
     after(sent, 2, page)
     assert sent[1:] == [("jog", {"by_mm": [-1, 0, 0], "feed_mm_per_min": 1000})], "out by hand is never impossible"
-    told(page, "stopped", operator="Ada", mill={"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]})
+    told(page, "stopped", operator="Ada", mill=RAISED)
     expect(machine_state(page)).to_have_text("idle")
     expect(line).to_contain_text("go on with it, step by step")
+
+
+def test_nothing_is_said_to_be_left_while_the_tool_stands_in_the_block(opened: Opened) -> None:
+    page = with_control(opened, "stopped")
+    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | {"ready": True, "needs": []}))
+    page.get_by_role("button", name="Look again").click()
+    tick = page.locator(".recover input[type=checkbox]").first
+    tick.check()
+    first = page.locator(".wizard > li").nth(1)
+    expect(first).to_contain_text("The tool stands 2.3 mm in the block: raise Z first.")
+    expect(first).not_to_contain_text("done")
+    told(page, "stopped", operator="Ada", mill=RAISED)
+    expect(first).to_contain_text("Nothing: the mill stands")
+    expect(first).to_contain_text("done")
+    expect(tick).to_be_checked()
+
+
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_who_is_shown_where_to_jog_sees_where_the_tool_is(opened: Opened, size: str) -> None:
+    page = with_control(opened, "parked", size=size, mill=FRESH)
+    page.locator(".next").get_by_role("button", name="Show").click()
+    assert out_of_sight(page, ".readout .work, .pad button") == []
+    expect(page.get_by_role("button", name="Y plus")).to_be_focused()
 
 
 @pytest.mark.thorough
@@ -159,7 +211,7 @@ def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
 
 
 def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
-    page = with_control(opened, "stopped", mill={"work_mm": [12.4, 7.02, 5.0], "machine_mm": [-137.6, -142.98, -15.0]})
+    page = with_control(opened, "stopped", mill=RAISED)
     plan = {"needs": [{"code": "zero", "words": "G54 differs"}], "zero_back": "G10 L2 P1 X-150.000 Y-150.000 Z-20.000"}
     again = page.get_by_role("button", name="Look again")
     expect(again).to_be_visible()

@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.page.browser import SIZES
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state
+from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import STATES, told, with_control
 
 REFUSAL = "start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
@@ -34,6 +34,33 @@ SAID: list[tuple[str, dict[str, Any], str]] = [
     ("no-agent", {}, "out of reach"),
     ("idle", {"needs": []}, "idle"),
 ]
+
+
+# The buttons that a press in their middle reaches at the moment at which a run has begun.
+PRESSABLE = """() => { window.pressable = new Promise((done) => {
+    const reached = (one) => {
+        const {x, y, width, height} = one.getBoundingClientRect();
+        return document.elementFromPoint(x + width / 2, y + height / 2)?.closest("button") === one;
+    };
+    const overrides = document.querySelector(".overrides");
+    new MutationObserver(() => {
+        if (overrides.hidden) return;
+        const buttons = [...document.querySelectorAll("main button:enabled")].filter((one) => one.checkVisibility());
+        done(buttons.filter(reached).map((one) => one.firstChild.textContent));
+    }).observe(overrides, {attributes: true, attributeFilter: ["hidden"]});
+}); }"""
+# The largest empty height between a card and what stands above it, and under the last one; in heights of the window.
+EMPTY = """() => {
+    const {top} = document.querySelector(".machine-columns").getBoundingClientRect();
+    const cards = [...document.querySelectorAll(".machine-columns .card")]
+        .filter((one) => one.checkVisibility()).map((one) => one.getBoundingClientRect());
+    const over = (a, b) => a.bottom <= b.top && a.left < b.right && a.right > b.left;
+    const gaps = cards.map((b) => b.top - Math.max(top, ...cards.filter((a) => over(a, b)).map((a) => a.bottom)));
+    const {scrollHeight} = document.documentElement;
+    const last = scrollY + Math.max(...cards.map((one) => one.bottom));
+    const rest = scrollHeight - document.querySelector(".stops").offsetHeight - last;
+    return Math.max(scrollHeight > innerHeight ? rest : 0, ...gaps) / innerHeight;
+}"""
 
 
 def boxes(page: Page, names: list[str]) -> dict[str, list[float]]:
@@ -91,6 +118,40 @@ def test_start_keeps_its_place_and_nothing_comes_to_it_when_the_run_begins(opene
         box,
     )
     assert set(found) == {""}, found
+
+
+def test_what_comes_with_a_run_rests_for_a_moment_but_for_hold_and_stop(opened: Opened) -> None:
+    page = with_control(opened, "parked")
+    expect(page.get_by_role("button", name=START)).to_be_visible()
+    page.evaluate(PRESSABLE)
+    told(page, "running", operator="Ada")
+    assert page.evaluate("window.pressable") == ["HOLD", "STOP"]
+    page.get_by_role("button", name="Feed slower").click(trial=True)
+
+
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_a_run_that_begins_or_ends_is_shown_from_the_top_without_empty_space(opened: Opened, size: str) -> None:
+    page = with_control(opened, "parked", size=size)
+    expect(page.locator("canvas")).to_be_visible()
+    turns = [("running", "Overrides, %"), ("stopped", "Go on with this program"), ("running", "Overrides, %")]
+    for state, title in [*turns, ("finished", "Load a program")]:
+        page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
+        told(page, state, operator="Ada")
+        expect(page.get_by_role("heading", name=title)).to_be_visible()
+        expect(page.locator(".recover button").first).to_be_visible(visible=state == "stopped")
+        assert page.evaluate("scrollY") == 0, state
+        assert page.evaluate(EMPTY) < 0.25, state
+        if state == "stopped":
+            assert out_of_sight(page, ".next .trouble, .recover h2") == []
+
+
+def test_while_a_program_runs_all_that_tells_of_it_is_in_sight(opened: Opened) -> None:
+    page = with_control(opened, "parked")
+    page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")
+    told(page, "running", operator="Ada")
+    expect(page.get_by_role("heading", name="Overrides, %")).to_be_visible()
+    expect(page.locator(".meter")).to_contain_text("left")
+    assert out_of_sight(page, ".readout .work, .meter strong, .meter progress, .meter span, .part canvas") == []
 
 
 @pytest.mark.parametrize("size", ["wide", "phone"])

@@ -82,6 +82,12 @@ def test_the_light_s_own_size_is_its_angle_times_the_throw() -> None:
     assert any("the light's own size" in sentence for sentence in found["warnings"])
 
 
+def test_a_first_guess_says_what_is_lost_but_not_how_much() -> None:
+    """What a coarse lens loses in valleys is decibels off: the job's own lens says how many."""
+    (sentence,) = [one for one in estimated(small())["warnings"] if "narrow valleys" in one]
+    assert sentence.endswith("keeps more of it")
+
+
 def test_the_block_may_be_just_so_thin() -> None:
     depth_mm = estimated(small())["relief_mm"] + 0.1  # and the skim
     for more_mm, is_enough in ((0.01, True), (-0.01, False)):

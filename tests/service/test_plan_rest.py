@@ -18,6 +18,7 @@ from service.passes import cam_passes_of
 from service.plan_light import PictureLight
 from service.plan_printing import spec_fragment, table
 from service.planning import Planned, plan_for_lens
+from service.report_words import ball
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.stages.optical_task import bench_of
@@ -67,7 +68,7 @@ def test_it_is_said_why_and_shown_everywhere(sharp: Planned) -> None:
     assert rest["hours"] == pytest.approx(told["hours_by_pass"][-1])
     assert rest["gain_db"] > 0.3
     (sentence,) = [one for one in sharp.why() if "rest pass" in one]
-    assert f"a ball of {rest['radius_mm']:g} mm" in sentence
+    assert f"a ball {ball(rest['radius_mm'])} in rows" in sentence
     assert f"gains {rest['gain_db']:.1f} dB" in sentence
     head, *rows = table(sharp)
     assert "REST" in head

@@ -40,11 +40,11 @@ def optics(**values: Any) -> dict[str, Any]:
 def test_the_sheet_says_what_the_ball_and_the_polish_did() -> None:
     rows = dict(lens_rows(optics(closing=CLOSING, polish=POLISH), {}))
     assert (
-        rows["Valleys filled for a ball of 0.5 mm radius"] == "costs 0.6 dB, light where it is to be dark 1.70 → 1.80 %"
+        rows["Valleys filled for a ball R 0.5 (Ø 1 mm)"] == "costs 0.6 dB, light where it is to be dark 1.70 → 1.80 %"
     )
     assert rows["Polish"].startswith("20 steps, +4.8 dB, moves the surface by 1.21 µm rms")
     free = CLOSING | {"psnr_db_with": 36.99, "dark_leak_with": 0.0}
-    assert dict(lens_rows(optics(closing=free), {}))["Valleys filled for a ball of 0.5 mm radius"] == "costs nothing"
+    assert dict(lens_rows(optics(closing=free), {}))["Valleys filled for a ball R 0.5 (Ø 1 mm)"] == "costs nothing"
     assert lens_rows(optics(closing=None, polish=None), {}) == []
 
 
@@ -54,8 +54,8 @@ def test_curvature_and_balls_are_told_for_shares_of_the_area() -> None:
         optics(min_concave_radius_mm=0.5, concave_radius_999_mm=2.5, concave_curvature_per_mm=curvature), {}
     )
     assert rows == [
-        ("Largest ball that fits everywhere", "0.50 mm radius"),
-        ("99.9 % of the lens: a ball up to", "2.50 mm radius fits"),
+        ("Largest ball that fits everywhere", "R 0.5 (Ø 1 mm)"),
+        ("99.9 % of the lens: a ball up to", "R 2.5 (Ø 5 mm) fits"),
         ("Hollow curvature, 1/mm", "half of the area up to 0.01, 90 % up to 0.1, 99.9 % up to 0.4, most 2"),
     ]
 
@@ -64,7 +64,7 @@ def test_dark_leak_stands_beside_what_physics_allows() -> None:
     rows = score_rows(optics(psnr_db=33.0, dark_leak=0.018, dark_leak_estimate=0.008, min_radius_mm=0.5))
     what, figure, words = rows[-1]
     assert (what, figure) == ("Lens itself: light where it is to be dark", "1.80 %")
-    assert "ball of 0.5 mm" in words
+    assert "ball R 0.5 (Ø 1 mm)" in words
     assert "0.80 %" in words
     assert [row[0] for row in score_rows(optics(psnr_db=33.0, dark_leak=0.0))] == [
         "Lens itself: likeness (PSNR)"
@@ -154,7 +154,7 @@ def test_the_summary_says_what_the_set_up_must_keep_to(tmp_path: Any) -> None:
     told = optics(**facts, closing=CLOSING, polish=POLISH, dark_leak=0.018, branch="inverted", tolerances=TOLERANCES)
     lines = list(summary_lines(tmp_path, told))
     assert (
-        "light: shaped for a ball of 0.5 mm radius (-0.6 dB), polished (+4.8 dB), dark leak 1.80 %, "
+        "light: shaped for a ball R 0.5 (Ø 1 mm) (-0.6 dB), polished (+4.8 dB), dark leak 1.80 %, "
         "rays cross before the screen"
     ) in lines
     assert "set-up: 3 dB are lost with the wall 0.25 mm too near or 0.3 mm too far" in lines

@@ -42,7 +42,9 @@ def test_programs_are_numbered_in_the_order_in_which_they_are_run() -> None:
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("part", "words"), [(1, "change the tool from R 3 to R 0.5"), (2, "all zeros as they are")])
+@pytest.mark.parametrize(
+    ("part", "words"), [(1, "change the tool from R 3 (Ø 6 mm) to R 0.5 (Ø 1 mm)"), (2, "all zeros as they are")]
+)
 def test_between_parts_nothing_is_changed(part: int, words: str) -> None:
     job: Any = Job()
     assert words in set_up(job, 2, part)["change"]["words"]

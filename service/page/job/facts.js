@@ -3,6 +3,7 @@ import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
 import { expertFigures, headlines, mainCause } from "./figures.js";
+import { foretoldOf } from "./foretold.js";
 
 /** {node, update(job)} */
 export function factsPart() {
@@ -14,7 +15,7 @@ export function factsPart() {
   let shown = "";
 
   function update(job) {
-    const rows = headlines(job.spec, job.report), figures = expertFigures(job.report);
+    const rows = headlines(job.spec, job.report, foretoldOf(job)), figures = expertFigures(job.report);
     const key = JSON.stringify([rows, figures]);
     if (key === shown) return;
     shown = key;

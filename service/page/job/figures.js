@@ -1,5 +1,5 @@
 /** A job's report in words: pure functions of its JSON, so that every view says the same of the same figures. */
-import { count, hours, mm } from "../lib/words.js";
+import { ball, count, hours, mm } from "../lib/words.js";
 
 const WORTH_DB = 0.3;
 const MOST_OF_IT = 0.7; // of what milling costs, from which one cause explains it
@@ -30,6 +30,11 @@ export function pixelMm(spec) {
   return screenOf(spec).width / spec.image.pixels;
 }
 
+/** Whether one will hardly recognise the picture. */
+export function isHard(psnrDb) {
+  return psnrDb < EYE.at(-2)[0];
+}
+
 /** What PSNR means to an eye. */
 export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
@@ -57,15 +62,15 @@ export function millSeconds(report) {
   return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
 }
 
-/** The first things to know of a job: [[what, figure, words]], as many as are known. */
-export function headlines(spec, report) {
+/** The first things to know of a job: [[what, figure, words]], as many as are known. foretold: PSNR by its estimate. */
+export function headlines(spec, report, foretold) {
   const found = [], detail = smallestDetail(spec, report), milled = report?.as_milled, seconds = millSeconds(report);
   const made = report?.passes?.length ?? 0, wanted = Math.max(made, passesOf({ spec, report }).length);
   const known = made < wanted ? `${made} of ${wanted} passes so far` : count(made, "pass", "passes");
   if (seconds !== null) found.push(["On the mill", hours(seconds), known]);
   else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
   if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  found.push(...onTheWall(milled?.psnr_db, report?.optics?.psnr_db));
+  found.push(...onTheWall(milled?.psnr_db, report?.optics?.psnr_db, foretold));
   if (report?.optics?.relief_mm !== undefined) {
     const steep = `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
     found.push(["Depth of the lens", mm(report.optics.relief_mm), steep]);
@@ -74,11 +79,12 @@ export function headlines(spec, report) {
 }
 
 /** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
-function onTheWall(milled, polished) {
-  if (milled === undefined) return polished === undefined ? [] : [["On the wall, if polished", eyeWords(polished)]];
-  if (polished < milled) return [["On the wall", eyeWords(milled), "Do not polish it: it is made for the tool's marks."]];
-  const rows = [["On the wall, as milled", eyeWords(milled)]];
-  return polished === undefined ? rows : [...rows, ["On the wall, if polished", eyeWords(polished)]];
+function onTheWall(milled, polished, foretold) {
+  const seen = milled ?? foretold ?? null, how = milled === undefined ? "as foretold, simulated in the last steps" : "";
+  const shown = polished === undefined ? [] : [["On the wall, if polished", eyeWords(polished)]];
+  if (seen === null) return shown.map((row) => [...row, "as milled it may be less, as the last steps tell"]);
+  if (polished < seen) return [["On the wall", eyeWords(seen), how || "Do not polish it: it is made for the tool's marks."]];
+  return [["On the wall, as milled", eyeWords(seen), how], ...shown];
 }
 
 const SCORES = [
@@ -131,9 +137,9 @@ export function passesOf(job) {
   return job.spec.passes?.length ? job.spec.passes : (job.report?.plan?.passes ?? []);
 }
 
-/** One pass of a spec in words: "finish: ball of 3 mm, rows along X every 0.14 mm, at 1500 mm/min". */
+/** One pass of a spec in words: "ball R 3 (Ø 6 mm), rows along X every 0.14 mm at 1500 mm/min". */
 export function passWords(row) {
-  const tool = `ball of ${mm(row.radius_mm)} radius`;
+  const tool = `ball ${ball(row.radius_mm)}`;
   const rows = `rows along ${String(row.direction ?? "x").toUpperCase()}`;
   const ways = row.strategy === "contour" ? "one path along contour lines" : rows;
   const only = row.where === "rest" ? ", only where stock is left" : "";

@@ -7,22 +7,31 @@ const TRUST_S = 3; // of measured work, from which on the measure counts more th
 const TELLING = 0.05; // share of a stage from which on its own pace says something
 const EITHER_WAY = 2; // what a stage may take longer than foreseen
 const UNPLANNED = 3; // the same while the passes are still to be planned
+const UNMEASURED = 4; // and while this computer's pace is not known: its first job compiles what all others find ready
+const MEASURED_S = 2; // of usual work done here, from which on the pace is known
+const SOME_MINUTES_S = 300;
 
-/** {low, high}: seconds that are left of a running job, never less than is certain; live: {stage, share} or null. */
+/**
+ * {low, high, measured}: seconds that are left of a running job, never less than is certain, and whether they are by the
+ * pace of this computer; live: {stage, share} or null.
+ */
 export function secondsLeft(job, live, now) {
   const pace = paceOf(job.stages);
   const planned = !job.stages.some(({ name, state }) => name === "passes" && state !== "committed" && state !== "reused");
-  let low = 0;
+  let low = 0, known = 0;
   for (const stage of job.stages) {
-    const usual = pace * stage.usual_s;
-    if (stage.state === "running") low += ofRunning(stage, usual, live?.stage === stage.name ? live.share : 0, now);
+    const usual = pace * stage.usual_s, share = live?.stage === stage.name ? live.share : 0;
+    if (stage.state === "running") low += ofRunning(stage, usual, share, now);
     else if (stage.state === "waiting" || stage.state === "interrupted") low += usual;
+    known += stage.usual_s * ({ running: share, committed: 1, reused: 1 }[stage.state] ?? 0);
   }
-  return { low, high: low * (planned ? EITHER_WAY : UNPLANNED) };
+  const measured = known >= MEASURED_S;
+  return { low, high: low * (!measured ? UNMEASURED : planned ? EITHER_WAY : UNPLANNED), measured };
 }
 
-/** "about 3 min left", "3 to 5 min left", "less than a minute left". */
-export function leftWords({ low, high }) {
+/** "about 3 min left", "3 to 5 min left", "less than a minute left"; "some minutes left at most" of a pace not known. */
+export function leftWords({ low, high, measured }) {
+  if (!measured && high < SOME_MINUTES_S) return "some minutes left at most";
   const [from, to] = [low, high].map((seconds) => Math.ceil(seconds / 60));
   if (high < 60) return "less than a minute left";
   if (to >= 120) return `about ${Math.round(low / 3600)} to ${Math.ceil(high / 3600)} h left`.replace(/ (\d+) to \1 /, " $1 ");

@@ -25,7 +25,7 @@ function form(scope, close) {
     required: true,
     autocomplete: "off",
     spellcheck: false,
-    placeholder: "4831-2207",
+    placeholder: "0000-0000",
     "aria-describedby": `${hint} ${fault}`,
   });
   const name = h("input", {
@@ -59,14 +59,16 @@ function form(scope, close) {
       { class: "field" },
       h("label", { for: key.id }, "Code"),
       key,
-      h(
-        "small",
-        { id: hint },
-        "Eight digits, printed where the server runs. A new code: ",
-        h("code", {}, "causticmill token pair --data DIR"),
-        " with the server's folder. A token may be pasted here, too.",
-      ),
+      h("small", { id: hint }, "Eight digits, printed where the server runs."),
       wrong,
+    ),
+    h(
+      "details",
+      {},
+      h("summary", {}, "No code at hand?"),
+      h("p", {}, "Where the server runs, this prints a new one, DIR being the server's folder:"),
+      h("p", {}, h("code", {}, "causticmill token pair --data DIR")),
+      h("p", {}, "A token may be pasted in place of a code, too."),
     ),
     h("label", { class: "field" }, h("span", {}, "Your name, as others see it"), name),
     h("div", { class: "actions" }, h("button", { type: "button", onclick: () => close(false) }, "Cancel"), submit),
@@ -77,7 +79,7 @@ async function exchange(text, name) {
   const code = CODE.exec(text);
   if (code) return api.pair(`${code[1]}-${code[2]}`, name);
   if (text.trim().startsWith("cm_")) return api.useToken(text.trim());
-  throw new Error("A code is eight digits, like 4831-2207.");
+  throw new Error("A code is eight digits, like 0000-0000.");
 }
 
 /** A touch on one's own name must not take the mill out of one's hands. */
@@ -96,7 +98,7 @@ export function showWho(button) {
   const show = (who) => {
     const known = api.token !== "" && who.name;
     button.textContent = known ? who.name : "Enter code";
-    button.title = known ? "Forget the code on this page" : "The code is needed to run a mill";
+    button.title = known ? "Forget the code on this page" : "To run a mill from this page";
   };
   button.addEventListener("click", () => (api.token ? giveBack() : api.need("machine:run")));
   api.onWho(show);

@@ -24,6 +24,11 @@ export function mm(length) {
   return `${figures(length, size < 10 ? 2 : 3)} mm`;
 }
 
+/** A ball's size, by its radius as in the spec and by its diameter as on its box: "R 3 (Ø 6 mm)". */
+export function ball(radiusMm) {
+  return `R ${figures(radiusMm, 3)} (Ø ${figures(2 * radiusMm, 3)} mm)`;
+}
+
 /** At least so many significant figures, without zeros at the end: figures(12.34, 2) = "12". */
 export function figures(value, count) {
   if (!Number.isFinite(value)) return "unknown";

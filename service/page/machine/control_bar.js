@@ -24,7 +24,8 @@ export function controlBar(link) {
       free.classList.toggle("primary", due.step === "control");
       const control = link.machine?.control;
       const now = link.mine ? "mine" : control ? "other" : "free";
-      write(who, { mine: "You have control.", other: `${control?.operator} has control (${ago(control?.since)}).`, free: "Nobody has control." }[now]);
+      const words = { mine: "You have control.", other: `${control?.operator} has control (${ago(control?.since)}).`, free: "Nobody has control." }[now];
+      write(who, link.away ? "Who has control is not known now." : words);
       for (const button of [free, give, over.button]) button.disabled = Boolean(link.away);
       if (now === shown) return;
       shown = now;

@@ -1,5 +1,5 @@
 /**
- * The one thing to do next: connect, control, home, tool over the zero, zero, load, tick, start; or, before all that, what
+ * The one thing to do next: connect, control, home, load, tool over the zero, zero, tick, start; or, before all that, what
  * is wrong. Pure: it decides, `next.js` says it, and the button that does it is the only blue one of the page.
  */
 
@@ -15,7 +15,7 @@ const RAISE_MM_PER_MIN = 500;
 
 /**
  * {step, kind, words, trouble, act, go}: words of what is due; trouble: what is wrong, where something is; act: the order
- * of its button; go: the card that it is done in. load: {ready, jobs, margin_mm}, ticked: all of the list.
+ * of its button; go: the card that it is done in. load: {ready, jobs, atWork: one is being made}, ticked: all of the list.
  */
 export function dueOf(link, { load = {}, ticked = false } = {}) {
   const trouble = troubleOf(link);
@@ -75,23 +75,30 @@ function homing({ mill, profile }) {
   return due("home", "home the mill, so that it knows where it is.", { act: HOME });
 }
 
+/** The program comes first: it says which tool and which block the zero is for. */
 function settingUp(machine, run, load, ticked) {
-  const parked = run?.open && run.state === "parked";
-  if (parked && ticked) return due("start", "start the program.", { go: "program" });
-  const change = parked && machine.mill.needs?.length > 0;
-  if (placed(machine.mill)) {
-    if (!zeroKnown(machine, "XY")) return overTheCorner(machine, load);
-    if (change || !zeroKnown(machine, "Z")) return onTheTop(machine, change ? changeWords(run) : "");
-  }
-  if (run?.open) return ofProgram(run);
-  return loading(run, load);
+  if (!run?.open) return loading(run, load);
+  if (run.state === "preparing") return due("wait", "wait, the program is on its way to the mill.", { kind: "busy" });
+  if (run.state !== "parked") return due("wait", "see what is said of the program.", { go: "program" });
+  if (ticked) return due("start", "start the program.", { go: "program" });
+  return zeroing(machine, run.setup ?? {}) ?? due("tick", "look, tick the list, then start.", { go: "program" });
 }
 
-function overTheCorner(machine, { margin_mm: margin }) {
+/** null where the zero holds, or where nobody can say: a link that tells no position. */
+function zeroing(machine, setup) {
+  if (!placed(machine.mill)) return null;
+  if (!zeroKnown(machine, "XY")) return overTheCorner(machine, setup);
+  const toolStays = setup.change && setup.change.from_radius_mm === setup.change.to_radius_mm;
+  const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has, and this one is for another tool or block
+  return ended || !zeroKnown(machine, "Z") ? onTheTop(machine, ended && setup.change ? `change the tool to ${toolWords(setup)}, then ` : "") : null;
+}
+
+function overTheCorner(machine, setup) {
+  const margin = setup.stock?.margin_mm;
+  const mount = setup.tool?.radius_mm ? `clamp the block, put in ${toolWords(setup)}; ` : "";
+  if (atHome(machine, "XY")) return due("corner", `${mount}jog over the lens's front left corner.`, { go: "jog" });
   const where = Number.isFinite(margin) ? ` (${margin} mm inside the block)` : "";
-  const words = `jog over the front left corner of the lens${where}`;
-  if (atHome(machine, "XY")) return due("corner", `${words}.`, { go: "jog" });
-  return due("zero", `${words}; set X and Y.`, { act: ZERO_XY });
+  return due("zero", `jog over the front left corner of the lens${where}; set X and Y.`, { act: ZERO_XY });
 }
 
 function onTheTop(machine, before) {
@@ -99,18 +106,12 @@ function onTheTop(machine, before) {
   return due("zero", `${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
-function changeWords({ setup }) {
-  const { from_radius_mm: from, to_radius_mm: to } = setup?.change ?? {};
-  return Number.isFinite(to) && from !== to ? `change the tool to R ${to}, then ` : "";
+function toolWords({ tool }) {
+  return `R ${tool.radius_mm} (Ø ${2 * tool.radius_mm})`;
 }
 
-function ofProgram(run) {
-  if (run.state === "parked") return due("tick", "look, tick the list, then start.", { go: "program" });
-  if (run.state === "preparing") return due("wait", "wait: the program is being handed to the mill.", { kind: "busy" });
-  return due("wait", "see what is said of the program.", { go: "program" });
-}
-
-function loading(run, { ready, jobs }) {
+function loading(run, { ready, jobs, atWork }) {
+  if (ready && !jobs && atWork) return due("wait", "wait for the job at work: its programs are loaded here.", { kind: "busy" });
   if (ready && !jobs) return due("make", "make a lens: its programs are loaded here.", { go: "load" });
   if (run?.state === "finished" && run.next) return due("load", `load the next program, ${run.next.name}.`, { go: "load" });
   if (run?.state === "finished") return due("load", "the lens is milled: take it out, or load another program.", { go: "load" });

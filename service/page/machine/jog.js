@@ -1,14 +1,14 @@
 /**
  * Jogging: one press is one step, never more; or, where a person has chosen that, the mill moves while it is pressed.
  * The keyboard jogs only while it is armed, and it is armed only as long as the focus stays in the pad; a key that is
- * held down does nothing further. A tool in the block goes up or down; sideways only where a person has said so.
+ * held down does nothing further. A tool in the block goes up; anywhere else only where a person has said so.
  */
 
 import { h, write } from "../lib/dom.js";
 import { holding } from "./held.js";
 import { depthInBlock, withinTravel } from "./place.js";
 import { enable, said } from "./said.js";
-import { whyNot } from "./words.js";
+import { isConnected, whyNot } from "./words.js";
 
 const STEPS_MM = [0.01, 0.1, 1, 10, 50, 100];
 const MOST_Z_MM = 10;
@@ -31,13 +31,14 @@ const PAD = [
   ["z-plus", "Z up", "↑ Z", [0, 0, 1]],
   ["z-minus", "Z down", "↓ Z", [0, 0, -1]],
 ];
+const UP = 4; // place in PAD
 
 export function jog(link) {
   const words = said();
   const steps = stepChoice(() => chosen());
   const feed = h("input", { type: "number", min: 1, max: 20000, step: 1, value: 500, inputMode: "numeric" });
-  const sideways = allowing(() => link.changed());
-  const go = (by_mm) => words.during(() => link.order("jog", { by_mm: reached(link, sideways, by_mm), feed_mm_per_min: feed.valueAsNumber }));
+  const inside = allowing(() => link.changed());
+  const go = (by_mm) => words.during(() => link.order("jog", { by_mm: reached(link, inside, by_mm), feed_mm_per_min: feed.valueAsNumber }));
   const hold = holding(link, { go, feed: () => feed.valueAsNumber });
   const step = (direction) => !steps.held() && go(direction.map((one, k) => one * Math.min(steps.mm(), k === 2 ? MOST_Z_MM : Infinity)));
   const begin = (direction) => (steps.held() ? hold.begin(direction) : step(direction));
@@ -63,7 +64,7 @@ export function jog(link) {
     h("h2", { id: "jog-title" }, "Jog"),
     h("div", { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.left(event) }, pad, arm.node),
     steps.node,
-    h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), sideways.node),
+    h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), inside.node),
     words.node,
   );
   let fitted = false;
@@ -72,11 +73,13 @@ export function jog(link) {
     update() {
       const why = whyNot(link);
       const able = why === "" && !link.busy;
-      sideways.update(depthInBlock(link.machine) > 0, link.machine?.mill?.state === "idle");
+      const heard = !link.away && isConnected(link.machine);
+      inside.update(depthInBlock(link.machine) > 0, link.machine?.mill?.state === "idle");
+      enable([...steps.inputs, feed, inside.node], heard);
       // A step takes a moment; buttons that flicker off and on lose the finger.
       if (able || !isStep(link)) {
-        enable(buttons.slice(4), able);
-        enable(buttons.slice(0, 4), able && !sideways.barred());
+        enable([buttons[UP]], able);
+        enable(buttons.toSpliced(UP, 1), able && !inside.barred());
       }
       enable([arm.button], why === "" || isStep(link));
       if (why && !isStep(link)) {
@@ -91,16 +94,16 @@ export function jog(link) {
 }
 
 /** The step as far as it may go; Error where it may not go at all. */
-function reached({ machine }, sideways, by_mm) {
-  if ((by_mm[0] || by_mm[1]) && sideways.barred()) throw new Error("The tool stands in the block: raise Z first.");
+function reached({ machine }, inside, by_mm) {
+  if ((by_mm[0] || by_mm[1] || by_mm[2] < 0) && inside.barred()) throw new Error("The tool stands in the block: raise Z first.");
   const found = withinTravel(machine, by_mm);
   if (!found.some(Boolean)) throw new Error("The travel ends here: take a step of 10 mm or less.");
   return found;
 }
 
-/** A switch that lets a tool in the block go sideways all the same, until it is out; its place is always kept. */
+/** A switch that lets a tool in the block go anywhere all the same, until it is out; its place is always kept. */
 function allowing(changed) {
-  const button = h("button", { type: "button", class: "sideways", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, "X and Y in the block");
+  const button = h("button", { type: "button", class: "inside", "aria-pressed": "false", onclick: () => (set(!isOn()), changed()) }, "Jog in the block");
   const isOn = () => button.getAttribute("aria-pressed") === "true";
   const set = (on) => button.setAttribute("aria-pressed", String(on));
   let inBlock = false;
@@ -129,14 +132,14 @@ function fit(feed, profile) {
   return true;
 }
 
-/** {node, mm(), held()}: how far one press goes, or as long as it lasts. */
+/** {node, inputs, mm(), held()}: how far one press goes, or as long as it lasts. */
 function stepChoice(changed) {
   const choice = (value) => h("input", { type: "radio", name: "jog-step", value, checked: value === "1", onchange: changed });
   const inputs = [...STEPS_MM.map(String), HELD].map(choice);
   const labels = inputs.map((input) => h("label", {}, input, input.value));
   const node = h("fieldset", { class: "steps" }, h("legend", {}, "Step, mm"), h("div", { class: "choice" }, labels));
   const chosen = () => inputs.find((input) => input.checked).value;
-  return { node, mm: () => Number(chosen()), held: () => chosen() === HELD };
+  return { node, inputs, mm: () => Number(chosen()), held: () => chosen() === HELD };
 }
 
 /** Arrow keys, once a person has armed them. */

@@ -9,7 +9,7 @@ import { whyNot } from "./words.js";
 
 const AGAIN_MS = 3000;
 const NONE_MS = 10_000;
-const STANDS = ["idle", "alarm", "held", "check", "sleep", "door", "jog", "homing", "tool"];
+const STANDS = ["idle", "alarm", "check", "sleep", "door", "jog", "homing", "tool"];
 
 /** chosen: {job, program} from the address of the page; a program by its name or number. */
 export function loading(link, chosen) {
@@ -18,13 +18,14 @@ export function loading(link, chosen) {
   // An answer that is still on its way must not put another program in the place of the one that was taken.
   const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
   const load = h("button", { type: "button", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
-  const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load);
+  const reason = h("p", { class: "missing", role: "status" });
+  const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load, reason);
   const none = h("p", { class: "dim" }, "No job is done yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
   const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, "Load a program"), none, form, words.node);
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
   node.insertBefore(later, form);
   none.hidden = form.hidden = true;
-  const facts = { ready: false, jobs: 0, margin_mm: NaN };
+  const facts = { ready: false, jobs: 0, atWork: false };
   let timer = 0;
 
   const again = () => words.during(list);
@@ -33,8 +34,8 @@ export function loading(link, chosen) {
     const found = (await api.get("/v1/jobs?state=succeeded&limit=50")).jobs;
     replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     const meant = chosen.job && !found.some((job) => job.id === chosen.job) ? await api.get(`/v1/jobs/${chosen.job}`) : null;
-    waitFor(meant);
-    Object.assign(facts, { ready: true, jobs: found.length + !later.hidden });
+    waitFor(meant ?? (found.length ? null : (await api.get("/v1/jobs?state=running&limit=1")).jobs[0]));
+    Object.assign(facts, { ready: true, jobs: found.length, atWork: !later.hidden });
     none.hidden = found.length > 0 || !later.hidden;
     form.hidden = found.length === 0;
     if (found.length) await choose(jobs.value);
@@ -57,7 +58,6 @@ export function loading(link, chosen) {
     const meant = id === chosen.job && job.programs.find((one) => [one.name, String(one.number)].includes(chosen.program));
     const first = meant || (job.programs.find((one) => !done.has(one.sha256)) ?? job.programs[0]);
     replace(passes, job.programs.map((one) => h("option", { value: one.name, selected: one === first }, done.has(one.sha256) ? `${one.name} (done on this mill)` : one.name)));
-    facts.margin_mm = job.spec?.stock?.margin_mm;
     link.changed();
   }
 
@@ -72,10 +72,11 @@ export function loading(link, chosen) {
     /** The jobs are looked at anew when a program has left the mill. */
     again: () => ((chosen = { job: jobs.value || chosen.job }), again()),
     close: () => clearTimeout(timer),
-    /** What the next step is told by: {ready, jobs, margin_mm}. */
+    /** What the next step is told by: {ready, jobs, atWork}. */
     facts,
     update(due) {
       const why = whyNot(link, STANDS, { besideRun: true });
+      write(reason, link.machine?.mill?.state === "held" ? why : "");
       load.classList.toggle("primary", due.step === "load");
       enable([load], why === "" && !link.busy && passes.value !== "");
     },

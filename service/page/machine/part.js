@@ -8,6 +8,8 @@ import { coordinate } from "./words.js";
 
 const ROUND = new Set(["ellipse", "circle", "disc"]);
 const EDGE = 0.06; // of the block, around it
+const [LEAST_PX, MOST_PX] = [320, 420]; // high
+const AROUND_PX = 500; // of the page's height: bars, head and words of the card, so that all of the part is in sight
 
 export function part(link) {
   const canvas = h("canvas", { role: "img", "aria-label": "The part from above" });
@@ -83,7 +85,8 @@ function sceneOf({ optics, stock }, run) {
 function fitted(canvas, { block }) {
   const width = canvas.clientWidth;
   const [w, t] = [block.x1 - block.x0, block.y1 - block.y0];
-  const height = Math.min(420, (width * t) / w);
+  const room = Math.max(LEAST_PX, innerHeight - AROUND_PX);
+  const height = Math.min(MOST_PX, room, (width * t) / w);
   if (!(width > 0 && height > 0)) return null;
   const dense = devicePixelRatio || 1;
   canvas.style.height = `${height}px`;

@@ -21,28 +21,39 @@ export function recover(link) {
   let seen = "";
   let shown = "";
   let list = null;
+  let [plan, first, raise] = [null, null, ""];
 
   const ask = () =>
     words.during(async () => {
       const run = link.run;
-      const plan = await api.get(`/v1/runs/${run.id}/recovery`);
-      const now = JSON.stringify(plan);
-      if (link.run?.id === run.id && now !== shown) show(run, plan); // the same plan leaves the ticks as they are
+      const found = await api.get(`/v1/runs/${run.id}/recovery`);
+      const now = JSON.stringify(found);
+      if (link.run?.id === run.id && now !== shown) show(run, found); // the same plan leaves the ticks as they are
       shown = now;
       link.changed();
     });
 
-  function show(run, plan) {
+  function show(run, found) {
+    plan = found;
     list = plan.ready ? checklist(run, { label: `Go on from line ${plan.overlap_line.toLocaleString()}`, words, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
     replace(
       steps,
       step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${plan.executed_line.toLocaleString()} are cut for certain.`)),
-      step("First", plan.ready, needs(link, plan, words), plan.ready ? null : h("button", { type: "button", onclick: ask }, "Look again")),
+      (first = h("li", {})),
       step("What will happen", false, whatHappens(plan)),
       step("Your word", false, list?.node ?? [h("p", { class: "dim" }, "When everything above is done."), words.node]),
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
+    showFirst();
     list?.update(whyNot(link), true);
+  }
+
+  /** The tool in the block is no reason for the plan, which begins by raising it; it is for a person at the mill. */
+  function showFirst() {
+    const again = h("button", { type: "button", onclick: ask }, "Look again");
+    const now = step("First", plan.ready && !raise, needs(link, plan, { raise, words }), plan.ready ? null : again);
+    first.replaceWith(now);
+    first = now;
   }
 
   function forget() {
@@ -50,8 +61,8 @@ export function recover(link) {
       replace(steps);
       node.append(words.node);
     }
-    list = null;
-    seen = shown = "";
+    list = plan = null;
+    seen = shown = raise = "";
   }
 
   return {
@@ -66,6 +77,11 @@ export function recover(link) {
       const now = [run.id, run.state, state, trusted, connected, link.commands, mayAsk].join(" ");
       if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
       seen = now;
+      const low = due.step === "raise" ? due.words : "";
+      if (low !== raise) {
+        raise = low;
+        if (plan) showFirst();
+      }
       list?.update(whyNot(link), due.step === "recover");
       const why = whyNot(link, STANDS, { besideRun: true });
       enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
@@ -78,9 +94,10 @@ function step(title, done, ...content) {
 }
 
 /** What must be done before it can go on, each with the button that does it, where there is one. */
-function needs(link, plan, words) {
+function needs(link, plan, { raise, words }) {
   const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [need.words, remedy(link, need.code, words)]);
-  const rows = [...plan.refusals.map((text) => [text, null]), ...own, ...zeroRow(link, plan, words)];
+  const told = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [text, null]);
+  const rows = [...told, ...own, ...zeroRow(link, plan, words)];
   if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is sure, its work zero is the same.");
   return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, sentence(text)), act)));
 }

@@ -2,11 +2,11 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
-import { count, hours, percent } from "../lib/words.js";
+import { ball, count, hours, percent } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guarded } from "./ask.js";
 import { said } from "./said.js";
-import { RUN_WORDS, hasLiveRun, runStanding, sentence, whyNot } from "./words.js";
+import { RUN_WORDS, runStanding, sentence, whyNot } from "./words.js";
 
 export function running(link) {
   const words = said();
@@ -18,13 +18,9 @@ export function running(link) {
   let shown = "";
   let list = null;
   let idle = true;
-  let wasParked = "";
 
   const fill = (run) => {
     const parked = run.state === "parked";
-    if (wasParked === run.id && hasLiveRun(link.machine)) keepHeight(node.parentElement);
-    else if (!hasLiveRun(link.machine)) node.parentElement?.style.removeProperty("min-height");
-    wasParked = parked ? run.id : "";
     list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.during(() => link.toRun("start", given)), changed: () => link.changed() }) : null;
     replace(more, notes(run), parked ? waiting(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
   };
@@ -42,7 +38,7 @@ export function running(link) {
       shown = now;
       const [kind, word] = runStanding(run, link.machine);
       if (state.textContent !== word) replace(state, mark(kind, word));
-      write(title, `${run.program.name}${run.setup?.tool ? `, ball R ${run.setup.tool.radius_mm} mm` : ""}`);
+      write(title, `${run.program.name}${run.setup?.tool ? `, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
       progress.update(run);
       const stands = link.machine?.mill?.state === "idle";
       if (idle && !stands) list?.clear();
@@ -50,11 +46,6 @@ export function running(link) {
       list?.update(whyNot(link), ["tick", "start"].includes(due.step));
     },
   };
-}
-
-/** Nothing that can be pressed comes up to where Start was. */
-function keepHeight(place) {
-  place?.style.setProperty("min-height", `${place.offsetHeight}px`);
 }
 
 function meter() {

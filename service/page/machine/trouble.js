@@ -41,7 +41,7 @@ function locked(mill, profile) {
   const first = why.split(/[,:;(.]/)[0].trim();
   const short = first && first.length <= SHORT && !/^locked/i.test(first) ? `Locked: ${first}.` : "The mill is locked.";
   const homes = profile?.homing !== false;
-  const next = homes ? "free the tool, then home the mill." : "free the tool, unlock, set the zero anew.";
+  const next = homes ? "see that the tool is free to rise, then home the mill." : "see that the tool is free, unlock, set the zero anew.";
   return told("bad", short, next, `${sentence(why)} Unlock only if you know where the tool is.`, homes ? "home" : "");
 }
 

@@ -18,12 +18,16 @@ import { setup } from "./setup.js";
 import { stops } from "./stops.js";
 import { hasLiveRun, standing } from "./words.js";
 
+const REST_MS = 1000; // that what has come to another place rests: the press was meant for what was there
+
 export default async function view(root, params, app) {
   await sheet("/page/machine/machine.css");
   app.title(params.name);
   const link = new MillLink(params.name);
   const parts = made(link, { job: params.job, program: params.program });
-  replace(root, layout(parts));
+  const screen = layout(parts);
+  replace(root, screen);
+  const turned = turning(screen);
   let wasOpen = false;
   link.onChange(() => {
     const open = Boolean(link.machine?.run);
@@ -31,7 +35,8 @@ export default async function view(root, params, app) {
     wasOpen = open;
     const due = dueOf(link, { load: parts.load.facts, ticked: parts.program.ticked });
     for (const one of Object.values(parts)) one.update(due);
-    arrange(link, parts, due);
+    arrange(link, parts);
+    turned(link);
   });
   link.changed();
   return {
@@ -46,7 +51,7 @@ function made(link, chosen) {
   const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link) };
   const load = loading(link, chosen);
   const others = { program: running(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), stops: stops(link) };
-  const cards = { jog: own.jog.node, load: load.node, program: others.program.node, recover: others.recover.node };
+  const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
   return { ...own, ...others, next: next(link, cards) };
 }
 
@@ -77,7 +82,28 @@ function arrange({ machine, run }, { jog, setup, load, overrides, recover }) {
   overrides.node.hidden = !live;
   load.node.hidden = Boolean(machine?.run);
   const workFirst = Boolean(machine?.run) || !recover.node.hidden || run?.state === "finished";
-  jog.node.closest(".machine-columns").classList.toggle("work-first", workFirst);
+  const columns = jog.node.closest(".machine-columns");
+  columns.classList.toggle("work-first", workFirst);
+  columns.classList.toggle("live", live);
+}
+
+/**
+ * When a run begins or ends the screen is another one: it is shown from its top, and for a moment nothing on it but HOLD
+ * and STOP can be pressed. The answer to an order may come before or after what the mill says.
+ */
+function turning(screen) {
+  let before = "";
+  let timer = 0;
+  return ({ machine, run }) => {
+    const now = !machine ? "" : hasLiveRun(machine) ? "live" : hasLiveRun({ run }) ? "turning" : "still";
+    if (before && now !== before) {
+      scrollTo({ top: 0, behavior: "instant" });
+      screen.classList.add("resting");
+      clearTimeout(timer);
+      timer = setTimeout(() => screen.classList.remove("resting"), REST_MS);
+    }
+    before = now;
+  };
 }
 
 function head(link) {
@@ -86,7 +112,7 @@ function head(link) {
   const simulated = h("p", { class: "simulated", hidden: true }, mark("warn", "Simulated: no real mill moves"));
   let shown = "";
   return {
-    node: h("div", {}, h("h1", {}, link.name), state, simulated, about),
+    node: h("div", {}, h("h1", {}, link.name), state, h("div", { class: "machine-about" }, simulated, about)),
     update() {
       const { machine, away } = link;
       const now = machine ? standing(machine) : { kind: "wait", word: "asking the server", words: "" };
@@ -94,7 +120,7 @@ function head(link) {
       if (`${word.kind} ${word.word}` !== shown) replace(state, mark(word.kind, word.word));
       shown = `${word.kind} ${word.word}`;
       simulated.hidden = !machine?.simulated;
-      if (machine?.profile) write(about, machine.simulated ? "" : machine.profile.description);
+      if (machine?.profile) write(about, machine.profile.description);
     },
   };
 }

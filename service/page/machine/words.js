@@ -113,11 +113,11 @@ export function checkWords(check, run) {
   const { tool, stock, zero, change } = run.setup ?? {};
   switch (check) {
     case "tool":
-      return ["The tool is in and tight", [tool && `${tool.shape}, radius ${tool.radius_mm} mm`, change?.words].filter(Boolean).join("; ")];
+      return ["The tool is in and tight", [tool && `${tool.shape}, R ${tool.radius_mm} (Ø ${2 * tool.radius_mm} mm)`, change?.words].filter(Boolean).join("; ")];
     case "zero":
       return ["The work zero is set for this tool", zero ?? ""];
     case "stock":
-      return ["The block is clamped", stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material}` : ""];
+      return ["The block is clamped", stock ? `${stock.width_mm} × ${stock.height_mm} × ${stock.thickness_mm} mm, ${stock.material.toUpperCase()}` : ""];
     case "clear":
       return ["Nothing is in the way of the tool", "hands, clamps, wrenches, the probe's cable; goggles on"];
     case "position":

@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
-import { eyeWords } from "../job/figures.js";
+import { eyeWords, isHard } from "../job/figures.js";
 import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 
 const CALM_MS = 400;
@@ -16,17 +16,19 @@ const SLOW_MS = 4000;
 const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
- * {ask(), stop()}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none" nothing
- * to say, "busy" (`slow`: for some time now), "known" with `estimate`, "problems" with `problems`, "fault" with `words`,
- * "absent" no such service.
+ * {ask(), stop(), settled}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none"
+ * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate`, "problems" with `problems`, "fault" with
+ * `words`, "absent" no such service. settled: an estimate is known of what was asked last.
  */
 export function estimator({ make, tell }) {
   let timer = 0;
   let asking = new AbortController();
   let absent = false;
+  let settled = false;
 
   function ask() {
     stop();
+    settled = false;
     if (absent) return;
     asking = new AbortController();
     timer = setTimeout(() => run(asking.signal), CALM_MS);
@@ -46,7 +48,9 @@ export function estimator({ make, tell }) {
       tell({ kind: "busy" });
       slow = setTimeout(() => signal.aborted || tell({ kind: "busy", slow: true }), SLOW_MS);
       const estimate = await api.upload("/v1/estimates", form, { headers: HEADERS, signal, quiet: true });
-      if (!signal.aborted) tell({ kind: "known", estimate });
+      if (signal.aborted) return;
+      settled = true;
+      tell({ kind: "known", estimate });
     } catch (error) {
       if (signal.aborted) return;
       tell(told(error));
@@ -62,7 +66,13 @@ export function estimator({ make, tell }) {
     return absent ? { kind: "absent" } : { kind: "fault", words: error.detail ?? error.message };
   }
 
-  return { ask, stop };
+  return {
+    ask,
+    stop,
+    get settled() {
+      return settled;
+    },
+  };
 }
 
 /** The estimate as a person reads it. */
@@ -75,7 +85,7 @@ export function estimateWords(estimate) {
       { class: "figures" },
       figure("Machine time", hours(3600 * estimate.hours)),
       figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall; finer details blur"),
-      Number.isFinite(estimate.psnr_db) && figure("On the wall", eyeWords(estimate.psnr_db)),
+      Number.isFinite(estimate.psnr_db) && figure("On the wall", eyeWords(estimate.psnr_db), plainerBy(estimate)),
       figure("Depth of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
     ),
     estimate.passes?.length > 0 &&
@@ -102,9 +112,18 @@ function notice(kind, words) {
   return h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, sentence(words)));
 }
 
+/** What makes a picture plainer that is hard to recognise, by what costs it most; "" for any other. */
+function plainerBy({ psnr_db: seen, blur_by: by, planned, spec }) {
+  if (!Number.isFinite(seen) || !isHard(seen)) return "";
+  const light = by.light_mm > by.milling_mm && (spec.optics.light.kind === "sun" ? "a nearer wall" : "a smaller lamp");
+  const first = light || (!planned && "“Recommended”");
+  return `${first ? `${first} or ` : ""}a larger lens shows more`;
+}
+
 /** For the bar at the foot: one line. */
 export function estimateLine(estimate) {
-  const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}` : "";
+  const more = plainerBy(estimate);
+  const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}${more && `: ${more}`}` : "";
   return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
 }
 

@@ -22,9 +22,9 @@ function isHere({ mills }) {
   return mills?.length > 0;
 }
 
-/** "simulated mill (grbl)", "shop" for a mill with a profile of its own, "grbl: desktop router". */
+/** "simulated (grbl)", "shop" for a mill with a profile of its own, "grbl: desktop router". */
 function words(profile) {
   if (!isHere(profile)) return `${profile.name}: ${profile.description.split(/[,;]/)[0]}`;
-  const names = profile.mills.map(({ name, simulated }) => (simulated ? `${name} mill` : name)).join(", ");
+  const names = profile.mills.map(({ name }) => name).join(", ");
   return profile.mills.some(({ name }) => name === profile.name) ? names : `${names} (${profile.name})`;
 }

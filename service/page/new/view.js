@@ -4,6 +4,7 @@ import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
 import { freshId, h, replace, sheet, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
+import { foretell } from "../job/foretold.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
 import { MACHINE_USUAL } from "./fields.js";
@@ -143,6 +144,7 @@ function newJob(profiles, app) {
     try {
       const job = await sending.send(await side.sent(), spec, priority.read());
       now.sent = true;
+      if (asks.settled) foretell(job.id, now.estimate.psnr_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
       const problems = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];

@@ -28,7 +28,7 @@ START = [sys.executable, "-m", "service.api.main"]
 def environment(data: Path, **values: str) -> dict[str, str]:
     given = {f"CAUSTICMILL_{name.upper()}": value for name, value in values.items()}
     usual = {"CAUSTICMILL_DATA": str(data), "CAUSTICMILL_PORT": "0", "CAUSTICMILL_FREE_DISK_MB": "0"}
-    return os.environ | usual | {"CAUSTICMILL_PREPARE_ESTIMATES": "false"} | given
+    return os.environ | usual | {"CAUSTICMILL_PREPARE": "false"} | given
 
 
 def migrated(data: Path) -> None:

@@ -73,7 +73,7 @@ def test_passes_follow_each_other_and_the_tool_change_is_told(floor: Shop) -> No
         assert run["required_checks"] == CHECKS and run["left_out"] == []
         assert (change is None) == (number == 1)
         if number == 2:
-            assert "from R 3 to R 0.5" in change["words"] and "Z zero again" in change["words"]
+            assert "from R 3 (Ø 6 mm) to R 0.5 (Ø 1 mm)" in change["words"] and "Z zero again" in change["words"]
         assert (run["next"] or {}).get("number") == {1: 2, 2: 3, 3: None}[number]
         floor.start(run)
         floor.until_state(run, "finished")

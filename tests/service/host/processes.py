@@ -122,7 +122,7 @@ def supervised(data: Path, *arguments: str, **environment: str) -> Iterator[Serv
 def running(command: list[str], data: Path, environment: dict[str, str]) -> Iterator[Serving]:
     """Any command with these settings; it and all below it are gone at the end."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("CAUSTICMILL_")}
-    given = {"CAUSTICMILL_DATA": str(data), "CAUSTICMILL_PREPARE_ESTIMATES": "false"} | environment
+    given = {"CAUSTICMILL_DATA": str(data), "CAUSTICMILL_PREPARE": "false"} | environment
     serving = Serving(command, kept | given)
     try:
         yield serving

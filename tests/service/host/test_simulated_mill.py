@@ -64,7 +64,8 @@ def until_idle(client: httpx.Client) -> None:
 def test_it_says_that_it_is_simulated_and_begins_locked(workshop: tuple[Serving, httpx.Client]) -> None:
     _, client = workshop
     seen = client.get(HERE).json()
-    assert seen["simulated"] and "SIMULATED" in seen["profile"]["description"] and seen["profile"]["homing"]
+    assert seen["simulated"] and seen["profile"]["homing"]
+    assert seen["profile"]["description"] == "a simulated mill, 20 times as fast as a real one"
     assert mill(client)["state"] == "alarm"
 
 
