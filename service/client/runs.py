@@ -105,7 +105,7 @@ def confirmed(run: dict[str, Any], given: Sequence[str]) -> list[str]:
 
 def follow_run(server: Server, run_id: str) -> dict[str, Any]:
     """The run at its end, a line for each change on the way."""
-    told = ""
+    told, state, reached = "", "", 0.0
     with leaving(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
         for event in lasting(
             server,
@@ -116,7 +116,10 @@ def follow_run(server: Server, run_id: str) -> dict[str, Any]:
             if event is not None and not {"state", "share"} <= set(event.data):
                 continue  # what happened at the mill; how the run stands comes by itself
             run = event.data if event is not None else server.get(f"/v1/runs/{run_id}")
-            key = f"{run['state']} {10 * float(run['share']):.0f} {run.get('words')} {run.get('unreachable')}"
+            if run["state"] == state and float(run["share"]) < reached:
+                continue  # on its way since before we have asked
+            state, reached = run["state"], float(run["share"])
+            key = f"{state} {10 * reached:.0f} {run.get('words')} {run.get('unreachable')}"
             if key != told:
                 told = key
                 print(state_line(run), flush=True)

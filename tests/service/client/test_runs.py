@@ -6,11 +6,14 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_tcp
+from service.client import runs
 from service.settings import ServerSettings
 from tests.page.shop import Made
 from tests.service.client.shop import SMALL, run
@@ -136,3 +139,22 @@ def test_a_mill_that_is_not_there_is_named(mill_shop: MillShop, tmp_path: Path) 
 def test_a_stop_that_may_not_have_arrived_sends_the_person_to_the_mill(verb: str) -> None:
     done = run("runs", verb, "0f3c", server="http://127.0.0.1:9")
     assert done.returncode == 1 and "use the mill's own stop" in done.stderr.splitlines()[-1]
+
+
+def test_an_older_word_of_a_run_is_not_told_after_a_newer_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What is asked for while the first event is on its way may be newer than that event."""
+    shares = iter([0.1, 0.0, 0.6, 1.0, 1.0])
+
+    def told(state: str) -> dict[str, Any]:
+        return {"state": state, "share": next(shares), "lines": 9}
+
+    def events(*_: object, **__: object) -> Iterator[SimpleNamespace | None]:
+        yield None
+        for state in ("running", "running", "finished"):
+            yield SimpleNamespace(data=told(state))
+
+    monkeypatch.setattr(runs, "lasting", events)
+    runs.follow_run(SimpleNamespace(get=lambda _: told("running")), "a")  # type: ignore[arg-type]
+    assert re.findall(r"([\d.]+) % of", capsys.readouterr().out) == ["10.0", "60.0"]
