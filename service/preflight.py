@@ -24,6 +24,7 @@ from machines.gcode.limits import AT_PRESENT_ZERO, MillLimits, limits_of, placem
 from machines.gcode.preflight import Preflight
 from machines.grbl.settings import ControllerSettings
 from machines.profiles import MachineProfile
+from service.child_path import python_path
 from service.errors import sentence_of_os_error
 
 _ROOT = Path(__file__).parents[1]
@@ -83,13 +84,12 @@ def _computed(
     """Run the child; its result gets the name of its content."""
     staging = folder / f".new-{os.getpid()}-{_digest([str(path), held_against])}.json"
     request = json.dumps({"path": str(path), "limits": limits.to_dict(), "result": str(staging)})
-    places = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
     child = subprocess.Popen(
         [sys.executable, "-m", "service.preflight_worker"],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        env={**os.environ, "PYTHONPATH": places},
+        env={**os.environ, "PYTHONPATH": python_path()},
         text=True,
     )
     try:

@@ -9,10 +9,10 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-_ROOT = Path(__file__).parents[2]
+from service.child_path import python_path
+
 _LOOK_S = 0.1
 _ANSWER_BYTES = 1 << 20
 
@@ -33,13 +33,12 @@ class LineChild:
 
     def __init__(self, module: str, given_up: Callable[[], bool] = lambda: False, *, start_s: float = 20.0) -> None:
         """given_up: true once nobody wants it any more. ChildDied, ChildLate or OSError where it does not start."""
-        places = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
         self._process = subprocess.Popen(
             [sys.executable, "-m", module, str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # decoders print what a stranger's file makes them print
-            env={**os.environ, "PYTHONPATH": places},
+            env={**os.environ, "PYTHONPATH": python_path()},
             start_new_session=True,
             bufsize=0,
         )

@@ -14,13 +14,12 @@ import sys
 import threading
 import time
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
+from service.child_path import python_path
 from service.settings import ServerSettings
 from service.worker.nursery import MESSAGE_BYTES
 
-_ROOT = Path(__file__).parents[2]
 _IDLE_S = 60.0
 _ANSWER_S = 10.0
 
@@ -112,7 +111,6 @@ class _Life:
             self._end()
 
     def _started(self) -> subprocess.Popen[bytes]:
-        places = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
         one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
         return subprocess.Popen(
             [
@@ -126,7 +124,7 @@ class _Life:
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             pass_fds=(self._its_line.fileno(),),
-            env={**self._settings.environment(), **one_thread, "PYTHONPATH": places, "MPLBACKEND": "Agg"},
+            env={**self._settings.environment(), **one_thread, "PYTHONPATH": python_path(), "MPLBACKEND": "Agg"},
             start_new_session=True,  # Ctrl-C on the terminal is for the worker to judge
         )
 

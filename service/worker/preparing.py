@@ -15,9 +15,9 @@ import sys
 import tempfile
 from pathlib import Path
 
+from service.child_path import python_path
 from service.kernel_cache import JOBS, ready_mark, use_current_kernels
 
-_ROOT = Path(__file__).parents[2]
 _GIVES_WAY = 10  # of nice
 _SMALL = ("image.pixels=32", "optics.width_mm=8", "optics.height_mm=8", "optics.throw_mm=40")
 
@@ -26,13 +26,12 @@ def begin() -> subprocess.Popen[bytes] | None:
     """The process, or None where nothing is left to compile."""
     if ready_mark(JOBS).exists():
         return None
-    places = os.pathsep.join(filter(None, (str(_ROOT), os.environ.get("PYTHONPATH"))))
     return subprocess.Popen(
         [sys.executable, "-P", "-m", "service.worker.preparing", str(os.getpid())],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
-        env={**os.environ, "PYTHONPATH": places},
+        env={**os.environ, "PYTHONPATH": python_path()},
         start_new_session=True,
     )
 

@@ -55,7 +55,7 @@ function standing(link, trouble, load, ticked) {
 /** After a stop the tool stands where it was: nothing goes sideways before it is up. */
 function raising({ machine, run }, trouble) {
   const depth = depthInBlock(machine);
-  const low = trouble?.step === "recover" && machine.mill.state === "idle" && zeroKnown(machine, "Z") && machine.mill.work_mm[2] < (machine.profile?.safe_z_mm ?? 5) - 0.01;
+  const low = trouble?.step === "recover" && machine.mill.state === "idle" && zeroKnown(machine, "Z");
   if (!depth && !low) return null;
   const rise = riseToSafe(machine);
   if (rise < 0.01) return null;

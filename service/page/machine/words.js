@@ -1,6 +1,6 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
-import { sentence as inWords } from "../lib/words.js";
+import { ball, sentence as inWords } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
 
 const STATES = {
@@ -113,7 +113,7 @@ export function checkWords(check, run) {
   const { tool, stock, zero, change } = run.setup ?? {};
   switch (check) {
     case "tool":
-      return ["The tool is in and tight", [tool && `${tool.shape}, R ${tool.radius_mm} (Ø ${2 * tool.radius_mm} mm)`, change?.words].filter(Boolean).join("; ")];
+      return ["The tool is in and tight", [tool && `${tool.shape}, ${ball(tool.radius_mm)}`, change?.words].filter(Boolean).join("; ")];
     case "zero":
       return ["The work zero is set for this tool", zero ?? ""];
     case "stock":
