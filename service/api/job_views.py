@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 from service.api import views
@@ -17,8 +16,7 @@ def whole_job(services: Services, job: Job) -> dict[str, Any]:
     position = book.queue_position(job.id) if job.state is JobState.QUEUED else None
     progress = book.latest({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None
     runs, files = book.stages(job.id), book.artifacts(job.id)
-    if job.report is None and job.started_at is not None:
-        job = replace(job, report=book.report_so_far(job))
+    job = book.with_report(job)
     picture = book.pictures([job.id]).get(job.id)
     return views.whole(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
 

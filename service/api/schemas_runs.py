@@ -24,7 +24,7 @@ _JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 class NewRunBody(Body):
     """Which program of which job. Without `program`: the next pass that this mill has not finished."""
 
-    job: Annotated[UUID, Field(description="id of a succeeded job", examples=[_JOB_ID])]
+    job: Annotated[UUID, Field(description="id of a job whose programs have been checked", examples=[_JOB_ID])]
     program: Annotated[
         Annotated[int, Field(ge=1, le=99, strict=True)] | Annotated[str, Field(min_length=1, max_length=100)] | None,
         Field(description="number of the pass, or the program's file name", examples=[1]),

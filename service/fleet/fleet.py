@@ -185,7 +185,7 @@ class Fleet:
     def _surroundings(self, run: RunRow) -> Surroundings:
         jobs, runs = self._core.jobs, self._core.runs
         try:
-            job, programs = jobs.get(run.job_id), programs_of(jobs.artifacts(run.job_id))
+            job, programs = jobs.with_report(jobs.get(run.job_id)), programs_of(jobs.artifacts(run.job_id))
         except UnknownJobError:
             return Surroundings()
         return Surroundings(job=job, programs=programs, finished=runs.finished(run.job_id, run.machine))

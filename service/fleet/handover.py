@@ -24,7 +24,6 @@ from service.fleet.run_book import (
     RunRow,
 )
 from service.jobs.records import Job, UnknownJobError
-from service.jobs.states import JobState
 from service.store.store import MissingObjectError
 from service.web.problems import Problem
 
@@ -116,7 +115,7 @@ class Handovers:
             programs = programs_of(await core.do(core.jobs.artifacts, job_id))
         except UnknownJobError:
             raise _no_job(job_id) from None
-        if job.state is not JobState.SUCCEEDED:
+        if not await core.do(core.jobs.may_be_milled, job):
             raise Problem(409, str(JobNotReadyError(job)), field="job")
         if wanted is None:
             done = await core.do(core.runs.finished, job_id, machine.name)

@@ -16,6 +16,7 @@ from sqlalchemy.exc import IntegrityError
 from machines.runs import LIVE
 from service.jobs.book import locked_job
 from service.jobs.database import clock, insert_new, reading, writing
+from service.jobs.files import may_be_milled
 from service.jobs.records import Job, KeyReusedError
 from service.jobs.states import JobState
 from service.jobs.tables import idempotency_keys, runs
@@ -81,10 +82,14 @@ class MachineTakenError(Exception):
 
 
 class JobNotReadyError(Exception):
-    """The job has not succeeded (any more), so none of its programs may be run."""
+    """The job's programs have not all been checked, or it has failed or was given up: none of them may be run."""
 
     def __init__(self, job: Job) -> None:
-        super().__init__(f"job {job.id} is {job.state}; programs of succeeded jobs only may be run")
+        state = "being cancelled" if job.state is JobState.RUNNING and job.cancel_requested else job.state
+        super().__init__(
+            f"job {job.id} is {state}; its programs may be run once all of them have been checked, "
+            "and not those of failed or cancelled jobs"
+        )
 
 
 class RunBook:
@@ -114,7 +119,7 @@ class RunBook:
         try:
             with writing(self._database) as connection:
                 job = locked_job(connection, new.job_id)
-                if job.state is not JobState.SUCCEEDED:
+                if not may_be_milled(connection, job):
                     raise JobNotReadyError(job)
                 at = clock(connection)
                 fresh = new.key is None or insert_new(connection, idempotency_keys, _key_row(new, run_id, at))

@@ -6,6 +6,7 @@ What workers change is in service/jobs/work_book.py. Both lock the job's row bef
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 from uuid import uuid4
 
@@ -15,7 +16,7 @@ from service.errors import printable
 from service.job_files import TARGET_PICTURE, THUMBNAIL
 from service.jobs.database import clock, insert_new, reading, writing
 from service.jobs.events import BATCH, read_events, read_news, write_event
-from service.jobs.files import offered_artifacts
+from service.jobs.files import may_be_milled, offered_artifacts
 from service.jobs.records import (
     Artifact,
     Event,
@@ -73,11 +74,15 @@ class JobBook:
             return _job(connection, job_id)
 
     def retry(self, job_id: str, by: str) -> Job:
-        """Queue an ended job once more. What its stages had finished stands; its files appear again on the way."""
+        """Queue an ended job once more. What its stages had finished stands; its files appear again on the way.
+
+        JobOnMillError while a run of one of its programs is open.
+        """
         with writing(self.database) as connection:
             job, at = locked_job(connection, job_id), clock(connection)
             if job.state not in RETRYABLE:
                 raise JobStateError(job.state, "retrying", RETRYABLE)
+            _require_no_open_run(connection, job)
             is_log = artifacts.c.name.like("%.log")
             connection.execute(artifacts.delete().where(artifacts.c.job_id == job_id, ~is_log))
             change_job(connection, job, **_fresh(job.attempt + 1, at), fence=job.fence + 1)
@@ -128,6 +133,17 @@ class JobBook:
         )
         with reading(self.database) as connection:
             return merge_reports(connection.execute(query).scalars()) or None
+
+    def with_report(self, job: Job) -> Job:
+        """The job; where it has not ended, with what its finished stages report."""
+        if job.report is not None or job.started_at is None:
+            return job
+        return replace(job, report=self.report_so_far(job))
+
+    def may_be_milled(self, job: Job) -> bool:
+        """May a mill have its programs? As `files.may_be_milled`."""
+        with reading(self.database) as connection:
+            return may_be_milled(connection, job)
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """The files that the job offers, by name; programs only once they have been checked."""
@@ -215,12 +231,16 @@ def end_job(connection: sa.Connection, job: Job, state: JobState, *, at: float, 
 
 def drop_job(connection: sa.Connection, job: Job) -> None:
     """Everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
+    _require_no_open_run(connection, job)
+    connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
+    connection.execute(jobs.delete().where(jobs.c.id == job.id))
+
+
+def _require_no_open_run(connection: sa.Connection, job: Job) -> None:
     from service.fleet.run_book import open_run_of  # it imports this module
 
     if (run_id := open_run_of(connection, job.id)) is not None:
         raise JobOnMillError(job.state, run_id)
-    connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
-    connection.execute(jobs.delete().where(jobs.c.id == job.id))
 
 
 def _job(connection: sa.Connection, job_id: str) -> Job:

@@ -1,4 +1,5 @@
-"""The files that a job offers: those of its committed stages, programs only once all of them have been checked.
+"""The files that a job offers: those of its committed stages, programs only once all of them have been checked; and
+whether a mill may have its programs.
 
 An attempt that was begun by one version of the program and goes on with another does stages again that were done: a
 check is worth nothing for programs that were made after it.
@@ -8,8 +9,8 @@ from __future__ import annotations
 
 import sqlalchemy as sa
 
-from service.jobs.records import Artifact
-from service.jobs.states import StageState
+from service.jobs.records import Artifact, Job
+from service.jobs.states import JobState, StageState
 from service.jobs.tables import artifacts, jobs, stage_runs
 
 CHECK = "check"
@@ -24,6 +25,15 @@ def offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artifact]:
     found = [Artifact.of(row) for row in connection.execute(query).mappings()]
     checked = _is_checked(connection, job_id)
     return [one for one in found if not one.name.startswith(".") and (checked or not _is_program(one))]
+
+
+def may_be_milled(connection: sa.Connection, job: Job) -> bool:
+    """Programs are for mills once they have been checked, though the job goes on with pictures of what they will make;
+    never those of a job that has failed or was given up.
+    """
+    if job.state is not JobState.RUNNING:
+        return job.state is JobState.SUCCEEDED
+    return not job.cancel_requested and _is_checked(connection, job.id)
 
 
 def _is_program(artifact: Artifact) -> bool:

@@ -57,8 +57,8 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Ev
         with open_worker(settings, processes) as worker:
             worker.start()
             print(f"ready: worker {worker.bench.executor}", flush=True)
-            if prepare:
-                preparing.begin()
+            if prepare and (process := preparing.begin()):
+                threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
             gc.freeze()  # what is here now stays: not worth looking at again and again
             end.wait()
             worker.stop()

@@ -1,8 +1,9 @@
-"""What stages need is compiled soon after the worker's start, where it was not yet: by a small job that nobody asked
+"""What stages need is compiled soon after the worker's start, where it was not yet: by small jobs that nobody asked
 for, so that the first person's need not wait for it.
 
-A process of its own, `python -m service.worker.preparing PARENT`, that gives way to all others and ends with the thread
-that started it; the mark of `kernel_cache` says for good that it was done.
+A process of its own, `python -m service.worker.preparing PART PARENT`, that gives way to all others and ends with the
+thread that started it. It makes a lens and its light; another one, begun by it, makes programs for a lens that is there
+already and shows them as milled, so that two cores are at it. The mark of `kernel_cache` says that all is done.
 """
 
 from __future__ import annotations
@@ -14,20 +15,32 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from service.child_path import python_path
 from service.kernel_cache import JOBS, ready_mark, use_current_kernels
 
+if TYPE_CHECKING:
+    from service.spec import JobSpec
+
 _GIVES_WAY = 10  # of nice
-_SMALL = ("image.pixels=32", "optics.width_mm=8", "optics.height_mm=8", "optics.throw_mm=40")
+_SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3
+_SMALL = (
+    f"image.pixels={_VERTICES - 1}",
+    f"optics.width_mm={_SIDE_MM}",
+    f"optics.height_mm={_SIDE_MM}",
+    "optics.throw_mm=40",
+)
 
 
 def begin() -> subprocess.Popen[bytes] | None:
-    """The process, or None where nothing is left to compile."""
-    if ready_mark(JOBS).exists():
-        return None
+    """The process, or None where nothing is left to compile. Somebody has to wait for its end."""
+    return None if ready_mark(JOBS).exists() else _process("lens")
+
+
+def _process(part: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-P", "-m", "service.worker.preparing", str(os.getpid())],
+        [sys.executable, "-P", "-m", "service.worker.preparing", part, str(os.getpid())],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -36,31 +49,62 @@ def begin() -> subprocess.Popen[bytes] | None:
     )
 
 
-def main(parent: int) -> None:
+def main(part: str, parent: int) -> int:
     from service.worker.linux import die_with_parent, name_process
 
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # its folder is taken away
     die_with_parent(parent, signal.SIGTERM)
     name_process("cm-preparing")
-    os.nice(_GIVES_WAY)
+    if part == "lens":
+        os.nice(_GIVES_WAY)  # the other one inherits it
+    other = _process("programs") if part == "lens" else None
     use_current_kernels()  # before numba is imported
     with tempfile.TemporaryDirectory() as folder:
-        _make(Path(folder))
-    with contextlib.suppress(OSError):
-        ready_mark(JOBS).touch()
+        _PARTS[part](Path(folder))
+    if other is None:
+        return 0
+    if other.wait() == 0:
+        with contextlib.suppress(OSError):
+            ready_mark(JOBS).touch()
+    return other.returncode
 
 
-def _make(folder: Path) -> None:
+def _lens(folder: Path) -> None:
     from PIL import Image
 
-    from service.pipeline import make
+    from service.pipeline import design
     from service.progress import QuietReporter
-    from service.spec_files import resolve_spec
 
     path = folder / "wedge.png"
     Image.linear_gradient("L").resize((64, 64)).save(path)
-    make(path, folder / "job", resolve_spec(preset="draft", overrides=_SMALL), reporter=QuietReporter())
+    design(path, folder / "job", _spec(), reporter=QuietReporter())
 
+
+def _programs(folder: Path) -> None:
+    """For a dome, whose light is even."""
+    import numpy as np
+
+    from optics.heightfield import Heightfield
+    from service.job_files import HEIGHTFIELD, MAP
+    from service.pipeline import cam
+    from service.progress import QuietReporter
+    from service.stages.arrays import heightfield_bytes, target_bytes
+
+    arch = np.sin(np.linspace(0.0, np.pi, _VERTICES))
+    heights_mm = _RISE_MM * (np.outer(arch, arch) - 1.5)
+    lens = Heightfield.on_aperture(heights_mm, width_mm=_SIDE_MM, height_mm=_SIDE_MM)
+    (folder / HEIGHTFIELD).write_bytes(heightfield_bytes(lens))
+    (folder / MAP).write_bytes(target_bytes(np.ones((_VERTICES - 1, _VERTICES - 1))))
+    cam(folder, _spec(), reporter=QuietReporter())
+
+
+def _spec() -> JobSpec:
+    from service.spec_files import resolve_spec
+
+    return resolve_spec(preset="draft", overrides=_SMALL)
+
+
+_PARTS = {"lens": _lens, "programs": _programs}
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]))
+    sys.exit(main(sys.argv[1], int(sys.argv[2])))

@@ -204,24 +204,34 @@ def test_each_program_goes_to_the_mill_by_its_number(at_job: Page, shop: Shop) -
         expect(send).to_have_attribute("href", f"#/machines/{MILL}?job={job['id']}&program={program['number']}")
 
 
-@pytest.mark.parametrize(("state", "words"), [("running", "when the job is done"), ("failed", "try again")])
-def test_programs_of_a_job_that_is_not_done_can_be_saved_but_not_sent(
-    opened: Opened, shop: Shop, state: str, words: str
+def test_programs_can_be_sent_once_checked_though_their_pictures_are_still_to_come(opened: Opened, shop: Shop) -> None:
+    job, files = of_shop(shop)
+    running = like(job, 7, state="running", stages=stopped_at(job, "as-milled", "running"))
+    page = shown(opened, running, files)
+    programs = page.get_by_role("region", name="Programs")
+    expect(programs).to_contain_text("still being worked out")
+    expect(programs.get_by_role("link", name=f"Send to {MILL}")).to_have_count(len(job["programs"]))
+
+
+@pytest.mark.parametrize("given_up", [False, True])
+def test_programs_of_a_job_that_failed_or_is_given_up_can_be_saved_but_not_sent(
+    opened: Opened, shop: Shop, given_up: bool
 ) -> None:
     """A mill would refuse them; they are checked, so a person may look at them."""
     job, files = of_shop(shop)
-    error = {"stage": "as-milled", "detail": "the disk is full", "field": None}
+    state = "running" if given_up else "failed"
+    error = None if given_up else {"stage": "as-milled", "detail": "the disk is full", "field": None}
     stages = stopped_at(job, "as-milled", state)
-    page = shown(opened, like(job, 7, state=state, stages=stages, error=error if state == "failed" else None), files)
+    page = shown(opened, like(job, 7, state=state, stages=stages, error=error, cancel_requested=given_up), files)
     programs = page.get_by_role("region", name="Programs")
-    expect(programs).to_contain_text(words)
+    expect(programs).to_contain_text("try again")
     expect(programs.get_by_role("link", name="Save")).to_have_count(len(job["programs"]))
     expect(programs.get_by_role("link", name="Send")).to_have_count(0)
     answer(page, like(job, 7), files)
     page.reload()
     answer(page, like(job, 7), files)
     expect(programs.get_by_role("link", name=f"Send to {MILL}")).to_have_count(len(job["programs"]))
-    expect(programs).not_to_contain_text("when")
+    expect(programs).not_to_contain_text("again")
 
 
 def test_the_wall_moves_through_the_pictures_of_the_file(at_job: Page, shop: Shop) -> None:

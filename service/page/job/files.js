@@ -1,7 +1,8 @@
 /** Programs, with the way to the mill, and every other file of a job. */
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
-import { bytes, hours, jobName } from "../lib/words.js";
+import { mayBeMilled } from "../lib/state.js";
+import { bytes, hours, jobName, thousands } from "../lib/words.js";
 import { passWords, passesOf } from "./figures.js";
 import { saveLink, sheetLink } from "./save.js";
 
@@ -29,23 +30,23 @@ export function programsPart() {
     write(wait, waitWords(job));
     wait.hidden = !wait.textContent;
     wait.classList.toggle("soon", !job.programs.length);
-    const key = JSON.stringify([job.state, job.programs, job.report?.passes?.map((row) => row.time_s)]);
+    const key = JSON.stringify([job.state, job.cancel_requested, job.programs, job.report?.passes?.map((row) => row.time_s)]);
     if (key === shown) return;
     shown = key;
-    if (sendable(job) && !mills) mills = await machines();
-    noMill.hidden = !sendable(job) || mills.length > 0;
+    if (mayBeMilled(job) && !mills) mills = await machines();
+    noMill.hidden = !mayBeMilled(job) || mills.length > 0;
     replace(list, job.programs.map((program) => row(job, program, mills ?? [])));
   }
   return { node, update };
 }
 
-/** Why nothing can be sent to a mill yet: it takes programs of jobs that are done, and of no others. */
-function waitWords({ state, programs }) {
-  if (state === "succeeded") return "";
-  if (!programs.length) return "The programs appear here once all of them have been checked.";
-  return GOING.includes(state)
-    ? "All of them have been checked. They can be sent to a mill when the job is done."
-    : "The job was not finished: try again, and they can be sent to a mill when it is done.";
+/** Why nothing can be sent to a mill yet, or what is still to come. */
+function waitWords(job) {
+  if (job.state === "succeeded") return "";
+  if (!job.programs.length) return "The programs appear here once all of them have been checked.";
+  return mayBeMilled(job)
+    ? "All of them have been checked and can be milled. What the milled lens will show is still being worked out."
+    : "The job was not finished: try again, and they can be sent to a mill once they have been checked.";
 }
 
 async function machines() {
@@ -56,16 +57,12 @@ async function machines() {
   }
 }
 
-function sendable(job) {
-  return job.state === "succeeded" && job.programs.length > 0;
-}
-
 function row(job, program, mills) {
   const checked = job.report?.passes?.find(({ file }) => file === program.name);
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
-  const facts = [seconds && hours(seconds), lines && `${spaced(lines)} lines`, bytes(program.bytes)];
-  const sends = sendable(job) && mills.map((mill) => sendLink(job, program, mill, mills.length));
+  const facts = [seconds && hours(seconds), lines && `${thousands(lines)} lines`, bytes(program.bytes)];
+  const sends = mayBeMilled(job) && mills.map((mill) => sendLink(job, program, mill, mills.length));
   const save = saveLink({ url: program.url, name: program.name, size: program.bytes, words: "Save" });
   return h(
     "li", {},
@@ -81,10 +78,6 @@ function row(job, program, mills) {
 function passOf(name, job) {
   const number = Number(/^pass-(\d+)/.exec(name)?.[1]);
   return passesOf(job)[number - 1];
-}
-
-function spaced(whole) {
-  return String(whole).replace(/\B(?=(\d{3})+$)/g, "\u202f");
 }
 
 function sendLink(job, program, mill, count) {

@@ -32,6 +32,11 @@ export function stateWord(state) {
   return LOOKS[state]?.[0] ?? state;
 }
 
+/** May a mill have a job's programs? job: a whole one, which offers them once checked; what they make is drawn after. */
+export function mayBeMilled({ state, programs, cancel_requested: givenUp }) {
+  return programs.length > 0 && (state === "succeeded" || (state === "running" && !givenUp));
+}
+
 /** The mark of a job's state; `words` in place of the usual word. */
 export function stateMark(state, words) {
   const [word, kind] = LOOKS[state] ?? [state, "off"];

@@ -2,7 +2,7 @@
 
 import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
-import { shape } from "../lib/state.js";
+import { mayBeMilled, shape } from "../lib/state.js";
 import { ago, jobName, percent } from "../lib/words.js";
 import { enable, said } from "./said.js";
 import { whyNot } from "./words.js";
@@ -20,7 +20,7 @@ export function loading(link, chosen) {
   const load = h("button", { type: "button", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
   const reason = h("p", { class: "missing", role: "status" });
   const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load, reason);
-  const none = h("p", { class: "dim" }, "No job is done yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
+  const none = h("p", { class: "dim" }, "No job has programs yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");
   const node = h("section", { class: "card loading", "aria-labelledby": "loading-title" }, h("h2", { id: "loading-title" }, "Load a program"), none, form, words.node);
   const later = h("p", { class: "notice busy", hidden: true }, shape("busy"), h("span", {}));
   node.insertBefore(later, form);
@@ -31,7 +31,7 @@ export function loading(link, chosen) {
   const again = () => words.during(list);
 
   async function list() {
-    const found = (await api.get("/v1/jobs?state=succeeded&limit=50")).jobs;
+    const found = await withPrograms((await api.get("/v1/jobs?state=running&state=succeeded&limit=50")).jobs);
     replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     const meant = chosen.job && !found.some((job) => job.id === chosen.job) ? await api.get(`/v1/jobs/${chosen.job}`) : null;
     waitFor(meant ?? (found.length ? null : (await api.get("/v1/jobs?state=running&limit=1")).jobs[0]));
@@ -48,7 +48,7 @@ export function loading(link, chosen) {
     clearTimeout(timer);
     later.hidden = !job || !["queued", "running"].includes(job.state);
     if (later.hidden) return;
-    write(later.lastChild, `${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded when all of it is done.`);
+    write(later.lastChild, `${jobName(job)} is still being worked on (${percent(job.progress)}). Its programs can be loaded once all of them have been checked.`);
     timer = setTimeout(again, AGAIN_MS);
   }
 
@@ -81,6 +81,12 @@ export function loading(link, chosen) {
       enable([load], why === "" && !link.busy && passes.value !== "");
     },
   };
+}
+
+/** Jobs at work have programs for a mill once those have been checked. */
+async function withPrograms(jobs) {
+  const whole = await Promise.all(jobs.map((job) => (job.state === "running" ? api.get(`/v1/jobs/${job.id}`) : null)));
+  return jobs.filter((job, k) => !whole[k] || mayBeMilled(whole[k]));
 }
 
 function field(label, control) {

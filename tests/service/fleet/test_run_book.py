@@ -114,7 +114,7 @@ def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
 
 
 @pytest.mark.parametrize("state", ["queued", "running", "failed", "cancelled"])
-def test_only_programs_of_succeeded_jobs(book: RunBook, new: NewRun, database: sa.Engine, state: str) -> None:
+def test_only_programs_that_have_been_checked(book: RunBook, new: NewRun, database: sa.Engine, state: str) -> None:
     with writing(database) as connection:
         connection.execute(jobs.update().values(state=state))
     with pytest.raises(JobNotReadyError, match=state):

@@ -1,4 +1,4 @@
-"""From a succeeded job to a finished part: everything real but the mill, which is simulated to the firmware's traps."""
+"""From checked programs to a finished part: everything real but the mill, which is simulated to firmware traps."""
 
 from __future__ import annotations
 
@@ -92,10 +92,29 @@ def test_a_pass_out_of_order_needs_a_word_about_it(floor: Shop) -> None:
     floor.until_state(run, "finished")
 
 
-@pytest.mark.parametrize("state", ["queued", "running", "failed", "cancelled"])
-def test_only_succeeded_jobs_have_programs_to_run(floor: Shop, state: str) -> None:
+@pytest.mark.parametrize("state", ["queued", "failed", "cancelled"])
+def test_only_programs_of_jobs_that_go_well_may_be_run(floor: Shop, state: str) -> None:
     job = floor.job(state=state)
     assert floor.park(job, 409)["field"] == "job"
+
+
+def test_programs_may_be_run_as_soon_as_all_are_checked(floor: Shop) -> None:
+    """The job goes on with pictures of what they will make; it is not begun again under the run."""
+    job = floor.job(state="running")
+    floor.server.put_state(job, "running", cancel_requested=True)
+    assert "being cancelled" in floor.park(job, 409)["detail"]
+    floor.server.put_state(job, "running", cancel_requested=False)
+    floor.server.put_stage(job, "pass-3")  # once more, and not checked since
+    assert floor.park(job, 409)["field"] == "job"
+    floor.server.put_stage(job, "check")
+    run = floor.park(job)
+    floor.server.put_state(job, "failed")
+    with floor.client("jobs:write") as writer:
+        again = writer.post(f"/v1/jobs/{job}:retry")
+        assert (again.status_code, run["id"] in again.json()["detail"]) == (409, True)
+        floor.start(run)
+        floor.until_state(run, "finished")
+        assert writer.post(f"/v1/jobs/{job}:retry").status_code == 202
 
 
 def test_what_cannot_be_handed_over_is_told_and_leaves_the_mill_free(floor: Shop) -> None:
