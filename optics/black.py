@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from optics.advice import Advice
 from optics.bench import Bench, Branch
 from optics.errors import OpticsError
 from optics.outline import notched_share
@@ -62,35 +63,45 @@ def fine_detail(target: Array) -> float:
     return float(np.abs(target - uniform_filter(target, 3, mode="nearest")).mean() / (2 * target.mean()))
 
 
-def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[str, ...]:
+def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel: int = 2) -> tuple[Advice, ...]:
     """Sentences for a picture that is hard for this set-up: what to expect, what to change; none for most pictures."""
-    words = []
+    found = []
     leak, fine, peak = dark_leak_estimate(target, bench, radius_mm), fine_detail(target), target.max() / target.mean()
     if leak - dark_leak_estimate(target, bench, 0.0) >= _LEAK_WORTH_A_WORD:
         black = 100 * np.mean(target < DARK * target.max())
-        words.append(
-            "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light in it"
-            f"{_turning_helps(target, bench, radius_mm)} (black covers {black:.0f} % of the picture; in valleys for a "
-            f"ball of radius {radius_mm:g} mm, Ø {2 * radius_mm:g}, about {100 * leak:.1f} % of the light ends there)"
+        found.append(
+            Advice(
+                "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light "
+                f"in it{_turning_helps(target, bench, radius_mm)}",
+                f"black covers {black:.0f} % of the picture; in valleys for a ball of radius {radius_mm:g} mm, "
+                f"Ø {2 * radius_mm:g}, about {100 * leak:.1f} % of the light ends there",
+            )
         )
     if fine >= _FINE_WORTH_A_WORD:
         finer = ", a finer lens grid (vertices per pixel)" if vertices_per_pixel < 4 else ""
-        words.append(
-            f"{100 * fine:.0f} % of the light is in detail of a pixel or two (thin strokes, dots, noise): about "
-            f"{100 * _MISPLACED_PER_FINE * fine:.0f} % of it will fall beside its place; thicker strokes, more pixels "
-            f"for the same detail{finer} or grey instead of black help"
+        beside = _MISPLACED_PER_FINE * fine
+        found.append(
+            Advice(
+                f"{100 * fine:.0f} % of the light is in detail of a pixel or two (thin strokes, dots, noise): about "
+                f"{100 * beside:.0f} % of it will fall beside its place; thicker strokes, more pixels for the same "
+                f"detail{finer} or grey instead of black help"
+            )
         )
     if peak >= _PEAK_WORTH_A_WORD:
-        words.append(
-            f"the brightest pixel is to get {peak:.0f} times the mean, more than a lens of this grid can focus; larger "
-            f"spots or a floor of grey under the picture (a hundredth of its white) help"
+        found.append(
+            Advice(
+                f"the brightest pixel is to get {peak:.0f} times the mean, more than a lens of this grid can focus; "
+                "larger spots or a floor of grey under the picture (a hundredth of its white) help"
+            )
         )
     if notched := notched_share(bench):
-        words.append(
-            f"the outline leaves out {100 * notched:.0f} % of its convex hull: the picture's frame gets its light "
-            "from beside the notches too, and with it dark and bright lines; a convex outline has none"
+        found.append(
+            Advice(
+                f"the outline leaves out {100 * notched:.0f} % of its convex hull: the picture's frame gets its light "
+                "from beside the notches too, and with it dark and bright lines; a convex outline has none"
+            )
         )
-    return tuple(words)
+    return tuple(found)
 
 
 def _turning_helps(target: Array, bench: Bench, radius_mm: float) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
+from optics.advice import Advice
 from optics.ball_fit import fit_ball
 from optics.black import advice
 from optics.corrections import ClosingCost, Corrected, Pass, corrected
@@ -40,7 +41,7 @@ class LensDesign:
     message: str
     seconds: float
     flow: PaperFlow | None = None  # the paper's method step by step, where that was the method
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[Advice, ...] = ()
     closing: ClosingCost | None = None
     polish: PolishRecord | None = None
 
@@ -118,16 +119,16 @@ def _softened(path: OpticalPath) -> str:
     return f"{aim} and blurred by {path.blur_pixels:g} pixels" if path.blur_pixels > 0 else aim
 
 
-def _warnings(done: Corrected) -> tuple[str, ...]:
+def _warnings(done: Corrected) -> tuple[Advice, ...]:
     cost = done.closing
     if cost is None:
         return ()
     lost_db, leak = cost.psnr_db_without - cost.psnr_db_with, cost.dark_leak_with - cost.dark_leak_without
     if lost_db < _DEAR_DB and leak < _DEAR_LEAK:
         return ()
-    return (
+    words = (
         "the picture will be flatter and its dark areas brighter, as the ball does not fit the lens's narrow valleys: "
-        "a smaller ball, a wall farther away or a wider lens keeps more of it "
-        f"(ball of radius {cost.radius_mm:g} mm, Ø {2 * cost.radius_mm:g}: {lost_db:.1f} dB, "
-        f"{100 * leak:.1f} % more of the light in dark areas)",
+        "a smaller ball, a wall farther away or a wider lens keeps more of it"
     )
+    ball = f"ball of radius {cost.radius_mm:g} mm, Ø {2 * cost.radius_mm:g}"
+    return (Advice(words, f"{ball}: {lost_db:.1f} dB, {100 * leak:.1f} % more of the light in dark areas"),)

@@ -6,7 +6,6 @@ its slopes miss what only fine detail makes steeper.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from math import ceil, hypot, sqrt
@@ -28,11 +27,12 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import target_irradiance
 from optics.tolerance import blur_mm, source_rad
 from service import fitting
+from service.decoding import decoded
 from service.errors import InputError
 from service.estimate_light import MOST_PIXELS, foretold_db
 from service.lens_facts import LensFacts, measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
-from service.picture import read_picture
+from service.picture import picture_of
 from service.picture_limits import PictureLimits
 from service.planning import plan_for_picture
 from service.report_words import ball
@@ -49,7 +49,6 @@ _STEEP_DEG = 45.0
 _REFLECTED = 1e-6  # share of the light, from which on it is no rounding
 _WIDTH = 2.355  # of a blur at half its height, in standard deviations
 _TUBES, _BEAMS = 2, 7
-_FIGURES = re.compile(r" \([^()]*\)$")  # those at the end of a sentence: of a coarse lens no more than a first guess
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -75,21 +74,16 @@ class QuickLens:
 
 def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> dict[str, Any]:
     """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
-    width_mm, height_mm = spec.optics.screen_size_mm
-    coarse = coarse_spec(spec)
-    picture = read_picture(
-        path, coarse.image, rows=coarse.pixel_rows, aspect=width_mm / height_mm, limits=limits, name=name
-    )
-    fine = _with_pixels(spec, MOST_PIXELS)
-    whole = read_picture(path, fine.image, rows=fine.pixel_rows, aspect=width_mm / height_mm, limits=limits, name=name)
+    coarse, fine = coarse_spec(spec), _with_pixels(spec, MOST_PIXELS)
     with in_the_services_words():
-        quick = quick_lens(coarse, target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from))
+        (target, whole), (width, height) = _targets(path, coarse, fine, limits=limits, name=name)
+        quick = quick_lens(coarse, target)
         passes = list(_hours(quick))
         blur = _blur(quick)
-        seen_db = _seen_db(quick, target_irradiance(whole.linear, viewed_from=spec.optics.viewed_from))
-    own_px_mm = width_mm / spec.image.pixels
+        seen_db = _seen_db(quick, whole)
+    own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     refusals = list(_refusals(quick))
-    warnings = [f"{name} {sentence}" for sentence in _of_picture(picture.width, picture.height, spec)]
+    warnings = [f"{name} {sentence}" for sentence in _of_picture(width, height, spec)]
     return {
         "relief_mm": quick.lens.relief_mm,
         "max_slope_deg": quick.facts.max_slope_deg,
@@ -104,8 +98,19 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
-        "picture": {"width": picture.width, "height": picture.height},
+        "picture": {"width": width, "height": height},
     }
+
+
+def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
+    """What a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
+    image = decoded(path, limits, name)
+    found = []
+    for spec in specs:
+        width_mm, height_mm = spec.optics.screen_size_mm
+        picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
+        found.append(target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from))
+    return found, image.size
 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
@@ -270,8 +275,7 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
 
 
 def _warnings(quick: QuickLens) -> Iterator[str]:
-    for sentence in quick.design.warnings:
-        yield _FIGURES.sub("", sentence)
+    yield from (advice.words for advice in quick.design.warnings)
     if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
         share = 100 * quick.reflected_share
         yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"

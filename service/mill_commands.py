@@ -69,7 +69,7 @@ def stream(
     yes: Annotated[bool, typer.Option("--yes", help="Tool, zero, stock and clear space are checked already.")] = False,
     recover: Annotated[bool, typer.Option("--recover", help="Go on with an interrupted run of this program.")] = False,
     confirm_position: Annotated[
-        bool, typer.Option("--confirm-position", help="With --recover: you vouch for the mill's position.")
+        bool, typer.Option("--confirm-position", help="With --recover: you say that the mill's position is right.")
     ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="The controller reads all and moves nothing ($C).")

@@ -62,7 +62,11 @@ def read_picture(
     calls the picture by `name`, by default its path.
     """
     name = name or str(path)
-    image = decoded(path, limits, name)
+    return picture_of(decoded(path, limits, name), settings, rows=rows, aspect=aspect, name=name)
+
+
+def picture_of(image: Image.Image, settings: ImageSpec, *, rows: int, aspect: float, name: str) -> Picture:
+    """The same of a picture that is decoded already, as often as it is wanted."""
     width, height = image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:

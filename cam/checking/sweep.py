@@ -277,26 +277,26 @@ def sweep(  # type: ignore[no-untyped-def]
             and max(ay, by) + radius > y0
         )
         if near:
-            high = _highest(ceiling, tile, x0, y0, ax, ay, bx, by)
+            peak = _highest(ceiling, tile, x0, y0, ax, ay, bx, by)
             if not smooth:
                 mine = k if corner[_KIND] == _NONE else owner
                 number = line[mine] if mine >= 0 else owner_line
-                foot = az - keep_off if corner[_KIND] == _VERTICAL and corner[_WAS_RAPID] == 1.0 else az
+                standing_z = az - keep_off if corner[_KIND] == _VERTICAL and corner[_WAS_RAPID] == 1.0 else az
                 deep, place, up = cap(
-                    top, by_line, x0, y0, cell, high, ax, ay, foot, radius, first_row, row_step, number
+                    top, by_line, x0, y0, cell, peak, ax, ay, standing_z, radius, first_row, row_step, number
                 )
                 tally[mine + 1, REACH] = max(tally[mine + 1, REACH], up)
                 if deep > drops[mine + 1]:
                     drops[mine + 1] = deep
                     places[mine + 1] = place
             lowest = min(az, bz)
-            rise = high - lowest
+            rise = peak - lowest
             if kind == _ALONG and rise > 0.0:
                 wide = radius if rise >= radius else math.sqrt(rise * (2.0 * radius - rise))
                 turn_sin = abs(ex * corner[_EY] - ey * corner[_EX])
                 wedge = (turn_cos, turn_sin, corner[_TILT] if smooth else _NO_WEDGE)
                 strip = (radius, wide, tilt, length, wedge)
-                low, high = _between(0.0, wide, strip)
+                u_lo, u_hi = _between(0.0, wide, strip)
                 across = abs(ex) < abs(ey)  # lines of cells run along the axis that is nearer to the way
                 e_in, e_out = (ey, ex) if across else (ex, ey)
                 a_in, a_out = (ay - y0, ax - x0) if across else (ax - x0, ay - y0)
@@ -305,12 +305,12 @@ def sweep(  # type: ignore[no-untyped-def]
                 first_out, step_out = (0, 1) if across else (first_row, row_step)
                 edge = wide + _SLACK
                 side = edge * abs(e_in)
-                o0 = max(0, int(math.ceil((a_out + min(low * e_out, high * e_out) - side) / cell - 0.5)))
-                o1 = min(n_out - 1, int(math.floor((a_out + max(low * e_out, high * e_out) + side) / cell - 0.5)))
+                o0 = max(0, int(math.ceil((a_out + min(u_lo * e_out, u_hi * e_out) - side) / cell - 0.5)))
+                o1 = min(n_out - 1, int(math.floor((a_out + max(u_lo * e_out, u_hi * e_out) + side) / cell - 0.5)))
                 for block in range(o0 // TILE, o1 // TILE + 1):
                     o_lo, o_hi = max(o0, block * TILE), min(o1, block * TILE + TILE - 1)
                     d_lo, d_hi = (o_lo + 0.5) * cell - a_out, (o_hi + 0.5) * cell - a_out
-                    from_u, to_u, near_w = _bent(d_lo, d_hi, e_in, e_out, low, high, strip)
+                    from_u, to_u, near_w = _bent(d_lo, d_hi, e_in, e_out, u_lo, u_hi, strip)
                     if from_u > to_u or near_w > edge:
                         continue
                     lines = (from_u / e_in, to_u / e_in) if e_in > 0.0 else (to_u / e_in, from_u / e_in)
@@ -320,8 +320,8 @@ def sweep(  # type: ignore[no-untyped-def]
                     tiles = (block, max(i0, 0) // TILE, min(i1, n_in - 1) // TILE)
                     free = max(0.0, from_u) if tilt >= 0.0 else max(0.0, length - to_u)
                     rho2 = radius * radius - near_w * near_w
-                    foot = lowest + radius - math.sqrt(max(0.0, rho2 / (q * q), rho2 - free * free))
-                    if _highest_crown(crowns, tiles, across) <= foot:
+                    lowest_cut = lowest + radius - math.sqrt(max(0.0, rho2 / (q * q), rho2 - free * free))
+                    if _highest_crown(crowns, tiles, across) <= lowest_cut:
                         continue
                     cut = False
                     for o in range(o_lo + (first_out - o_lo) % step_out, o_hi + 1, step_out):

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from machines.driver import Driver, MillStatus
+from machines.driver import Driver, MillStatus, Triple
 from machines.errors import NotAllowedError
 from machines.journal.journal import Journal
 from machines.mill.files import FolderLock, RunFolders, left_alone
@@ -51,6 +51,7 @@ class MillCore:
         self._abort_asked = False
         self._recovering = False
         self._parser_state: str | None = None
+        self._jog_from_mm: Triple | None = None  # machine coordinates
         self._zeroed = ""
         self._homed = False
         self._standstill = Standstill()

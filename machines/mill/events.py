@@ -19,6 +19,7 @@ from machines.driver import (
     Stopped,
 )
 from machines.errors import JournalError
+from machines.mill.command_words import command_words
 from machines.mill.following import MillFollowing
 from machines.mill.run import Run
 from machines.mill.standing import LINK_LOST
@@ -128,8 +129,8 @@ class MillEvents(MillFollowing):
 
     def _commanded(self, event: CommandDone) -> None:
         command = event.command
-        name = type(command).__name__
-        self._say("command", f"{name}: {event.failure or 'done'}", event.answer)
+        words = command_words(event, from_mm=self._jog_from_mm, at_mm=self.status.machine_mm)
+        self._say("command", words, event.answer)
         if event.failure:
             return
         if isinstance(command, ReadSettings):

@@ -10,7 +10,7 @@ mill_events (what a driver reports), mill_starting (start and recover); here are
 
 from __future__ import annotations
 
-from machines.driver import Command, JogCancel, MillState, Override, ReadSettings
+from machines.driver import Command, Jog, JogCancel, MillState, Override, ReadSettings
 from machines.errors import JournalError, MachineError, NotAllowedError
 from machines.mill.run import Run
 from machines.mill.starting import MillStarting
@@ -94,7 +94,10 @@ class Mill(MillStarting):
                 self._touched()
             except JournalError as error:
                 raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
+        stood_mm = driver.status.machine_mm
         driver.command(command)
+        if isinstance(command, Jog):
+            self._jog_from_mm = stood_mm
         self._look()
 
     # ------------------------------------------------------------------ ending

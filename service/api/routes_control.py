@@ -51,7 +51,7 @@ _PLAIN = {
     "unlock": "Clear an alarm. The position may be wrong afterwards: look before you move.",
     "reset": "Soft reset of a controller that stands.",
     "resume": "THE MILL MOVES on from where it was held.",
-    "trust-position": "A person vouches for the position.",
+    "trust-position": "A person says that the position is right.",
     "settings": "Read the controller's settings again.",
 }
 _STOPS = {

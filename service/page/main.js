@@ -1,6 +1,6 @@
 /** The shell: which view an address means, who is here, and whether the server is. */
 
-import { api } from "./lib/api.js";
+import { api, ProblemError } from "./lib/api.js";
 import { h, replace } from "./lib/dom.js";
 import { askForKey, showWho } from "./lib/key.js";
 import { shape } from "./lib/state.js";
@@ -52,7 +52,7 @@ async function show({ focus = true } = {}) {
   scrollTo(0, 0);
   app.title("");
   try {
-    if (!route) throw new Error("There is no such page here.");
+    if (!route) throw new ProblemError(404, "There is no such page here.");
     const { default: view } = await route.load();
     if (!isCurrent()) return;
     const made = await view(place, { ...decoded(route.found.groups), ...query }, app);
@@ -82,6 +82,7 @@ function decoded(groups = {}) {
 /** Only what the server said, or nobody, is known to be no fault of the page. */
 function showFault(error, place, app) {
   const expected = error.name === "ProblemError";
+  const none = error.status === 404;
   if (!expected) console.error(error);
   const told = error.status === 401 ? "This server asks for its code before it shows this." : sentence(error.detail ?? "");
   const words = expected ? told : `This view cannot be shown (${error.message}). Load the page again.`;
@@ -93,10 +94,10 @@ function showFault(error, place, app) {
     h(
       "p",
       { class: "row" },
-      h("button", { type: "button", class: "primary", onclick: () => show() }, "Try again"),
+      !none && h("button", { type: "button", class: "primary", onclick: () => show() }, "Try again"),
       error.status === 401 &&
         h("button", { type: "button", onclick: () => askForKey("jobs:read") }, "Enter the code"),
-      h("a", { class: "button", href: "#/" }, "All jobs"),
+      h("a", { class: none ? "button primary" : "button", href: "#/" }, "All jobs"),
     ),
   );
   const mended = [api.onAway((away) => !away && show()), api.onWho(() => show())];

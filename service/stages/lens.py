@@ -164,8 +164,8 @@ def _tell_of_design(shop: Workshop, design: LensDesign, target: Array, settings:
     }
     if not design.converged:
         shop.note("optics", f"the lens design has not converged: {design.message}")
-    for sentence in design.warnings:
-        shop.note("optics", sentence)
+    for advice in design.warnings:
+        shop.note("optics", str(advice))
 
 
 def _without_clock(record: dict[str, Any]) -> dict[str, Any]:

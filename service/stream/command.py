@@ -98,7 +98,7 @@ def _require_answers(order: StreamOrder) -> None:
         raise InputError("--confirm-position belongs to --recover")
     if order.recover and keyboard() is None and not order.position_confirmed:
         raise InputError(
-            "--recover needs a person: run it on a terminal, or vouch for the mill's position with --confirm-position"
+            "--recover needs a person: run it on a terminal, or say with --confirm-position that the position is right"
         )
     try:
         if order.program.exists() and not order.program.is_dir() and not order.program.is_file():

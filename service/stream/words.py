@@ -46,8 +46,8 @@ def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts
     """The machine, where it is, and how the link is guarded."""
     state = f"{status.state.value}{f' ({status.detail})' if status.detail else ''}"
     yield f"mill:       {status.controller or 'unknown controller'} on {url}, {state}"
-    trusted = "trusted" if status.position_trusted else "not trusted: neither homed nor vouched for"
-    yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {trusted}"
+    sure = "sure" if status.position_trusted else "not sure: not homed, and nobody has said that it is right"
+    yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {sure}"
     offset = "unknown" if status.work_offset_mm is None else position_words(status.work_offset_mm)
     yield f"offset:     work zero at machine {offset}"
     if facts is not None:

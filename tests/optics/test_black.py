@@ -90,11 +90,15 @@ def test_each_difficulty_gets_its_words() -> None:
     dots = np.zeros((64, 64))
     dots[20, 30] = dots[50, 40] = 64 * 64 / 2
     noise = np.random.default_rng(1).integers(0, 2, (64, 64)) * 2.0
-    assert any("a ball of half the radius or a wall twice as far away" in words for words in advice(ring(), BENCH, 2.0))
-    assert any("thin strokes, dots, noise" in words for words in advice(noise, BENCH, 0.1))
-    assert any("2048 times the mean" in words for words in advice(dots, BENCH, 0.1))
+    (leak,) = advice(ring(), BENCH, 2.0)
+    assert "a ball of half the radius or a wall twice as far away" in leak.words
+    assert not any(digit in leak.words for digit in "0123456789")
+    assert "Ø 4" in leak.figures
+    assert str(leak) == f"{leak.words} ({leak.figures})"
+    assert any("thin strokes, dots, noise" in one.words for one in advice(noise, BENCH, 0.1))
+    assert any("2048 times the mean" in one.words for one in advice(dots, BENCH, 0.1))
     assert fine_detail(dots) > fine_detail(noise) > 0.3 > fine_detail(ring())
-    assert not any("grid" in words for words in advice(noise, BENCH, 0.1, vertices_per_pixel=4))
+    assert not any("grid" in one.words for one in advice(noise, BENCH, 0.1, vertices_per_pixel=4))
 
 
 def test_a_notched_outline_gets_its_words_and_a_convex_one_none() -> None:
@@ -102,8 +106,8 @@ def test_a_notched_outline_gets_its_words_and_a_convex_one_none() -> None:
     diamond = np.array([[50.0, 0.0], [100.0, 50.0], [50.0, 100.0], [0.0, 50.0]])
     arrow = np.array([[50.0, 0.0], [100.0, 100.0], [50.0, 75.0], [0.0, 100.0]])  # a quarter of its hull is notch
     assert advice(soft, replace(BENCH, outline_mm=diamond), 0.5) == ()
-    (words,) = advice(soft, replace(BENCH, outline_mm=arrow), 0.5)
-    assert "leaves out 25 % of its convex hull" in words
+    (notched,) = advice(soft, replace(BENCH, outline_mm=arrow), 0.5)
+    assert "leaves out 25 % of its convex hull" in notched.words
 
 
 def test_branch_is_inverted_only_where_it_gains_and_fits() -> None:

@@ -21,7 +21,7 @@ def test_closing_cost_is_stated_where_valleys_are_filled(settings: LensSettings)
     assert cost is not None and cost.radius_mm == 4.0
     assert cost.psnr_db_with < cost.psnr_db_without
     assert cost.dark_leak_with > cost.dark_leak_without
-    assert "4 mm" in " ".join(design.warnings)
+    assert "4 mm" in " ".join(map(str, design.warnings))
 
 
 def test_creases_close_nothing_on_a_finer_grid(settings: LensSettings, soft_picture: np.ndarray) -> None:

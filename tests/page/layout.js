@@ -1,7 +1,8 @@
 /**
  * Laws of a screen, for a hand in a glove and an eye at a distance: (page as it is now) -> sentences about what breaks
- * them. Nothing is wider than the screen, no words are cut or lie over others, no control lies in another's way or is
- * too small to hit. What scrolls inside itself may be larger; what is laid over the page is judged by itself.
+ * them. Nothing is wider than the screen, no words are cut, broken within a button or lie over others, no control lies in
+ * another's way or is too small to hit. What scrolls inside itself may be larger; what is laid over the page is
+ * judged by itself.
  */
 ({ least }) => {
   const CONTROLS = "a[href], button, select, textarea, input, summary, [role=radio], canvas[tabindex]";
@@ -108,6 +109,19 @@
     return one.inputMode === "decimal" || one.type === "number" ? one.value : "";
   }
 
+  /** Words of a button that end on another line than they begin; names that people give may be long. */
+  function broken() {
+    const apart = (node) => [...node.data.matchAll(/[^\s-]+/g)].filter(([word]) => word.length <= 12).filter(({ 0: word, index }) => {
+      const range = document.createRange();
+      range.setStart(node, index);
+      range.setEnd(node, index + word.length);
+      return new Set([...range.getClientRects()].map(({ top }) => Math.round(top))).size > 1;
+    });
+    return all.filter((one) => one.closest("button, .button")).flatMap((one) =>
+      [...one.childNodes].filter((node) => node.nodeType === Node.TEXT_NODE).flatMap(apart).map(([word]) => `broken in ${name(one)}: ${word}`),
+    );
+  }
+
   /** [{one, box}]: what a finger aims at; a tick or a radio is its whole label. */
   function controls() {
     const aims = all.filter((one) => one.matches(CONTROLS) && one.type !== "file").map((one) =>
@@ -135,5 +149,5 @@
   }
 
   const words = lines(), aims = controls();
-  return [...wide(), ...cut(words), ...overWords(words), ...cutFields(), ...inTheWay(aims), ...small(aims)];
+  return [...wide(), ...cut(words), ...overWords(words), ...cutFields(), ...broken(), ...inTheWay(aims), ...small(aims)];
 }

@@ -110,6 +110,7 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
         {"state": "run", "spindle_on": True, "spindle_rpm": 18000, "feed_mm_per_min": 1480},
         _CUT | {"state": "running"},
     ),
+    "simulated": ({"simulated": True}, {"state": "run", "spindle_on": True}, _CUT | {"state": "running"}),
     "held": ({}, {"state": "held"}, _CUT | {"state": "held"}),
     "interrupted": (
         {},

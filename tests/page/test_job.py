@@ -379,6 +379,7 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened, shop: Shop) -> None
     points, chosen = page.get_by_role("radio", name="will blur"), page.locator(".plan-chosen")
     expect(points).to_have_count(len(PLAN_HOURS))
     expect(chosen).to_contain_text("This is the plan of this job.")
+    assert page.locator(".plan-words").all_text_contents() == ["hard to recognise", "recognisable"]  # words beside dB
     x = [box["x"] for point in points.all() if (box := point.bounding_box())]
     assert x == sorted(x)  # longer is farther right
     points.nth(0).click()
@@ -407,7 +408,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened, shop:
     page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")
     expect(rows).to_have_count(2)
-    expect(rows.nth(1)).to_have_text(re.compile(r"distance to the wall.*123 mm"))
+    expect(rows.nth(1)).to_have_text(re.compile(r"Distance to the wall.*123 mm"))
     better = page.get_by_role("row", name="On the wall, as milled").get_by_role("cell", name="better")
     expect(better).to_have_text(re.compile("31.5 dB"))
     expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()

@@ -106,7 +106,7 @@ def test_whatever_ends_the_hold_stops_the_mill(at_mill: Page) -> None:
         "window without focus": (finger.down, lambda: unfocused(at_mill)),
         "tab out of sight": (finger.down, lambda: hidden(at_mill, now=True)),
     }
-    ended = at_mill.locator(".log li", has_text=re.compile("Jog: done"))
+    ended = at_mill.locator(".log li", has_text=re.compile("^[^ ]+ Jog X"))
     for how, (begin, end) in ends.items():
         before, count = place_mm(at_mill, "X"), ended.count()
         begin()
@@ -123,7 +123,7 @@ def test_whatever_ends_the_hold_stops_the_mill(at_mill: Page) -> None:
 def test_a_word_to_stop_that_overtakes_the_word_to_go_is_said_again(at_mill: Page) -> None:
     waiting: list[Route] = []
     at_mill.route("**/control/jog", lambda route: waiting.append(route))
-    ended = at_mill.locator(".log li", has_text=re.compile("Jog: done"))
+    ended = at_mill.locator(".log li", has_text=re.compile("^[^ ]+ Jog X"))
     before = ended.count()
     finger = Finger(at_mill, "X minus")
     with at_mill.expect_request("**/control/jog"):

@@ -98,6 +98,16 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     release(page)
 
 
+def raised(page: Page) -> None:
+    """The tool goes up first, and the plan to go on is made anew from there; it may have stood high already."""
+    line = page.locator(".next")
+    expect(line).to_contain_text(re.compile("raise Z first|go on with it"))
+    if "raise Z first" in line.inner_text():
+        with page.expect_response("**/recovery"):
+            line.get_by_role("button", name="Raise Z").click()
+    expect(line).to_contain_text("go on with it", timeout=WAIT_MS)
+
+
 def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Shop) -> None:
     running(at_mill, shop)
     at_mill.keyboard.press("Space")
@@ -110,6 +120,7 @@ def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Sho
     stopped_at = cut_lines(at_mill)
     expect(machine_state(at_mill)).to_have_text(re.compile("^idle"))
     expect(at_mill.get_by_text(re.compile("Lines up to .* are cut for certain"))).to_be_visible()
+    raised(at_mill)
     start(at_mill)
     expect(at_mill.locator(".running .mark")).to_have_text("running")
     goes_on(at_mill)

@@ -96,6 +96,9 @@ def test_a_filter_shows_the_jobs_of_its_states(opened: Opened) -> None:
         page.get_by_role("link", name=words, exact=True).click()
         expect(page.get_by_role("link", name=words, exact=True)).to_have_attribute("aria-current", "true")
         expect(page.locator(".job .name")).to_have_count(len(states))
+    answer_with(page, [])
+    page.get_by_role("link", name="Failed", exact=True).click()
+    expect(page.get_by_text("No job failed or was cancelled.")).to_be_visible()
 
 
 def test_the_first_view_is_small_and_comes_from_this_server_only(watched: Callable[..., Watched], shop: Shop) -> None:

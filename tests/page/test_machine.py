@@ -87,6 +87,16 @@ def test_without_a_server_nothing_is_offered_and_nobody_is_said_to_have_control(
     for choice in page.locator(".steps input").all():
         expect(choice).to_be_disabled()
     expect(page.locator(".control .who")).to_have_text("Who has control is not known now.")
+    expect(page.locator(".running .mark")).to_have_text("last seen stopped")
+
+
+def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened: Opened) -> None:
+    page = opened("#/machines")
+    for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left, simulated")):
+        told(page, state)
+        page.evaluate(f"location.hash = '{SCREEN}'")
+        expect(page.locator(".meter .row span")).to_have_text(words)
+        page.evaluate("location.hash = '#/machines'")
 
 
 def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened, shop: Shop) -> None:

@@ -81,7 +81,7 @@ def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
     assert due(FRESH)[0] == "load", "the program says which tool and which block the zero is for"
     corner = due(FRESH, run=RUN)
     assert corner[:2] == ["corner", ""], "nothing sets a zero where homing has left the tool"
-    assert "R 0.5 (Ø 1)" in corner[2]
+    assert "R 0.5 (Ø 1 mm)" in corner[2]
     over_it = due(OVER_IT, run=RUN)
     assert over_it[:2] == ["zero", "X and Y = 0 here"]
     assert "8 mm inside the block" in over_it[2]
@@ -93,7 +93,7 @@ def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
     after_another = ALL_SET | {"needs": ["a program has ended"]}
     new_tool = due(after_another, run=RUN)
     assert new_tool[:2] == ["zero", "Z = 0 here"]
-    assert "R 0.5 (Ø 1)" in new_tool[2]
+    assert "R 0.5 (Ø 1 mm)" in new_tool[2]
     change = {"from_radius_mm": 0.5, "to_radius_mm": 0.5, "words": "the same tool as before"}
     same_tool = RUN | {"setup": RUN["setup"] | {"change": change}}
     assert due(after_another, run=same_tool)[0] == "tick", "a tool that stays in keeps its zero"
@@ -156,12 +156,63 @@ def test_nothing_is_said_to_be_left_while_the_tool_stands_in_the_block(opened: O
     expect(tick).to_be_checked()
 
 
+@pytest.mark.parametrize(
+    ("state", "button"), [("stopped", "Go on from line 8,640"), ("parked", "Start pass-2-finish.nc")]
+)
+def test_no_program_goes_while_the_line_says_to_raise_the_tool(opened: Opened, state: str, button: str) -> None:
+    """Every tick is given, and a name: what is in the way is the tool, and the button says so until it is up."""
+    low = {"work_mm": [12.4, 7.02, -2.3], "machine_mm": [-137.6, -142.98, -22.3], "needs": []}
+    page = with_control(opened, state, mill=low)
+    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | {"ready": True, "needs": []}))
+    if state == "stopped":
+        page.get_by_role("button", name="Look again").click()
+    expect(page.locator(".next")).to_contain_text("raise Z first.")
+    listed = page.locator(".checklist:visible")
+    for box in listed.locator("input[type=checkbox]").all():
+        box.check()
+    page.get_by_label("Operator").fill("Ada")
+    go = page.get_by_role("button", name=button)
+    expect(go).to_be_disabled()
+    expect(listed.locator(".missing")).to_have_text("Raise Z first.")
+    told(page, state, operator="Ada", mill=RAISED | {"needs": []})
+    expect(go).to_be_enabled()
+    expect(listed.locator(".missing")).to_have_text("")
+
+
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_who_is_shown_where_to_jog_sees_where_the_tool_is(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size, mill=FRESH)
     page.locator(".next").get_by_role("button", name="Show").click()
     assert out_of_sight(page, ".readout .work, .pad button") == []
     expect(page.get_by_role("button", name="Y plus")).to_be_focused()
+
+
+@pytest.mark.parametrize("size", ["wide", "phone"])
+def test_who_jogs_sees_where_the_tool_is_however_far_the_page_is_scrolled(opened: Opened, size: str) -> None:
+    page = with_control(opened, "parked", size=size, mill=FRESH)
+    page.locator(".jog .said").evaluate("one => one.scrollIntoView({block: 'end'})")
+    position = page.locator(".readout").bounding_box()
+    assert page.locator(".jog").bounding_box()["y"] < position["y"] + position["height"], "scrolled under it"
+    assert out_of_sight(page, ".readout .work") == []
+    for name in ("Y plus", "Y minus"):
+        page.get_by_role("button", name=name).focus()
+        assert out_of_sight(page, f".readout .work, .pad [aria-label='{name}']") == []
+
+
+def test_a_drawing_says_which_corner_is_zero_before_a_program_is_loaded(opened: Opened) -> None:
+    page = with_control(opened, "idle")
+    drawing = page.get_by_role("img", name="X0 Y0 is the front left corner of the lens, inside the block")
+    expect(drawing).to_be_visible()
+    block, lens, corner = (drawing.locator(one).bounding_box() for one in (".block", ".lens", ".corner"))
+    middle = [corner["x"] + corner["width"] / 2, corner["y"] + corner["height"] / 2]
+    assert middle == pytest.approx([lens["x"], lens["y"] + lens["height"]], abs=1)
+    assert block["x"] + 5 < lens["x"] and lens["x"] + lens["width"] + 5 < block["x"] + block["width"]
+    told(page, "parked", operator="Ada")
+    drawing = page.get_by_role("img", name="8 mm inside the block 116 × 116 mm")
+    expect(drawing).to_be_visible()
+    block, lens = (drawing.locator(one).bounding_box() for one in (".block", ".lens"))
+    assert lens["width"] / block["width"] == pytest.approx(100 / 116, abs=0.03)
+    expect(page.locator(".zero-place")).to_contain_text("8 mm inside the block's left and front edges")
 
 
 @pytest.mark.thorough
@@ -230,10 +281,15 @@ def test_the_console_tells_what_matters(opened: Opened) -> None:
     page = opened("#/machines", key="Ada")
     told(page, "idle")
     entries = [("state", "run"), ("state", "idle"), ("state", "jog"), ("state", "alarm"), ("command", "Home: done")]
-    entries += [("run", "pass-1.nc: parked"), ("state", "idle")]
+    entries += [("run", "pass-1.nc: parked"), ("state", "idle"), ("command", "Read settings: done")]
+    entries += [
+        ("command", "Jog X +10 mm: done"),
+        ("command", "X and Y = 0 here: done, at machine X 1.000, Y 2.000 mm"),
+    ]
     logged = [{"number": k, "at_s": 1.0, "kind": kind, "words": words} for k, (kind, words) in enumerate(entries)]
     body = "".join(f"event: log\ndata: {json.dumps(entry)}\n\n" for entry in logged)
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=body, content_type="text/event-stream"))
     page.evaluate(f"location.hash = '{SCREEN}'")
     lines = page.locator(".log li span")
-    expect(lines).to_have_text(["locked", "Home: done", "pass-1.nc: waits for your start"])
+    told_of = ["locked", "Home: done", "pass-1.nc: waits for your start", *(words for _, words in entries[-2:])]
+    expect(lines).to_have_text(told_of)

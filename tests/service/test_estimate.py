@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from optics.design import design_lens
 from optics.irradiance import target_irradiance
-from service import pipeline
+from service import decoding, pipeline
+from service import estimate as estimating
+from service import picture as pictures
 from service.estimate import PIXELS, coarse_spec, estimate
 from service.lens_facts import measure_lens
 from service.picture import read_picture
@@ -86,6 +89,20 @@ def test_a_first_guess_says_what_is_lost_but_not_how_much() -> None:
     """What a coarse lens loses in valleys is decibels off: the job's own lens says how many."""
     (sentence,) = [one for one in estimated(small())["warnings"] if "narrow valleys" in one]
     assert sentence.endswith("keeps more of it")
+
+
+def test_the_picture_is_decoded_once_for_all_that_is_asked_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A large photograph takes longer to decode than all the rest of an estimate."""
+    seen: list[Path] = []
+
+    def counted(path: Path, limits: PictureLimits, name: str) -> Image.Image:
+        seen.append(path)
+        return decoding.decoded(path, limits, name)
+
+    for module in (estimating, pictures):
+        monkeypatch.setattr(module, "decoded", counted)
+    estimated(small())
+    assert len(seen) == 1
 
 
 def test_the_block_may_be_just_so_thin() -> None:

@@ -7,8 +7,10 @@ import dataclasses
 import pytest
 from rich.console import Console
 
+from machines.driver import MillStatus
 from service.stream.keys import Question
 from service.stream.screen import StreamView, one_line, panel
+from service.stream.words import mill_lines
 
 CALM = StreamView(state="run", run_state="running", line=134, executed_line=105, total_lines=923, time_left_s=43.0)
 FULL = dataclasses.replace(
@@ -65,3 +67,11 @@ def test_nothing_is_left_of_a_run_that_is_over() -> None:
     over = dataclasses.replace(CALM, run_state="finished", state="idle", time_left_s=None)
     assert "time left" not in one_line(over)
     assert "unknown" not in next(row for row in rows(over) if "time left" in row)
+
+
+@pytest.mark.parametrize(
+    ("sure", "words"), [(True, ", sure"), (False, ", not sure: not homed, and nobody has said that it is right")]
+)
+def test_whether_the_position_is_right_is_said_in_plain_words(sure: bool, words: str) -> None:
+    (line,) = [one for one in mill_lines("mill", MillStatus(position_trusted=sure), (), None) if "position" in one]
+    assert line.endswith(words)

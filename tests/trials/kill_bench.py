@@ -105,9 +105,7 @@ class Bench:
     def command_done(self, command: object) -> None:
         seen = self.mill._log.count
         self.mill.command(command)  # type: ignore[arg-type]
-        name = type(command).__name__
-        self.until(lambda: any(e.number > seen and e.kind == "command" and e.words.startswith(name)
-                               for e in self.mill.snapshot.events))  # fmt: skip
+        self.until(lambda: any(e.number > seen and e.kind == "command" for e in self.mill.snapshot.events))
         self.until_state(MillState.IDLE, MillState.ALARM)
 
     def clearing(self) -> bool:

@@ -3,7 +3,7 @@ import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { shape } from "../lib/state.js";
-import { hours, jobName, mm } from "../lib/words.js";
+import { capital, hours, jobName, mm, thousands } from "../lib/words.js";
 import { KINDS, pictureShelf } from "./pictures.js";
 import { eyeWords, millSeconds, passesOf, smallestDetail } from "./figures.js";
 import { settingWords, valueWords } from "./setting_words.js";
@@ -68,11 +68,11 @@ const FIGURES = [
   ["Time on the mill", hours, -1, ({ job }) => millSeconds(job.report)],
   ["Smallest detail", mm, -1, ({ job }) => smallestDetail(job.spec, job.report)],
   ["On the wall, as milled", eyeAndDb, 1, ({ job }) => job.report?.as_milled?.psnr_db],
-  ["Likeness of structure (SSIM)", (value) => value.toFixed(3), 1, ({ job }) => job.report?.as_milled?.ssim],
+  ["Likeness of structure (SSIM)", (value) => `${value.toFixed(3)} of 1`, 1, ({ job }) => job.report?.as_milled?.ssim],
   ["On the wall, if polished", eyeAndDb, 1, ({ job }) => job.report?.optics?.psnr_db],
   ["Depth of the lens", mm, 0, ({ job }) => job.report?.optics?.relief_mm],
   ["Steepest slope", (value) => `${value.toFixed(1)}°`, 0, ({ job }) => job.report?.optics?.max_slope_deg],
-  ["Lines of all programs", (count) => count.toLocaleString(), 0, ({ job }) => linesOf(job.report)],
+  ["Lines of all programs", thousands, 0, ({ job }) => linesOf(job.report)],
 ];
 
 function linesOf(report) {
@@ -101,7 +101,7 @@ function figureRow([what, say, better, value], sides) {
 }
 
 function winner(text) {
-  return h("strong", {}, shape("good"), h("span", { class: "hidden-words" }, "better: "), text);
+  return h("strong", {}, shape("good"), h("span", { class: "hidden-words" }, "better: "), ` ${text}`);
 }
 
 function settings(sides, names) {
@@ -109,7 +109,7 @@ function settings(sides, names) {
   const named = sides.find(({ job }) => passesOf(job).length)?.job ?? sides[0].job;
   const spec = { ...named.spec, passes: passesOf(named) };
   const rows = differences(...sides.map(({ job }) => specOf(job))).map(([key, ...values]) =>
-    h("tr", {}, h("th", { scope: "row" }, settingWords(key, spec)), values.map(cell(key))),
+    h("tr", {}, h("th", { scope: "row" }, capital(settingWords(key, spec))), values.map(cell(key))),
   );
   const title = h("h2", { id: "compare-settings" }, "Settings that differ");
   const told = rows.length ? table(names, rows) : h("p", {}, "None: both were made with the same settings.");

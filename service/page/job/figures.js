@@ -40,6 +40,13 @@ export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
 }
 
+/** What it means from one level of dB to another: [[from, to, the first of its words]], worst first. */
+export function eyeBands(low, high) {
+  const tops = [Infinity, ...EYE.map(([least]) => least)];
+  const bands = EYE.map(([least, words], k) => [Math.max(least, low), Math.min(tops[k], high), words.split(/[,;]/)[0]]);
+  return bands.filter(([from, to]) => from < to).reverse();
+}
+
 /**
  * Size of the smallest detail on the wall that still shows, in mm; null before it is known. Twice the rms blur that
  * the tool's marks make, with the disc that the lamp makes of a point, and never less than a pixel.

@@ -2,11 +2,12 @@
 import { h, replace, svg } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { hours, mm, sentence } from "../lib/words.js";
-import { detailOfPlan, eyeWords, passWords } from "./figures.js";
+import { detailOfPlan, eyeBands, eyeWords, passWords } from "./figures.js";
 
 const EDGE = { left: 58, right: 16, top: 28, bottom: 54 };
 const HEIGHT = 300;
 const LEAST_WIDTH = 240;
+const LEAST_BAND = 20; // that words fit into
 const MARKS_H = [1 / 60, 2 / 60, 5 / 60, 10 / 60, 0.25, 0.5, 1, 2, 3, 5, 8, 12, 24, 48, 96, 200];
 
 /** {node, update(job)} */
@@ -57,13 +58,15 @@ function steps(count, taken, take) {
   );
 }
 
-/** Places on a chart so many pixels wide: x by the logarithm of hours, y by dB. */
+/** Places on a chart so many pixels wide: x by the logarithm of hours, y by dB, from `least` to `most`. */
 export function scales(rows, width) {
   const logs = rows.map((row) => Math.log(row.hours)), levels = rows.map((row) => row.psnr_db);
   const [x0, x1] = spread(logs, Math.log(2)), [y0, y1] = spread(levels, 2);
   return {
     x: (value) => EDGE.left + ((Math.log(value) - x0) / (x1 - x0)) * (width - EDGE.left - EDGE.right),
     y: (value) => HEIGHT - EDGE.bottom - ((value - y0) / (y1 - y0)) * (HEIGHT - EDGE.top - EDGE.bottom),
+    least: y0,
+    most: y1,
     hours: MARKS_H.filter((each) => Math.log(each) >= x0 && Math.log(each) <= x1),
     levels: Array.from({ length: Math.floor(y1) - Math.ceil(y0) + 1 }, (_, k) => Math.ceil(y0) + k),
   };
@@ -100,9 +103,22 @@ function drawing(rows, at, width, { taken, made, take, spec }) {
     ]),
     svg("text", { class: "plan-axis", x: (EDGE.left + width) / 2, y: HEIGHT - 8, "text-anchor": "middle" }, "time on the mill"),
     svg("text", { class: "plan-axis", x: 0, y: 14 }, "likeness of the milled picture"),
+    eyeBands(at.least, at.most).map((band) => bandWords(band, at, width)),
     svg("path", { class: "plan-line", d: line }),
     rows.map((row, k) => point(row, k, at, { taken, made, take, spec, last: rows.length - 1 })),
   );
+}
+
+/** What a band of likeness means to an eye, where the line does not go: low ones at the right, high ones at the left. */
+function bandWords([from, to, words], at, width) {
+  const top = at.y(to), foot = at.y(from);
+  if (foot - top < LEAST_BAND) return null;
+  const low = foot + top > at.y(at.least) + at.y(at.most);
+  const place = low ? { x: width - EDGE.right - 6, y: foot - 7, "text-anchor": "end" } : { x: EDGE.left + 6, y: top + 15 };
+  return [
+    to < at.most && svg("path", { class: "plan-band", d: `M${EDGE.left} ${top.toFixed(1)}H${width - EDGE.right}` }),
+    svg("text", { class: "plan-words", ...place }, words),
+  ];
 }
 
 /** Those of [value, place] that lie so far apart that their words do not meet. */

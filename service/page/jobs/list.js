@@ -9,10 +9,10 @@ import { jobCard } from "./card.js";
 import { thumbnails } from "./thumbnails.js";
 
 const FILTERS = [
-  ["all", "All", []],
-  ["active", "Working", ["queued", "running"]],
-  ["done", "Done", ["succeeded"]],
-  ["failed", "Failed", ["failed", "cancelled"]],
+  ["all", "All", [], ""],
+  ["active", "Working", ["queued", "running"], "No job is being worked on."],
+  ["done", "Done", ["succeeded"], "No job is done yet."],
+  ["failed", "Failed", ["failed", "cancelled"], "No job failed or was cancelled."],
 ];
 const WHAT = ": you get the programs that mill a clear block, and light through that block paints the picture on a wall.";
 const BUSY_MS = 1500;
@@ -21,8 +21,8 @@ const PAGE = 48;
 
 export default async function view(root, params, app) {
   app.title("Jobs");
-  const states = FILTERS.find(([key]) => key === params.show)?.[2] ?? [];
-  const list = jobList(states);
+  const [, , states, none] = FILTERS.find(([key]) => key === params.show) ?? FILTERS[0];
+  const list = jobList(states, none);
   const take = (file) => {
     keep(file);
     app.go("#/new");
@@ -61,15 +61,15 @@ function filterBar(current) {
   return h("nav", { class: "filters row", "aria-label": "Which jobs", hidden: true }, links);
 }
 
-/** The cards and what keeps them true: a light question every now and then, more often while something is going on. */
-function jobList(states) {
+/** The cards, or `none` in words, and what keeps them true: a light question every now and then, more often while something is going on. */
+function jobList(states, none) {
   const query = states.map((state) => `&state=${state}`).join("");
   const pictures = thumbnails();
   const cards = new Map(); // id -> {card, job}
   const stop = new AbortController();
   const made = {
     element: h("ul", { class: "jobs", "aria-label": "Jobs" }),
-    empty: h("p", { class: "dim", hidden: true }, "No job here is like that."),
+    empty: h("p", { class: "dim", hidden: true }, none),
     more: h("p", { hidden: true }, h("button", { type: "button", onclick: older }, "Show older jobs")),
     onChange: () => {},
     start,

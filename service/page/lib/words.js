@@ -57,7 +57,7 @@ export function ago(iso, now = Date.now()) {
   if (!Number.isFinite(seconds)) return "";
   if (seconds < 45) return "just now";
   if (seconds < 3600) return `${Math.max(1, Math.round(seconds / 60))} min ago`;
-  const clock = then.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  const clock = then.toLocaleTimeString([], { hour: "2-digit", minute: "2-digit", hourCycle: "h23" });
   const days = Math.round((startOfDay(now) - startOfDay(then.getTime())) / 86_400_000);
   if (days === 0) return `today ${clock}`;
   if (days === 1) return `yesterday ${clock}`;
@@ -92,6 +92,11 @@ export function capital(words) {
 /** count(1, "job") = "1 job", count(3, "job") = "3 jobs". */
 export function count(number, word, several = `${word}s`) {
   return `${number} ${number === 1 ? word : several}`;
+}
+
+/** A whole number with its thousands apart, the same in every country: 41210 is "41,210". */
+export function thousands(whole) {
+  return whole.toLocaleString("en");
 }
 
 /** A word that nobody else has: "page-" and 32 digits. */

@@ -5,15 +5,6 @@ import { enable, said } from "./said.js";
 import { RUN_WORDS, stateWord, whyNot } from "./words.js";
 
 const SHOWN = 200;
-const COMMANDS = {
-  SendBlock: "Line",
-  SetZero: "Work zero",
-  ProbeZ: "Probe",
-  JogCancel: "End jog",
-  TrustPosition: "Position confirmed",
-  CheckMode: "Check mode",
-  ReadSettings: "Settings",
-};
 
 export function terminal(link) {
   const words = said();
@@ -54,19 +45,11 @@ function line(entry) {
   const clock = new Date(entry.at_s * 1000).toLocaleTimeString([], { hour12: false });
   const item = h("li", { class: `log-${entry.kind}` });
   item.append(h("time", {}, clock), " ", h("span", {}));
-  write(item.lastChild, (entry.kind === "state" ? stateWord(entry.words) : plain(entry.words)) + answerOf(entry));
+  write(item.lastChild, entry.kind === "state" ? stateWord(entry.words) : plain(entry.words));
   return item;
 }
 
-/** The agent's words, its own names of commands as they stand on the buttons, without the number of the job. */
+/** The agent's words without the number of the job. */
 function plain(words) {
-  return words
-    .replace(/^([A-Z]\w+):/, (whole, name) => `${COMMANDS[name] ?? name}:`)
-    .replace(/ of job [0-9a-f-]{36}/, "")
-    .replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
-}
-
-function answerOf({ answer }) {
-  const place = answer?.machine_mm ?? answer?.probed_mm;
-  return Array.isArray(place) ? ` (${place.map((one) => one.toFixed(3)).join(", ")})` : "";
+  return words.replace(/ of job [0-9a-f-]{36}/, "").replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
 }

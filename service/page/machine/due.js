@@ -1,9 +1,9 @@
 /**
- * The one thing to do next: connect, control, home, load, tool over the zero, zero, tick, start; or, before all that, what
- * is wrong. Pure: it decides, `next.js` says it, and the button that does it is the only blue one of the page.
+ * The one thing to do next: connect, control, home, load, tool over the zero, zero, tick, start; or, before all that,
+ * what is wrong. Pure: it decides, `next.js` says it, and the button that does it is the only blue one of the page.
  */
 
-import { percent } from "../lib/words.js";
+import { ball, capital, percent } from "../lib/words.js";
 import { atHome, depthInBlock, placed, riseToSafe, zeroKnown } from "./place.js";
 import { troubleOf } from "./trouble.js";
 import { hasLiveRun } from "./words.js";
@@ -11,11 +11,14 @@ import { hasLiveRun } from "./words.js";
 const HOME = { label: "Home", what: "home", body: {} };
 const ZERO_XY = { label: "X and Y = 0 here", what: "zero", body: { axes: "XY" } };
 const ZERO_Z = { label: "Z = 0 here", what: "zero", body: { axes: "Z" } };
+const RESUME = "Resume when all is clear, or STOP.";
+const RAISE = "raise Z first.";
 const RAISE_MM_PER_MIN = 500;
 
 /**
- * {step, kind, words, trouble, act, go}: words of what is due; trouble: what is wrong, where something is; act: the order
- * of its button; go: the card that it is done in. load: {ready, jobs, atWork: one is being made}, ticked: all of the list.
+ * {step, kind, words, trouble, act, go, bars}: words of what is due; trouble: what is wrong, where something is; act:
+ * the order of its button; go: the card that it is done in; bars: why no program may start or go on before it is done,
+ * "" where one may. load: {ready, jobs, atWork: one is being made}, ticked: all of the list.
  */
 export function dueOf(link, { load = {}, ticked = false } = {}) {
   const trouble = troubleOf(link);
@@ -28,12 +31,14 @@ export function dueOf(link, { load = {}, ticked = false } = {}) {
 }
 
 function due(step, words, more = {}) {
-  return { step, words, kind: "", trouble: null, act: null, go: "", ...more };
+  return { step, words, kind: "", trouble: null, act: null, go: "", bars: "", ...more };
 }
 
 function whileRunning({ machine: { mill, run }, mine }) {
-  if (mill.state === "held") return due("resume", mine ? "Resume when all is clear, or STOP." : "take control, then Resume; or STOP.", { kind: "warn" });
-  if (run.state === "running") return due("run", `The program runs: ${percent(run.share)} is cut.`, { kind: "busy", whole: true });
+  const resume = mine ? RESUME : "take control, then Resume; or STOP.";
+  if (mill.state === "held") return due("resume", resume, { kind: "warn" });
+  const cut = `The program runs: ${percent(run.share)} is cut.`;
+  if (run.state === "running") return due("run", cut, { kind: "busy", whole: true });
   return due("run", "wait until it stands.", { kind: "busy" });
 }
 
@@ -46,10 +51,13 @@ function standing(link, trouble, load, ticked) {
   const { machine, run } = link;
   const { mill } = machine;
   if (mill.state === "homing") return due("wait", "wait until it is home.", { kind: "busy" });
-  if (mill.state === "held") return due("resume", "Resume when all is clear, or STOP.", { kind: "warn" });
+  if (mill.state === "held") return due("resume", RESUME, { kind: "warn" });
   if (mill.state === "check") return due("check", "end the check mode (line $C), then go on.", { kind: "warn" });
   if (trouble?.step === "home") return due("home", trouble.next, { kind: trouble.kind, act: HOME });
-  return raising(link, trouble) ?? homing(machine) ?? (trouble ? due("recover", trouble.next, { kind: trouble.kind, go: "recover" }) : settingUp(machine, run, load, ticked));
+  const first = raising(link, trouble) ?? homing(machine);
+  if (first) return first;
+  if (trouble) return due("recover", trouble.next, { kind: trouble.kind, go: "recover" });
+  return settingUp(machine, run, load, ticked);
 }
 
 /** After a stop the tool stands where it was: nothing goes sideways before it is up. */
@@ -60,10 +68,11 @@ function raising({ machine, run }, trouble) {
   const rise = riseToSafe(machine);
   if (rise < 0.01) return null;
   const stopped = run && !run.open || trouble;
-  const above = machine.mill.work_mm[2].toFixed(1);
-  const where = depth ? `${depthWords(depth)} ${stopped ? "in the block" : "below the block's top"}` : `only ${above} mm above the block`;
+  const above = `only ${machine.mill.work_mm[2].toFixed(1)} mm above the block`;
+  const where = depth ? `${depthWords(depth)} ${stopped ? "in the block" : "below the block's top"}` : above;
   const act = { label: "Raise Z", what: "jog", body: { by_mm: [0, 0, rise], feed_mm_per_min: RAISE_MM_PER_MIN } };
-  return due("raise", `The tool stands ${where}: raise Z first.`, { kind: "warn", act, whole: true });
+  const more = { kind: "warn", act, whole: true, bars: capital(RAISE) };
+  return due("raise", `The tool stands ${where}: ${RAISE}`, more);
 }
 
 function depthWords(mm) {
@@ -89,13 +98,14 @@ function zeroing(machine, setup) {
   if (!placed(machine.mill)) return null;
   if (!zeroKnown(machine, "XY")) return overTheCorner(machine, setup);
   const toolStays = setup.change && setup.change.from_radius_mm === setup.change.to_radius_mm;
-  const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has, and this one is for another tool or block
-  return ended || !zeroKnown(machine, "Z") ? onTheTop(machine, ended && setup.change ? `change the tool to ${toolWords(setup)}, then ` : "") : null;
+  const ended = machine.mill.needs?.length > 0 && !toolStays; // a program has; this one is for another tool or block
+  if (!ended && zeroKnown(machine, "Z")) return null;
+  return onTheTop(machine, ended && setup.change ? `change to ${ball(setup.tool.radius_mm)}, then ` : "");
 }
 
 function overTheCorner(machine, setup) {
   const margin = setup.stock?.margin_mm;
-  const mount = setup.tool?.radius_mm ? `clamp the block, put in ${toolWords(setup)}; ` : "";
+  const mount = setup.tool?.radius_mm ? `clamp the block, put in ${ball(setup.tool.radius_mm)}; ` : "";
   if (atHome(machine, "XY")) return due("corner", `${mount}jog over the lens's front left corner.`, { go: "jog" });
   const where = Number.isFinite(margin) ? ` (${margin} mm inside the block)` : "";
   return due("zero", `jog over the front left corner of the lens${where}; set X and Y.`, { act: ZERO_XY });
@@ -106,14 +116,15 @@ function onTheTop(machine, before) {
   return due("zero", `${before}touch the block's top with the tool; set Z.`, { act: ZERO_Z });
 }
 
-function toolWords({ tool }) {
-  return `R ${tool.radius_mm} (Ø ${2 * tool.radius_mm})`;
+function loading(run, { ready, jobs, atWork }) {
+  const none = ready && !jobs;
+  if (none && atWork) return due("wait", "wait for the job at work: its programs are loaded here.", { kind: "busy" });
+  if (none) return due("make", "make a lens: its programs are loaded here.", { go: "load" });
+  return due("load", toLoad(run), { go: "load" });
 }
 
-function loading(run, { ready, jobs, atWork }) {
-  if (ready && !jobs && atWork) return due("wait", "wait for the job at work: its programs are loaded here.", { kind: "busy" });
-  if (ready && !jobs) return due("make", "make a lens: its programs are loaded here.", { go: "load" });
-  if (run?.state === "finished" && run.next) return due("load", `load the next program, ${run.next.name}.`, { go: "load" });
-  if (run?.state === "finished") return due("load", "the lens is milled: take it out, or load another program.", { go: "load" });
-  return due("load", "load a program.", { go: "load" });
+function toLoad(run) {
+  if (run?.state !== "finished") return "load a program.";
+  if (run.next) return `load the next program, ${run.next.name}.`;
+  return "the lens is milled: take it out, or load another program.";
 }

@@ -109,7 +109,7 @@ export class MillLink {
   }
 
   noted(entry) {
-    if (entry.words.startsWith("ReadSettings: done")) return; // every look at a plan asks for them
+    if (entry.words.startsWith("Read settings: done")) return; // every look at a plan asks for them
     if (entry.kind === "state" && PASSING.has(entry.words)) return;
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
     this.log.push(entry);

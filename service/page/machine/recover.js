@@ -6,7 +6,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { mark } from "../lib/state.js";
-import { count } from "../lib/words.js";
+import { count, thousands } from "../lib/words.js";
 import { guarded } from "./ask.js";
 import { checklist } from "./checklist.js";
 import { enable, said } from "./said.js";
@@ -21,7 +21,7 @@ export function recover(link) {
   let seen = "";
   let shown = "";
   let list = null;
-  let [plan, first, raise] = [null, null, ""];
+  let [plan, first, raise, bars] = [null, null, "", ""];
 
   const ask = () =>
     words.during(async () => {
@@ -35,17 +35,17 @@ export function recover(link) {
 
   function show(run, found) {
     plan = found;
-    list = plan.ready ? checklist(run, { label: `Go on from line ${plan.overlap_line.toLocaleString()}`, words, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
+    list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
     replace(
       steps,
-      step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${plan.executed_line.toLocaleString()} are cut for certain.`)),
+      step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
       (first = h("li", {})),
       step("What will happen", false, whatHappens(plan)),
       step("Your word", false, list?.node ?? [h("p", { class: "dim" }, "When everything above is done."), words.node]),
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
     showFirst();
-    list?.update(whyNot(link), true);
+    list?.update(whyNot(link) || bars, true);
   }
 
   /** The tool in the block is no reason for the plan, which begins by raising it; it is for a person at the mill. */
@@ -77,12 +77,13 @@ export function recover(link) {
       const now = [run.id, run.state, state, trusted, connected, link.commands, mayAsk].join(" ");
       if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
       seen = now;
-      const low = due.step === "raise" ? due.words : "";
+      bars = due.bars;
+      const low = bars && due.words;
       if (low !== raise) {
         raise = low;
         if (plan) showFirst();
       }
-      list?.update(whyNot(link), due.step === "recover");
+      list?.update(whyNot(link) || bars, due.step === "recover");
       const why = whyNot(link, STANDS, { besideRun: true });
       enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
     },
@@ -130,7 +131,8 @@ function whatHappens(plan) {
   const again = plan.recut_lines ? `${count(plan.recut_lines, "line")} before the break ${plan.recut_lines === 1 ? "is" : "are"} cut again, so that no mark is left.` : "";
   return [
     h("p", {}, `${way} ${again}`),
-    plan.differences.length > 0 && h("ul", {}, plan.differences.map((text) => h("li", {}, text))),
+    plan.differences.length > 0 && h("p", {}, "What the controller holds is not what it was then:"),
+    plan.differences.length > 0 && h("ul", {}, plan.differences.map((text) => h("li", {}, text.replaceAll(/-(?=\d)/g, "−")))),
     h("details", {}, h("summary", {}, "Everything the plan says"), h("ul", {}, plan.words.map((text) => h("li", {}, text))), h("pre", { tabIndex: 0 }, plan.blocks.join("\n"))),
   ];
 }

@@ -2,7 +2,7 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
-import { ball, count, hours, percent } from "../lib/words.js";
+import { ball, count, hours, percent, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guarded } from "./ask.js";
 import { said } from "./said.js";
@@ -36,14 +36,14 @@ export function running(link) {
       const now = `${run.id} ${run.state} ${run.warnings?.length} ${run.words}`;
       if (now !== shown) fill(run);
       shown = now;
-      const [kind, word] = runStanding(run, link.machine);
+      const [kind, word] = link.away ? ["off", `last seen ${runStanding(run, link.machine)[1]}`] : runStanding(run, link.machine);
       if (state.textContent !== word) replace(state, mark(kind, word));
       write(title, `${run.program.name}${run.setup?.tool ? `, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
-      progress.update(run);
+      progress.update(run, link.machine?.simulated);
       const stands = link.machine?.mill?.state === "idle";
       if (idle && !stands) list?.clear();
       idle = stands;
-      list?.update(whyNot(link), ["tick", "start"].includes(due.step));
+      list?.update(whyNot(link) || due.bars, ["tick", "start"].includes(due.step));
     },
   };
 }
@@ -56,13 +56,13 @@ function meter() {
   const node = h("div", { class: "meter" }, h("div", { class: "row spread" }, share, left), bar, line);
   return {
     node,
-    update(run) {
+    update(run, simulated) {
       node.hidden = run.state === "preparing" || run.state === "refused";
       write(share, percent(run.share));
       bar.value = run.share;
-      write(line, run.lines ? `line ${run.executed_line.toLocaleString()} of ${run.lines.toLocaleString()}` : "");
+      write(line, run.lines ? `line ${thousands(run.executed_line)} of ${thousands(run.lines)}` : "");
       const over = !Number.isFinite(run.time_left_s) || run.state === "finished" || run.state === "aborted";
-      write(left, over ? "" : `${hours(run.time_left_s)} left`);
+      write(left, over ? "" : `${hours(run.time_left_s)} left${simulated ? ", simulated" : ""}`);
     },
   };
 }

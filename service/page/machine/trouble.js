@@ -1,5 +1,6 @@
 /** What is wrong, in words, and the one safe thing to do next. Pure: `next.js` shows it. */
 
+import { thousands } from "../lib/words.js";
 import { RUN_WORDS, sentence } from "./words.js";
 
 const SHORT = 44; // letters of somebody else's words that a line of the page has room for
@@ -37,12 +38,12 @@ function troubleOfMill({ mill, run, profile }) {
 }
 
 function locked(mill, profile) {
-  const why = sentence(mill.detail).replace(/^ALARM:\d+ \((.*)\)\.$/i, "$1");
+  const why = sentence(mill.detail);
   const first = why.split(/[,:;(.]/)[0].trim();
-  const short = first && first.length <= SHORT && !/^locked/i.test(first) ? `Locked: ${first}.` : "The mill is locked.";
+  const short = first && first.length <= SHORT && !/^locked/i.test(first) ? `Locked: ${first[0].toLowerCase()}${first.slice(1)}.` : "The mill is locked.";
   const homes = profile?.homing !== false;
   const next = homes ? "see that the tool is free to rise, then home the mill." : "see that the tool is free, unlock, set the zero anew.";
-  return told("bad", short, next, `${sentence(why)} Unlock only if you know where the tool is.`, homes ? "home" : "");
+  return told("bad", short, next, `${why} Unlock only if you know where the tool is.`, homes ? "home" : "");
 }
 
 function unplugged(mill, run) {
@@ -59,7 +60,7 @@ function unplugged(mill, run) {
 function troubleOfRun(machine, run) {
   if (!run?.required_checks?.includes("position")) return null;
   const [, word] = RUN_WORDS[run.state] ?? ["", run.state];
-  const line = run.executed_line ? ` at line ${run.executed_line.toLocaleString()}` : "";
+  const line = run.executed_line ? ` at line ${thousands(run.executed_line)}` : "";
   const more = `${sentence(run.words)} The part is not lost, and nothing moves before you say so.`;
   return told(run.state === "aborted" ? "warn" : "bad", `The program was ${word}${line}.`, "go on with it, step by step.", more, "recover");
 }

@@ -17,6 +17,7 @@ import { running } from "./running.js";
 import { setup } from "./setup.js";
 import { stops } from "./stops.js";
 import { hasLiveRun, standing } from "./words.js";
+import { zeroDrawing } from "./zero_drawing.js";
 
 const REST_MS = 1000; // that what has come to another place rests: the press was meant for what was there
 
@@ -48,7 +49,7 @@ export default async function view(root, params, app) {
 }
 
 function made(link, chosen) {
-  const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link) };
+  const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link), zero: zeroDrawing(link) };
   const load = loading(link, chosen);
   const others = { program: running(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
@@ -56,7 +57,7 @@ function made(link, chosen) {
 }
 
 /** On a narrow screen what is on the mill comes before what sets it up; `arrange` says when. */
-function layout({ head, control, next, readout, jog, setup, program, load, recover, part, overrides, terminal, stops }) {
+function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, terminal, stops }) {
   const node = (one) => one.node;
   const stack = (name, ...parts) => h("div", { class: `stack ${name}` }, parts.map(node));
   return h(
@@ -67,7 +68,7 @@ function layout({ head, control, next, readout, jog, setup, program, load, recov
     h(
       "div",
       { class: "machine-columns" },
-      h("div", { class: "left" }, stack("tool", readout, jog), stack("zero", setup)),
+      h("div", { class: "left" }, stack("tool", readout, jog), stack("zero", setup, zero)),
       h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", terminal)),
     ),
     stops.node,

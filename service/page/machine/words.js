@@ -132,5 +132,6 @@ export function checkWords(check, run) {
 /** The server's or the agent's words as a sentence, without the codes of the controller in them. */
 export function sentence(words) {
   if (!words) return "";
-  return inWords(words.replaceAll(/ \(\$\w+\)/g, ""));
+  const alarm = words.replaceAll(/\bALARM:\d+ \(([^()]*)\)/g, "$1").replaceAll(/\bALARM:\d+ /g, "");
+  return inWords(alarm.replaceAll(/ \(\$\w+\)/g, ""));
 }

@@ -7,6 +7,9 @@
  * stands in the field. wide: it has a line of its own. look: "cards" for a choice with words about each.
  */
 
+import { eyeWords } from "../job/figures.js";
+import { capital } from "../lib/words.js";
+
 const XYZ = ["X", "Y", "Z"];
 const OF_MACHINE = "machine's";
 export const MACHINE_USUAL = "grbl";
@@ -46,15 +49,23 @@ const PRESETS = [
   ["draft", "Draft", "one rough and one coarse finish: quick, to see whether it works"],
   ["paper", "Paper", "the three passes of the published method: very fine, slow"],
 ];
-const BLUR = { when: recommended, hint: "On the wall. Instead of hours." };
-const LIKENESS = { when: recommended, hint: "27: plainly the picture; 33: hardly told apart (PSNR). Instead of hours." };
+const LIKENESSES = [
+  [null, "any"],
+  [21, "recognisable (21 dB)"],
+  [27, "plain (27 dB)"],
+  [33, "good (33 dB)"],
+  [40, "very close (40 dB)"],
+].map(([level, words]) => [level, words, level ? `${capital(eyeWords(level))}.` : ""]);
+const HOURS = { when: recommended, hint: "On the mill, all passes." };
+const BLUR = { when: recommended, hint: "On the wall. Instead of a time." };
+const LIKENESS = { when: recommended, hint: "Of the wall to the picture. Instead of a time." };
 
 export const MILL = [
   choice("machine.profile", "Machine", [["grbl", "grbl"]], MACHINE_USUAL, { wide: true, named: "profiles" }),
   choice("preset", "How fine", PRESETS, "paper", { look: "cards" }),
-  number("plan.hours", "At most", "h", "no limit", { when: recommended, hint: "Machine time to stay within." }),
+  number("plan.hours", "Time at most", "h", "no limit", HOURS),
   number("plan.blur_mm", "Blur at most", "mm", "any", BLUR),
-  number("plan.psnr_db", "Likeness to reach", "dB", "any", LIKENESS),
+  choice("plan.psnr_db", "Likeness to reach", LIKENESSES, null, LIKENESS),
 ];
 
 const TONES = [["srgb", "as photos are (sRGB)"], ["linear", "linear light"]];

@@ -20,7 +20,7 @@ export function pictureSide({ spec, values, onChange }) {
   const tools = pictureTools({ state: drawn, onEdit: edit });
   const name = h("input", { type: "text", maxLength: 80, autocomplete: "off", oninput: onChange });
   const marks = h("input", { type: "checkbox", checked: true, onchange: () => seen.draw() });
-  const blur = h("label", { class: "tick", hidden: true }, marks, "with the blur that the tool's marks will leave");
+  const blur = h("label", { class: "tick", hidden: true }, marks, "With the blur that the tool's marks will leave");
   const own = h("div", { class: "picture-values" }, values);
   const place = h("div", { class: "stack tight" });
   const fault = h("p", { class: "fault", role: "alert" });

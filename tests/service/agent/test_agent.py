@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 import pytest
@@ -76,12 +77,19 @@ def test_hold_resume_and_abort(agent: AgentProcess, mill: Bench, tmp_path: Path)
 
 def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
     agent.post("/v1/control/jog", 202, by_mm=[5, 0, 0], feed_mm_per_min=1000)
-    status = agent.until(lambda status: "Jog: done" in [event["words"] for event in status["events"]])
-    assert status["status"]["work_mm"] == [5.0, 0.0, 0.0]
+
+    def said(words: str) -> dict[str, Any]:
+        return agent.until(lambda status: words in [event["words"] for event in status["events"]])
+
+    assert said("Jog X +5 mm: done")["status"]["work_mm"] == [5.0, 0.0, 0.0]
     agent.post("/v1/control/zero", 202, axes="X")
+    said("X = 0 here: done, at machine X 5.000 mm")
     agent.until(lambda status: status["status"]["work_mm"] == [0.0, 0.0, 0.0])
     agent.post("/v1/control/override", 202, what="feed", percent=120)
+    said("Feed at 120 %: done")
     agent.until(lambda status: status["status"]["overrides"][0] == 120)
+    agent.post("/v1/control/block", 202, text="M3 S1000")
+    said("Line M3 S1000: done")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.api.auth import refuse_foreign_bind
+from service.api.schemas_control import PairingBody
 from service.api.terminal import CodeOnTerminal
 from service.errors import InputError
 from service.jobs.codes import code_of, new_offer
@@ -46,6 +47,12 @@ def offered(server: ApiServer) -> str:
 
 def other_than(code: str) -> str:
     return next(offer for offer in iter(new_offer, None) if code_of(offer) != code)
+
+
+def test_the_documented_example_looks_like_a_code() -> None:
+    examples = PairingBody.model_json_schema()["properties"]["code"]["examples"]
+    shapes = {re.sub(r"\d", "0", code) for code in [*examples, code_of(new_offer())]}
+    assert len(shapes) == 1, examples
 
 
 def paired(server: ApiServer, code: str, name: str = "Ada", **headers: str) -> httpx.Response:
