@@ -2,8 +2,9 @@
 for, so that the first person's need not wait for it.
 
 A process of its own, `python -m service.worker.preparing PART PARENT`, that gives way to all others and ends with the
-thread that started it. It makes a lens and its light; another one, begun by it, makes programs for a lens that is there
-already and shows them as milled, so that two cores are at it. The mark of `kernel_cache` says that all is done.
+thread that started it. It begins with light, while an estimate that somebody may wait for solves its map, and goes on
+with a lens and with reading a program; another one, begun by it, makes programs for a lens that is there already and
+shows them as milled. The mark of `kernel_cache` says that all is done.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from service.kernel_cache import JOBS, ready_mark, use_current_kernels
 if TYPE_CHECKING:
     from service.spec import JobSpec
 
-_GIVES_WAY = 10  # of nice
+_GIVES_WAY = 5  # of nice; the other process twice
 _SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3
 _SMALL = (
     f"image.pixels={_VERTICES - 1}",
@@ -31,11 +32,12 @@ _SMALL = (
     f"optics.height_mm={_SIDE_MM}",
     "optics.throw_mm=40",
 )
+_PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\n"
 
 
 def begin() -> subprocess.Popen[bytes] | None:
     """The process, or None where nothing is left to compile. Somebody has to wait for its end."""
-    return None if ready_mark(JOBS).exists() else _process("lens")
+    return None if ready_mark(JOBS).exists() else _process("light")
 
 
 def _process(part: str) -> subprocess.Popen[bytes]:
@@ -55,9 +57,8 @@ def main(part: str, parent: int) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # its folder is taken away
     die_with_parent(parent, signal.SIGTERM)
     name_process("cm-preparing")
-    if part == "lens":
-        os.nice(_GIVES_WAY)  # the other one inherits it
-    other = _process("programs") if part == "lens" else None
+    os.nice(_GIVES_WAY)
+    other = _process("programs") if part == "light" else None
     use_current_kernels()  # before numba is imported
     with tempfile.TemporaryDirectory() as folder:
         _PARTS[part](Path(folder))
@@ -69,33 +70,46 @@ def main(part: str, parent: int) -> int:
     return other.returncode
 
 
-def _lens(folder: Path) -> None:
+def _light(folder: Path) -> None:
     from PIL import Image
 
-    from service.pipeline import design
+    from machines.gcode.limits import limits_of
+    from service.passes import machine_of
+    from service.pipeline import caustic, design
+    from service.preflight_worker import examine
     from service.progress import QuietReporter
 
-    path = folder / "wedge.png"
-    Image.linear_gradient("L").resize((64, 64)).save(path)
-    design(path, folder / "job", _spec(), reporter=QuietReporter())
+    dome, picture, program = folder / "dome", folder / "wedge.png", folder / "cut.nc"
+    _put_dome(dome)
+    caustic(dome, _spec(), reporter=QuietReporter())
+    Image.linear_gradient("L").resize((64, 64)).save(picture)
+    design(picture, folder / "lens", _spec(), reporter=QuietReporter())
+    program.write_text(_PROGRAM, encoding="ascii")
+    examine(program, limits_of(machine_of(_spec())), lambda _: None)
 
 
 def _programs(folder: Path) -> None:
-    """For a dome, whose light is even."""
+    from service.pipeline import cam
+    from service.progress import QuietReporter
+
+    _put_dome(folder / "dome")
+    cam(folder / "dome", _spec(), reporter=QuietReporter())
+
+
+def _put_dome(folder: Path) -> None:
+    """A lens that nobody had to compute, and an even picture."""
     import numpy as np
 
     from optics.heightfield import Heightfield
     from service.job_files import HEIGHTFIELD, MAP
-    from service.pipeline import cam
-    from service.progress import QuietReporter
     from service.stages.arrays import heightfield_bytes, target_bytes
 
     arch = np.sin(np.linspace(0.0, np.pi, _VERTICES))
     heights_mm = _RISE_MM * (np.outer(arch, arch) - 1.5)
     lens = Heightfield.on_aperture(heights_mm, width_mm=_SIDE_MM, height_mm=_SIDE_MM)
+    folder.mkdir()
     (folder / HEIGHTFIELD).write_bytes(heightfield_bytes(lens))
     (folder / MAP).write_bytes(target_bytes(np.ones((_VERTICES - 1, _VERTICES - 1))))
-    cam(folder, _spec(), reporter=QuietReporter())
 
 
 def _spec() -> JobSpec:
@@ -104,7 +118,7 @@ def _spec() -> JobSpec:
     return resolve_spec(preset="draft", overrides=_SMALL)
 
 
-_PARTS = {"lens": _lens, "programs": _programs}
+_PARTS = {"light": _light, "programs": _programs}
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1], int(sys.argv[2])))
