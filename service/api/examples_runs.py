@@ -29,7 +29,7 @@ RUN_EXAMPLE: dict[str, Any] = {
     "setup": {
         "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
         "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "margin_mm": 8.0, "material": "pmma"},
-        "zero": "X0 Y0: lower left corner of the lens, 8 mm from the block's left and front edges; Z0: the block's top",
+        "zero": "X0 Y0: front left corner of the lens, 8 mm from the block's left and front edges; Z0: the block's top",
         "change": {
             "from_radius_mm": 3.0,
             "to_radius_mm": 0.5,

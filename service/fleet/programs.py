@@ -66,7 +66,7 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
         "material": stock.get("material"),
     }
     zero = (
-        f"X0 Y0: lower left corner of the lens, {margin_mm:g} mm from the block's left and front edges; "
+        f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; "
         "Z0: the block's top"
     )
     change = _same_pass(row) if part > 1 else _change(row, before) if number > 1 else None

@@ -118,7 +118,7 @@ function onTheTop(machine, before) {
 
 function loading(run, { ready, jobs, atWork }) {
   const none = ready && !jobs;
-  if (none && atWork) return due("wait", "wait for the job at work: its programs are loaded here.", { kind: "busy" });
+  if (none && atWork) return due("wait", "wait for the job at work, then load its program here. Clamp the block meanwhile.", { kind: "busy" });
   if (none) return due("make", "make a lens: its programs are loaded here.", { go: "load" });
   return due("load", toLoad(run), { go: "load" });
 }

@@ -68,7 +68,8 @@ export function next(link, cards) {
       if (key !== shown) say(due);
       shown = key;
       draw(due);
-      if (button) enable([button], Date.now() >= fresh && (!due.act || (!link.busy && link.machine?.mill?.state !== "jog")));
+      const free = Date.now() >= fresh && !link.busy && link.machine?.mill?.state !== "jog";
+      if (button) enable([button], !due.act || free); // what only shows is always free
     },
   };
 }
