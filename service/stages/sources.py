@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
@@ -11,6 +12,7 @@ from pathlib import Path
 _ROOT = Path(__file__).parents[2]
 _PACKAGES = ("optics", "cam", "machines", "service")
 _DATA = {"service.report": ("service/templates",)}  # folders of files that a module reads as if they were code
+_parsing = threading.Lock()  # CPython before 3.12 may fail where two threads parse at once (its issue 106905)
 
 
 @cache
@@ -35,8 +37,13 @@ def modules_used(module: str) -> set[str]:
     return found
 
 
-@cache
 def _imports(module: str) -> tuple[str, ...]:
+    with _parsing:
+        return _parsed_imports(module)
+
+
+@cache
+def _parsed_imports(module: str) -> tuple[str, ...]:
     return tuple({name for name in _named(_file(module)) if name.split(".")[0] in _PACKAGES and _exists(name)})
 
 

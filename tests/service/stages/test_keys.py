@@ -19,7 +19,7 @@ from service.spec_files import resolve_spec
 from service.stages.order import FileRef, StageResult
 from service.stages.plan import facts_of, part_of, plan, reads, shares, stage_key, stage_of
 from service.stages.run import run_order
-from service.stages.sources import modules_used
+from service.stages.sources import modules_used, state_of_sources
 from tests.service.stages.jobs import StagedJob, hashes, staged_job
 from tests.service.stages.variants import ALONE, BASE, ONLY_ONE_VALUE, OTHER, POINT, leaves, spec_of, spec_with
 
@@ -251,6 +251,25 @@ def test_the_sources_in_a_key_are_all_that_python_loads(module: str) -> None:
     root = Path(__file__).parents[3]
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=root)
     assert set(done.stdout.split()) <= modules_used(module)
+
+
+def test_jobs_that_begin_at_once_find_the_same_sources() -> None:
+    """Each slot of a worker is a thread, and two that parse Python at once can fail (issue 106905 of CPython).
+
+    Here each is made to let the others go on, again and again, in the middle of its parsing.
+    """
+    script = (
+        "import gc, time\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from service.stages.sources import state_of_sources\n"
+        "gc.callbacks.append(lambda *_: time.sleep(0))\n"
+        "gc.set_threshold(50)\n"
+        "with ThreadPoolExecutor(4) as slots:\n"
+        "    print(*slots.map(state_of_sources, ['service.stages.run'] * 4))\n"
+    )
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert found.stderr == ""
+    assert found.stdout.split() == [state_of_sources("service.stages.run")] * 4
 
 
 def test_planning_needs_no_arrays() -> None:
