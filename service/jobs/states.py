@@ -53,8 +53,8 @@ class JobStateError(Exception):
 class JobOnMillError(JobStateError):
     """A run of one of the job's programs is open: what the mill is doing must stay explained."""
 
-    def __init__(self, before: JobState, run_id: str) -> None:
-        super().__init__(before, "this", ENDED)
+    def __init__(self, before: JobState, doing: str, run_id: str) -> None:
+        super().__init__(before, doing, ENDED)
         self.run_id = run_id
         self.args = (f"run {run_id} of a program of this job is open; abort it or let it finish first",)
 

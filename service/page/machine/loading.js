@@ -31,10 +31,11 @@ export function loading(link, chosen) {
   const again = () => words.during(list);
 
   async function list() {
-    const found = await withPrograms((await api.get("/v1/jobs?state=running&state=succeeded&limit=50")).jobs);
+    const { jobs: all } = await api.get("/v1/jobs?state=running&state=succeeded&limit=50");
+    const found = await withPrograms(all);
     replace(jobs, found.map((job) => h("option", { value: job.id, selected: job.id === chosen.job }, `${jobName(job)}, ${ago(job.created_at, api.now())}`)));
     const meant = chosen.job && !found.some((job) => job.id === chosen.job) ? await api.get(`/v1/jobs/${chosen.job}`) : null;
-    waitFor(meant ?? (found.length ? null : (await api.get("/v1/jobs?state=running&limit=1")).jobs[0]));
+    waitFor(meant ?? (found.length ? null : all[0]));
     Object.assign(facts, { ready: true, jobs: found.length, atWork: !later.hidden });
     none.hidden = found.length > 0 || !later.hidden;
     form.hidden = found.length === 0;
