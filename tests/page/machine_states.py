@@ -7,7 +7,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 NAME = "shop"
 RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
@@ -147,10 +147,18 @@ def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
     return machine, whole
 
 
-def told(page: Page, state: str, *, operator: str = "", mill: dict[str, Any] | None = None) -> None:
+def told(
+    page: Page,
+    state: str,
+    *,
+    operator: str = "",
+    mill: dict[str, Any] | None = None,
+    plan: Callable[[Route], Any] = lambda route: route.fulfill(json=PLAN),
+) -> None:
     """From now on this page hears of one machine in this state; whoever takes control of it is that operator.
 
     mill : what is different about the mill; a page that listens already hears of it at once
+    plan : answers whoever asks how to go on
     """
     machine, run = machine_in(state)
     if mill:
@@ -166,7 +174,7 @@ def told(page: Page, state: str, *, operator: str = "", mill: dict[str, Any] | N
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
     page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": last, "next": None}))
     page.route("**/v1/runs/*", lambda route: route.fulfill(json=run))
-    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN))
+    page.route("**/v1/runs/*/recovery", plan)
     page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json={"id": _JOB, "spec": _spec(), "programs": []}))
     page.route(f"**/v1/jobs/{_JOB}/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
     page.evaluate("window.dispatchEvent(new Event('online'))")  # a stream that waits asks again

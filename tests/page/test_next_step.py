@@ -8,7 +8,7 @@ import re
 from typing import Any
 
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
 
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
@@ -29,7 +29,13 @@ DUE = """async ([machine, run, mine, ticked, load]) => {
     const due = dueOf({machine, run, mine, away: "", gone: ""}, {load: {ready: true, ...load}, ticked});
     return [due.step, due.act?.label ?? "", due.words];
 }"""
+READY = PLAN | {"ready": True, "needs": []}
 JARGON = re.compile(r"\b(preset|parked|vouch\w*|agent|latched)\b", re.IGNORECASE)
+
+
+def ready(route: Route) -> None:
+    """Answers who asks how to go on."""
+    route.fulfill(json=READY)
 
 
 def after(sent: list[Any], count: int, page: Page) -> None:
@@ -143,14 +149,14 @@ def test_a_tool_in_the_block_is_said_and_goes_up_before_it_goes_sideways(opened:
 
 def test_nothing_is_said_to_be_left_while_the_tool_stands_in_the_block(opened: Opened) -> None:
     page = with_control(opened, "stopped")
-    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | {"ready": True, "needs": []}))
+    page.route("**/v1/runs/*/recovery", ready)
     page.get_by_role("button", name="Look again").click()
     tick = page.locator(".recover input[type=checkbox]").first
     tick.check()
     first = page.locator(".wizard > li").nth(1)
     expect(first).to_contain_text("The tool stands 2.3 mm in the block: raise Z first.")
     expect(first).not_to_contain_text("done")
-    told(page, "stopped", operator="Ada", mill=RAISED)
+    told(page, "stopped", operator="Ada", mill=RAISED, plan=ready)
     expect(first).to_contain_text("Nothing: the mill stands")
     expect(first).to_contain_text("done")
     expect(tick).to_be_checked()
@@ -163,7 +169,7 @@ def test_no_program_goes_while_the_line_says_to_raise_the_tool(opened: Opened, s
     """Every tick is given, and a name: what is in the way is the tool, and the button says so until it is up."""
     low = {"work_mm": [12.4, 7.02, -2.3], "machine_mm": [-137.6, -142.98, -22.3], "needs": []}
     page = with_control(opened, state, mill=low)
-    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | {"ready": True, "needs": []}))
+    page.route("**/v1/runs/*/recovery", ready)
     if state == "stopped":
         page.get_by_role("button", name="Look again").click()
     expect(page.locator(".next")).to_contain_text("raise Z first.")
@@ -174,9 +180,40 @@ def test_no_program_goes_while_the_line_says_to_raise_the_tool(opened: Opened, s
     go = page.get_by_role("button", name=button)
     expect(go).to_be_disabled()
     expect(listed.locator(".missing")).to_have_text("Raise Z first.")
-    told(page, state, operator="Ada", mill=RAISED | {"needs": []})
+    told(page, state, operator="Ada", mill=RAISED | {"needs": []}, plan=ready)
     expect(go).to_be_enabled()
     expect(listed.locator(".missing")).to_have_text("")
+
+
+def test_a_tick_is_for_the_plan_of_the_mill_as_it_stands(opened: Opened) -> None:
+    """It has moved, and moved again: no tick is taken before the newest plan is there, none is lost with an old one."""
+    page = with_control(opened, "stopped", mill=RAISED)
+    tick, go = page.locator(".recover input[type=checkbox]").first, page.locator(".recover .go")
+    asked: list[Route] = []
+
+    def at(z_mm: float) -> None:
+        higher = {"work_mm": [12.4, 7.02, z_mm], "machine_mm": [-137.6, -142.98, z_mm - 20]}
+        told(page, "stopped", operator="Ada", mill=higher, plan=lambda route: asked.append(route))
+        after(asked, len(asked) + 1, page)
+
+    def answer(route: Route, line: int) -> None:
+        route.fulfill(json=READY | {"overlap_line": line})
+
+    at(6.0)
+    answer(asked[0], 6000)
+    tick.check()
+    at(7.0)
+    expect(tick).to_be_disabled()
+    at(8.0)
+    answer(asked[2], 8000)
+    expect(go).to_have_text("Go on from line 8,000")
+    tick.check()
+    answer(asked[1], 7000)
+    page.wait_for_timeout(200)
+    expect(go).to_have_text("Go on from line 8,000")
+    expect(tick).to_be_checked()
+    told(page, "stopped", operator="Ada", mill=RAISED | {"state": "jog"})
+    expect(page.locator(".next")).to_contain_text("wait until it stands")
 
 
 @pytest.mark.parametrize("size", ["wide", "phone"])

@@ -37,9 +37,10 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
     get ticked() {
       return boxes.every(({ box }) => box.checked);
     },
-    /** reason: why the order cannot be given now; "" where it can. due: whether it is the next step. */
-    update(reason, due) {
+    /** reason: why the order cannot be given now; "" where it can. due: whether it is the next step. settled: may be ticked. */
+    update(reason, due, settled = true) {
       why = reason;
+      enable(boxes.map(({ box }) => box), settled);
       go.classList.toggle("primary", due);
       count();
     },

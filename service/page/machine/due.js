@@ -56,6 +56,7 @@ function standing(link, trouble, load, ticked) {
   if (trouble?.step === "home") return due("home", trouble.next, { kind: trouble.kind, act: HOME });
   const first = raising(link, trouble) ?? homing(machine);
   if (first) return first;
+  if (trouble && mill.state === "jog") return due("wait", "wait until it stands.", { kind: trouble.kind });
   if (trouble) return due("recover", trouble.next, { kind: trouble.kind, go: "recover" });
   return settingUp(machine, run, load, ticked);
 }

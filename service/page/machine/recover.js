@@ -22,18 +22,24 @@ export function recover(link) {
   let shown = "";
   let list = null;
   let [plan, first, raise, bars] = [null, null, "", ""];
+  let [asked, answered] = [0, 0];
 
-  const ask = () =>
-    words.during(async () => {
+  async function ask() {
+    const number = ++asked;
+    await words.during(async () => {
       const run = link.run;
       const found = await api.get(`/v1/runs/${run.id}/recovery`);
-      const now = JSON.stringify(found);
-      if (link.run?.id === run.id && now !== shown) show(run, found); // the same plan leaves the ticks as they are
-      shown = now;
-      link.changed();
+      if (number === asked && link.run?.id === run.id) show(run, found);
     });
+    if (number !== asked) return; // the mill has changed since
+    answered = number;
+    link.changed();
+  }
 
   function show(run, found) {
+    const now = JSON.stringify(found);
+    if (now === shown) return; // the same plan leaves the ticks as they are
+    shown = now;
     plan = found;
     list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
     replace(
@@ -45,7 +51,6 @@ export function recover(link) {
       h("li", { class: "give-up" }, giveUp(link, run, words)),
     );
     showFirst();
-    list?.update(whyNot(link) || bars, true);
   }
 
   /** The tool in the block is no reason for the plan, which begins by raising it; it is for a person at the mill. */
@@ -72,9 +77,9 @@ export function recover(link) {
       const wanted = Boolean(run?.required_checks?.includes("position") && machine?.agent.reachable);
       node.hidden = !wanted;
       if (!wanted) return void forget();
-      const { state, position_trusted: trusted, connected } = machine.mill;
+      const { state, position_trusted: trusted, connected, machine_mm: place } = machine.mill;
       const mayAsk = api.who.scopes.includes("machine:run");
-      const now = [run.id, run.state, state, trusted, connected, link.commands, mayAsk].join(" ");
+      const now = [run.id, run.state, state, trusted, connected, state === "idle" && place, link.commands, mayAsk].join(" ");
       if (now !== seen && mayAsk && state !== "jog" && state !== "homing") ask();
       seen = now;
       bars = due.bars;
@@ -83,7 +88,8 @@ export function recover(link) {
         raise = low;
         if (plan) showFirst();
       }
-      list?.update(whyNot(link) || bars, due.step === "recover");
+      const settled = asked === answered && !link.busy; // or a tick would be gone with the plan it was given for
+      list?.update(whyNot(link) || bars, due.step === "recover", settled);
       const why = whyNot(link, STANDS, { besideRun: true });
       enable(steps.querySelectorAll(".needs button"), why === "" && !link.busy);
     },
