@@ -71,6 +71,7 @@ def test_facets_share_the_aperture_among_them(bend):
     assert len(points) > 1000
 
 
+@pytest.mark.thorough
 @given(step=st.sampled_from([0.001, 0.002, 0.004, 0.02]), chord=st.floats(0.003, 0.03), seed=st.integers(0, 1000))
 @settings(max_examples=3, deadline=None)
 def test_facets_of_coarse_steps_cover_the_aperture_once(step, chord, seed):

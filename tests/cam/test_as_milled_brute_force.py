@@ -78,14 +78,15 @@ def judge(tracks, over, *, pitch, step, noise, places):
     assert weights.sum() == pytest.approx(0.16, rel=0.02)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("radius", "pitch", "step", "noise", "is_crossed"),
     [
         (0.5, 0.02, 0.0, 0.0, False),
-        pytest.param(0.5, 0.02, 0.0, 0.0005, False, marks=pytest.mark.thorough),
-        pytest.param(0.5, 0.02, 0.002, 0.0005, False, marks=pytest.mark.thorough),
+        (0.5, 0.02, 0.0, 0.0005, False),
+        (0.5, 0.02, 0.002, 0.0005, False),
         (3.0, 0.05, 0.002, 0.0, False),
-        pytest.param(3.0, 0.05, 0.002, 0.0005, True, marks=pytest.mark.thorough),
+        (3.0, 0.05, 0.002, 0.0005, True),
         (0.5, 0.02, 0.0, 0.0, True),
     ],
 )

@@ -65,6 +65,7 @@ def check(points, lens, spec=SPEC, told=None) -> PassCheck:
     )
 
 
+@pytest.mark.thorough
 def test_a_whole_path_passes_and_is_described(bowl, path):
     told: list[float] = []
     result = check(path, bowl, told=told)

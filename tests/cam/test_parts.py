@@ -123,6 +123,7 @@ def test_names_and_numbers_tell_the_parts_apart():
     assert texts(one_cut(50), PartLimits()) == texts(one_cut(50), PartLimits(most_bytes=1e6))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("dialect", ["grbl", "fanuc", "rml-1"])
 def test_a_split_pass_leaves_the_same_stock_and_each_part_may_run_alone(make_bumps, tmp_path, dialect):
     lens = make_bumps(4, relief_mm=0.5, width_mm=3.0, height_mm=2.0)

@@ -60,6 +60,7 @@ def work(lens: Heightfield, big: Tool, *others: Tool) -> RestWork:
 FINISH = ball_pass("finish", radius_mm=3.0, pitch_mm=0.3, stock_to_leave_mm=0.0, step_down_mm=5.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("direction", ["x", "y"])
 def test_a_rest_pass_is_as_large_and_as_long_as_the_one_that_is_cut(direction: str) -> None:
     """Area within 6 % of that of the stock which the big ball's program left, time within a tenth of its own

@@ -59,7 +59,9 @@ def judge(mill, spec):
     assert mill.deepest_plunge_mm <= 1e-3
 
 
-@pytest.mark.parametrize(("margin_mm", "link"), [(0.0, "u-turn"), (1.0, "u-turn"), (0.5, "retract")])
+@pytest.mark.parametrize(
+    ("margin_mm", "link"), [pytest.param(0.0, "u-turn", marks=pytest.mark.thorough), (1.0, "u-turn"), (0.5, "retract")]
+)
 def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
     """Each within its step-down, no rapid in stock, nothing below the lens, and what is left is what was asked for."""
     stock = block(margin_mm)
@@ -139,6 +141,7 @@ def test_exact_rows_come_last_and_once_over_everything(small):
     np.testing.assert_allclose(rows[:, 2], surface.tip_heights_mm(rows[:, 0], rows[:, 1]), atol=1e-9)
 
 
+@pytest.mark.thorough
 def test_local_rest_gets_layers_of_its_own(small, slow_mill):
     """A post that an earlier pass left comes off in steps, and only there."""
     stock = block()

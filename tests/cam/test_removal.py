@@ -98,6 +98,7 @@ def assert_between_brute_forces(grid, stock, points, radius_mm):
     assert (grid.top_mm >= under_still_balls(stock, points, radius_mm, per_move=300, grown=True) - 1e-7).all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("turn_deg", [5, 20, 25, 30])
 @pytest.mark.parametrize("dip", [-0.3, 0.0, 0.3])
 def test_nothing_stands_in_the_wedge_at_a_corner(turn_deg, dip):
@@ -113,6 +114,7 @@ def test_nothing_stands_in_the_wedge_at_a_corner(turn_deg, dip):
     assert_between_brute_forces(grid, stock, points, 0.5)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("turn_deg", [0, 40, 90, 135, 180, 270])
 def test_short_steep_moves_over_a_slope_take_off_a_layer_everywhere(turn_deg):
     """Up and down a slope of 35 degrees in all directions: their strips are bent, most cells are not met."""

@@ -77,6 +77,7 @@ def test_a_short_stretch_left_out_is_found_wherever_it_is(share, angle, length, 
     assert (gap.bare_share > 0) or wanted <= HIDDEN * PITCH
 
 
+@pytest.mark.thorough
 @settings(max_examples=15, deadline=None)
 @given(spacings, angles, st.floats(0.2, 1.2))
 def test_tracks_that_cross_do_no_harm(spacing, angle, turn):

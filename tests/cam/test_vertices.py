@@ -86,6 +86,7 @@ def test_the_steepest_place_between_two_probes_counts(make_lens):
     assert error.max() <= 1.02 * rule.slope_rad
 
 
+@pytest.mark.thorough
 def test_few_vertices_where_it_is_straight_and_as_many_as_the_curvature_asks_for(make_lens):
     """s = 2 e / k: on z = k x^2 / 2 under a small ball the spacing follows the formula within 15 %."""
     flat = row(ToolSurface.over(make_lens(lambda x, y: -1.0 + 0 * x), radius_mm=0.5), finish_rule(1e-3, 0.1), 3, 0, 8)

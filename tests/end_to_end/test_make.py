@@ -137,6 +137,7 @@ def positions(text: str) -> list[tuple[int, dict[str, float]]]:
     return reached
 
 
+@pytest.mark.thorough
 def test_an_independent_parser_reads_every_line_within_the_declared_bounds(
     job: tuple[Path, str], report: dict[str, Any]
 ) -> None:
@@ -197,6 +198,7 @@ def test_the_setup_sheet_names_programs_and_shows_pictures(job: tuple[Path, str]
         assert name in page
 
 
+@pytest.mark.thorough
 def test_check_accepts_the_programs_and_sees_a_gouge(job: tuple[Path, str], tmp_path: Path) -> None:
     """The same program, one line of it 50 µm deeper, is refused with exit code 1 and that line's number."""
     out, _ = job
@@ -218,6 +220,7 @@ def test_check_accepts_the_programs_and_sees_a_gouge(job: tuple[Path, str], tmp_
     assert "below the lens" in bad.stderr
 
 
+@pytest.mark.thorough
 def test_cam_alone_makes_the_same_programs_again(job: tuple[Path, str], report: dict[str, Any], tmp_path: Path) -> None:
     """Same lens, same spec, same bytes; and only the passes' part of the report is new."""
     copy = tmp_path / "out"
@@ -234,6 +237,7 @@ def test_cam_alone_makes_the_same_programs_again(job: tuple[Path, str], report: 
     assert {path.name for path in copy.iterdir()} == {path.name for path in job[0].iterdir()}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("kind", "stage"), [(signal.SIGTERM, "lens"), (signal.SIGINT, "write pass 2")])
 def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal.Signals, stage: str) -> None:
     command = [*COMMAND, "make", picture, "-o", tmp_path / "a" / "out", *SETTINGS]
@@ -248,6 +252,7 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_a_disk_that_takes_no_more_leaves_nothing(picture: Path, tmp_path: Path) -> None:
     """A limit on the size of a file stands in for a full disk: the write fails in the middle of the lens's solid."""
 

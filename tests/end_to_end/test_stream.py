@@ -45,7 +45,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return sorted((folder / "job").glob("pass-*.nc"))
 
 
-@pytest.mark.parametrize("number", [0, 1, 2])
+@pytest.mark.parametrize("number", [0, *(pytest.param(one, marks=pytest.mark.thorough) for one in (1, 2))])
 def test_the_path_cut_is_the_path_programmed(programs: list[Path], tmp_path: Path, number: int) -> None:
     """Every move of the program is executed once, in order, to where the program says; read by cam's own parser."""
     (tmp_path / "config" / "machines").mkdir(parents=True)

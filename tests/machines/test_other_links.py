@@ -175,6 +175,7 @@ def shop(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Shop]:
     made.mill.close(detach=True)
 
 
+@pytest.mark.thorough
 def test_preflight_knows_the_part_and_the_reader_gives_every_block(shop: Shop) -> None:
     facts = shop.facts
     assert facts.dialect == shop.link.profile.dialect
@@ -194,6 +195,7 @@ def test_a_run_to_its_end(shop: Shop) -> None:
     assert shop.mill.run(shop.id).share == 1.0
 
 
+@pytest.mark.thorough
 def test_hold_and_resume_lose_and_double_nothing(shop: Shop) -> None:
     shop.started()
     shop.mill.hold()
@@ -221,6 +223,7 @@ def test_abort_ends_the_run_and_says_what_the_machine_may_still_do(shop: Shop) -
         assert "may still execute" in shop.words
 
 
+@pytest.mark.thorough
 def test_a_lost_link_interrupts_and_recovery_by_hand_is_said_in_words(shop: Shop) -> None:
     shop.started()
     shop.machine.unplugged = True
@@ -237,6 +240,7 @@ def test_a_lost_link_interrupts_and_recovery_by_hand_is_said_in_words(shop: Shop
     assert executed <= len(shop.link.executed(shop.machine))
 
 
+@pytest.mark.thorough
 def test_a_program_changed_on_disk_stops_before_its_first_changed_byte(shop: Shop) -> None:
     path = Path(shop.mill.run(shop.id).path)
     path.write_bytes(path.read_bytes().replace(b"0.5", b"0.6").replace(b",50,", b",60,"))

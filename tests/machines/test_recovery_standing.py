@@ -69,6 +69,7 @@ def only_straight(lines: list[str]) -> list[str]:
     return out
 
 
+@pytest.mark.thorough
 @given(lines=_LINES, data=st.data())
 @settings(max_examples=300, deadline=None)
 def test_a_mill_at_the_end_of_a_line_never_proves_a_later_one(lines: list[str], data: Any, kill_trial: Any) -> None:
@@ -80,6 +81,7 @@ def test_a_mill_at_the_end_of_a_line_never_proves_a_later_one(lines: list[str], 
     assert executed <= found <= true
 
 
+@pytest.mark.thorough
 @given(lines=_LINES, data=st.data(), share=st.floats(0.0, 1.0))
 @settings(max_examples=300, deadline=None)
 def test_a_mill_within_a_line_proves_at_most_the_one_before(

@@ -97,6 +97,7 @@ def hold_the_laws(design: LensDesign, settings: LensSettings, shape: tuple[int, 
         assert seen.reflected_share < 0.05
 
 
+@pytest.mark.thorough
 @hypothesis_settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
 @given(bench=benches(), target=pictures(), corrections=st.integers(0, 1), polish=st.sampled_from([0, 0, 2]))
 def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, polish: int) -> None:

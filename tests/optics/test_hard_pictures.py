@@ -15,6 +15,7 @@ from tests.benchmarks.targets import MOST_TURNED, ending
 EVERY_KIND = list(hard_pictures(len(KINDS) + 4, seed=11))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hard", EVERY_KIND, ids=lambda hard: f"{hard.kind} {hard.number}")
 def test_ends_well(hard) -> None:  # type: ignore[no-untyped-def]
     assert ending(hard).fault == ""

@@ -61,6 +61,7 @@ def test_a_flip_keeps_the_neighbours_right():
     np.testing.assert_array_equal(across, neighbours_of(triangles))
 
 
+@pytest.mark.thorough
 @given(seed=st.integers(0, 10_000), wanted=st.floats(0.02, 2.0))
 @settings(max_examples=8, deadline=None)
 def test_remeshing_keeps_a_one_to_one_map_and_lengthens_lives(seed, wanted):
@@ -100,6 +101,7 @@ def spot_on_dark(n: int = 40):
     return picture / picture.mean()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("remeshing", ["simple", "clean"])
 def test_a_remeshed_flow_goes_on_where_the_plain_one_is_stuck(remeshing):
     picture = spot_on_dark()

@@ -148,6 +148,7 @@ def hard_shapes(n: int = 40):
     return picture / picture.mean()
 
 
+@pytest.mark.thorough
 def test_remeshing_brings_the_contrast_to_that_of_the_picture():
     """The paper's Fig. 12: a stuck mesh shows the shapes too dim; remeshed, they reach their level. Cleanly remeshed,
     less light is misplaced than with darts."""

@@ -35,6 +35,7 @@ def page(opened: Opened) -> Page:
     return found
 
 
+@pytest.mark.thorough
 def test_a_photograph_becomes_the_picture_of_the_job(page: Page) -> None:
     """What the camera saw, at its full size; afterwards the camera is off."""
     page.evaluate(NOTE_STREAMS)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from playwright.sync_api import Route, expect
 
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
@@ -60,6 +61,7 @@ def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(opened: Op
         assert page.evaluate(LINE, ESTIMATE_EXAMPLE | {"psnr_db": 20.9} | change).endswith(words)
 
 
+@pytest.mark.thorough
 def test_two_tabs_side_by_side_get_their_estimates_both(opened: Opened, shop: Shop) -> None:
     """One computer, one caller; only of the same tab the newer question ends the older one."""
     pages = [opened("#/new") for _ in range(2)]

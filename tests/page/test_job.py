@@ -126,6 +126,7 @@ LEFT = """([job, live, now]) => import("/page/job/left.js").then(({secondsLeft, 
 })"""
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("slower", [0.7, 2.5, 8.0])
 @pytest.mark.parametrize("reused", [0, 3])
 def test_time_left_goes_down_to_the_end_and_never_to_nothing_while_minutes_remain(
@@ -213,6 +214,7 @@ def test_programs_can_be_sent_once_checked_though_their_pictures_are_still_to_co
     expect(programs.get_by_role("link", name=f"Send to {MILL}")).to_have_count(len(job["programs"]))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("given_up", [False, True])
 def test_programs_of_a_job_that_failed_or_is_given_up_can_be_saved_but_not_sent(
     opened: Opened, shop: Shop, given_up: bool
@@ -234,6 +236,7 @@ def test_programs_of_a_job_that_failed_or_is_given_up_can_be_saved_but_not_sent(
     expect(programs).not_to_contain_text("again")
 
 
+@pytest.mark.thorough
 def test_the_wall_moves_through_the_pictures_of_the_file(at_job: Page, shop: Shop) -> None:
     """What the canvas shows is the frame of that distance, and the words give the distance."""
     data = artifact(shop, "focus.bin")
@@ -252,6 +255,7 @@ def test_the_wall_moves_through_the_pictures_of_the_file(at_job: Page, shop: Sho
     expect(at_job.locator(".focus-words")).to_contain_text("in focus")
 
 
+@pytest.mark.thorough
 def test_the_map_of_heights_reads_off_the_surface(at_job: Page, shop: Shop) -> None:
     data = artifact(shop, "surface.bin")
     head, start = parted(data)
@@ -271,6 +275,7 @@ def test_the_map_of_heights_reads_off_the_surface(at_job: Page, shop: Shop) -> N
     assert near.min() - 2e-3 <= z_mm <= near.max() + 2e-3
 
 
+@pytest.mark.thorough
 def test_the_lens_turns_by_hand_and_rests_for_who_wants_no_motion(at_job: Page) -> None:
     body = at_job.locator(".lens-canvas")
     at_job.locator("#lens-title").scroll_into_view_if_needed()
@@ -301,6 +306,7 @@ def test_without_webgl_there_is_the_map_of_heights(opened: Opened, shop: Shop) -
     expect(page.locator(".lens-canvas")).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: Opened, shop: Shop) -> None:
     """Progress, pictures, figures and programs come without a reload, across a crash of the API."""
     job = shop.submit(SMALL_SPEC | {"image": {"pixels": 32}, "optics": {"width_mm": 6.0, "height_mm": 6.0}})
@@ -315,6 +321,7 @@ def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: O
     expect(page.locator(".programs li")).to_have_count(2)
 
 
+@pytest.mark.thorough
 def test_a_failed_job_says_what_to_change(opened: Opened, shop: Shop) -> None:
     job, files = of_shop(shop)
     error = {"stage": "pass-2", "detail": "the ball of 3 mm does not fit", "field": "spec.passes.1.radius_mm"}
@@ -334,6 +341,7 @@ def test_a_failed_job_says_what_to_change(opened: Opened, shop: Shop) -> None:
     assert asked == ["POST"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("state", "words"),
     [
@@ -372,6 +380,7 @@ def test_a_deleted_job_is_gone_after_a_question(opened: Opened, shop: Shop) -> N
     assert asked == ["DELETE"]
 
 
+@pytest.mark.thorough
 def test_a_plan_is_taken_by_click_and_by_key(opened: Opened, shop: Shop) -> None:
     job, files = of_shop(shop)
     planned = with_plan(job, 4)
@@ -398,6 +407,7 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened, shop: Shop) -> None
         expect(link).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened, shop: Shop) -> None:
     job, files = of_shop(shop)
     spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
@@ -416,6 +426,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened, shop:
         expect(rows).to_have_count(2)
 
 
+@pytest.mark.thorough
 def test_files_are_whole_with_a_token_and_without(opened: Opened, shop: Shop) -> None:
     """By a plain link; by a stream onto the disk; by way of memory: the same bytes."""
     job, _ = of_shop(shop)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image
 from playwright.sync_api import Browser, Page, Route, expect
 
@@ -76,6 +77,7 @@ def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(op
     expect(page.get_by_label("Name of the job")).to_have_value("portrait")
 
 
+@pytest.mark.thorough
 def test_the_list_goes_on_by_itself_and_leaves_the_focus_where_it_is(opened: Opened) -> None:
     jobs = [summary(1, "running", progress=0.10), summary(2, "succeeded")]
     page = shown(opened, jobs)
@@ -114,6 +116,7 @@ def test_the_first_view_is_small_and_comes_from_this_server_only(watched: Callab
     assert 10_000 < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
 
 
+@pytest.mark.thorough
 def test_a_dozen_jobs_of_the_usual_size_are_a_small_first_view_too(browser: Browser, tmp_path: Path) -> None:
     with api_server(tmp_path / "data") as server:
         for turn, light in enumerate(photographs()):

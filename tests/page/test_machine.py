@@ -99,6 +99,7 @@ def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened:
         page.evaluate("location.hash = '#/machines'")
 
 
+@pytest.mark.thorough
 def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened, shop: Shop) -> None:
     ada, grace = opened(SCREEN, key="Ada"), opened(SCREEN, key="Grace")
     take_control(ada)
@@ -113,6 +114,7 @@ def test_one_has_control_the_others_see_who_and_may_take_it_over(opened: Opened,
     expect(ada.get_by_text("Nobody has control.")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
     """An order that gets no answer does not hold it up."""
     hanging: list[Route] = []
@@ -164,7 +166,13 @@ def test_hold_and_stop_never_move_and_nothing_comes_into_their_place(opened: Ope
     assert found[0] == found[1]
 
 
-@pytest.mark.parametrize(("size", "scheme"), [("wide", "light"), ("tablet", "light"), ("phone", "dark")])
+@pytest.mark.parametrize(
+    ("size", "scheme"),
+    [
+        ("wide", "light"),
+        *(pytest.param(*one, marks=pytest.mark.thorough) for one in (("tablet", "light"), ("phone", "dark"))),
+    ],
+)
 def test_every_state_can_be_read_and_used_by_everybody(opened: Opened, size: str, scheme: Scheme) -> None:
     page = opened("#/machines", size=size, scheme=scheme)
     for state in STATES:

@@ -112,6 +112,7 @@ def schema_keys(table: dict[str, Any], definitions: dict[str, Any], before: str 
     return found
 
 
+@pytest.mark.thorough
 def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choices(opened: Opened) -> None:
     """A key that is new in the spec must come into the form as well."""
     page = opened("#/new")
@@ -181,6 +182,7 @@ def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, 
     assert pressed(new_job, sent)[2] != first[2]
 
 
+@pytest.mark.thorough
 def test_turned_mirrored_and_cut_out_it_is_exactly_those_pixels(new_job: Page, sent: list[Any]) -> None:
     """Turning right is a quarter clockwise of what is seen, mirrored or not; a square wall gets the middle."""
     seen = pixels_of(picture())
@@ -291,6 +293,7 @@ def test_pressed_twice_and_with_the_answer_lost_it_makes_one_job(opened: Opened,
         client.post(f"/v1/jobs/{made[0]['id']}:cancel")
 
 
+@pytest.mark.thorough
 def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened, shop: Shop) -> None:
     page = opened("#/machines", errors=("status of 422",))
     page.route("**/v1/estimates", lambda route: route.fulfill(status=204))
@@ -357,6 +360,7 @@ def test_mills_of_this_server_are_offered_first_by_their_own_names(new_job: Page
     assert choice.locator("option:checked").inner_text() == names[1]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("mills", "first"),
     [
@@ -391,6 +395,7 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
     expect(why).to_be_hidden()
 
 
+@pytest.mark.thorough
 def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
     page = opened("#/machines", errors=("status of 422",))
     told = [("spec.passes.1", "it cuts nothing"), ("spec.passes.0.pitch_mm", "more than 0 is needed")]
@@ -408,6 +413,7 @@ def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
     expect(rough.locator(":scope > .fault")).to_have_text("")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("size", "words"), [("phone", "Choose or photograph a picture"), ("wide", "Drop a picture")])
 def test_nobody_is_asked_to_drop_with_a_finger(opened: Opened, size: str, words: str) -> None:
     for address in ("#/new", "#/"):

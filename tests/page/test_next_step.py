@@ -112,6 +112,7 @@ def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
 SEEN = ("parked", "stopped", *(pytest.param(one, marks=pytest.mark.thorough) for one in ("locked", "held", "finished")))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("state", SEEN)
 def test_only_what_is_due_is_blue_and_every_word_is_plain(opened: Opened, state: str) -> None:
     def without_jobs(*place: str, **how: Any) -> Page:
@@ -216,6 +217,7 @@ def test_a_tick_is_for_the_plan_of_the_mill_as_it_stands(opened: Opened) -> None
     expect(page.locator(".next")).to_contain_text("wait until it stands")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_who_is_shown_where_to_jog_sees_where_the_tool_is(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size, mill=FRESH)
@@ -224,6 +226,7 @@ def test_who_is_shown_where_to_jog_sees_where_the_tool_is(opened: Opened, size: 
     expect(page.get_by_role("button", name="Y plus")).to_be_focused()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_who_jogs_sees_where_the_tool_is_however_far_the_page_is_scrolled(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size, mill=FRESH)

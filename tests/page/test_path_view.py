@@ -126,6 +126,7 @@ def test_the_whole_pass_is_drawn_from_the_beginning_of_the_file(view: Drawn) -> 
     assert view.served.fetched[0][1] <= GLANCE_BYTES
 
 
+@pytest.mark.thorough
 def test_a_closer_look_fetches_what_it_shows_and_shows_every_move(view: Drawn) -> None:
     view.zoom(9)
     expect(view.page.locator(".path-note")).to_have_text("Every move is drawn.")
@@ -137,6 +138,7 @@ def test_a_closer_look_fetches_what_it_shows_and_shows_every_move(view: Drawn) -
     expect(view.page.locator(".path-note")).not_to_have_text("Every move is drawn.")
 
 
+@pytest.mark.thorough
 def test_a_drag_moves_what_is_drawn_at_once_and_fetches_when_it_rests(view: Drawn) -> None:
     view.zoom(6)
     view.at_rest()
@@ -159,6 +161,7 @@ def test_a_drag_moves_what_is_drawn_at_once_and_fetches_when_it_rests(view: Draw
     assert shares(view.picture())[0] > 0.15
 
 
+@pytest.mark.thorough
 def test_time_goes_to_where_the_tool_is_then(view: Drawn) -> None:
     """At half of the time the tool is on the middle row, and only what lies before it is drawn as cut."""
     slider = view.page.get_by_role("slider", name="Time in the pass")
@@ -184,6 +187,7 @@ def test_time_goes_to_where_the_tool_is_then(view: Drawn) -> None:
     assert band[int(0.78 * height) : int(0.94 * height)].mean() > 10 * max(1e-3, band[: int(0.6 * height)].mean())
 
 
+@pytest.mark.thorough
 def test_keys_move_zoom_and_return(view: Drawn) -> None:
     lens = view.page.locator(".path-lens")
     start = lens.get_attribute("points")
@@ -196,6 +200,7 @@ def test_keys_move_zoom_and_return(view: Drawn) -> None:
     assert lens.get_attribute("points") == start
 
 
+@pytest.mark.thorough
 def test_the_page_scrolls_past_a_drawing_that_nobody_has_touched(view: Drawn) -> None:
     lens = view.page.locator(".path-lens")
     before = lens.get_attribute("points")
@@ -205,6 +210,7 @@ def test_the_page_scrolls_past_a_drawing_that_nobody_has_touched(view: Drawn) ->
     assert lens.get_attribute("points") == before
 
 
+@pytest.mark.thorough
 def test_without_webgl_the_path_is_drawn_all_the_same(opened: Opened, shop: Shop, small: Path) -> None:
     view = drawn(opened, shop, small, NO_WEBGL)
     view.at_rest()

@@ -204,6 +204,7 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, 
             expect(button).to_be_in_viewport(ratio=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["jobs", "new", "job-planned", "machine-idle"])
 def test_a_view_looks_the_same_whatever_was_looked_at_before(opened: Opened, shop: Shop, name: str) -> None:
     """Sheets stay once they are loaded: none of them may change another view."""

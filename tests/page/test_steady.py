@@ -75,6 +75,7 @@ def say(page: Page, state: str, mill: dict[str, Any]) -> None:
     told(page, state, operator="Ada", mill=mill)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", SIZES)
 def test_words_that_come_and_go_move_no_button_that_moves_the_mill(opened: Opened, size: str) -> None:
     page = with_control(opened, "idle", size=size, mill={"needs": []}, errors=("status of 409",))
@@ -92,6 +93,7 @@ def test_words_that_come_and_go_move_no_button_that_moves_the_mill(opened: Opene
     assert boxes(page, MOVING + SETTING) == before, "a refusal has its place, too"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_start_keeps_its_place_and_nothing_comes_to_it_when_the_run_begins(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size)
@@ -129,6 +131,7 @@ def test_what_comes_with_a_run_rests_for_a_moment_but_for_hold_and_stop(opened: 
     page.get_by_role("button", name="Feed slower").click(trial=True)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_a_run_that_begins_or_ends_is_shown_from_the_top_without_empty_space(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size)
@@ -154,6 +157,7 @@ def test_while_a_program_runs_all_that_tells_of_it_is_in_sight(opened: Opened) -
     assert out_of_sight(page, ".readout .work, .meter strong, .meter progress, .meter span, .part canvas") == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("size", ["wide", "phone"])
 def test_what_a_start_was_refused_for_is_in_sight(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size, errors=("status of 409",))
@@ -171,6 +175,7 @@ def test_what_a_start_was_refused_for_is_in_sight(opened: Opened, size: str) -> 
     assert on_top
 
 
+@pytest.mark.thorough
 def test_on_a_phone_what_is_on_the_mill_comes_first(opened: Opened) -> None:
     page = with_control(opened, "parked", size="phone")
     tops = "(names) => names.map((one) => document.querySelector(one).getBoundingClientRect().top)"

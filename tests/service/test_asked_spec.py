@@ -49,6 +49,7 @@ def leaves(value: Any) -> int:
     return sum(map(leaves, value)) if isinstance(value, list) else 1
 
 
+@pytest.mark.thorough
 @given(SPECS)
 @settings(max_examples=25, deadline=None)
 def test_it_resolves_to_the_same_and_is_no_longer_than_what_a_person_asked_for(spec: dict[str, Any]) -> None:

@@ -120,6 +120,7 @@ def test_a_name_with_a_line_break_stays_on_one_line(capsys: pytest.CaptureFixtur
     refused(capsys, 2, ["make", "--bo\ngus"], "--bo", "gus")
 
 
+@pytest.mark.thorough
 def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "grey.png"
     Image.new("L", (64, 64), 128).save(path)
@@ -130,6 +131,7 @@ def test_one_tone_is_a_flat_lens_and_said_so(capsys: pytest.CaptureFixture[str],
     assert any("flat" in sentence for sentence in report["warnings"])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -151,6 +153,7 @@ def test_jobs_that_cannot_be_made(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["in"]
 
 
+@pytest.mark.thorough
 def test_an_output_that_holds_other_files_is_refused(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path
 ) -> None:
@@ -236,6 +239,7 @@ def test_check_runs_the_earlier_passes_of_a_job_and_misses_them(
     refused(capsys, 2, ["check", str(folder / "pass-2-rough.nc"), *lens], "pass-1-rough.nc", "no such program")
 
 
+@pytest.mark.thorough
 def test_design_then_caustic_gives_the_same_scores(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path
 ) -> None:
@@ -254,6 +258,7 @@ def test_design_then_caustic_gives_the_same_scores(
     assert (out / "spec.json").is_file()
 
 
+@pytest.mark.thorough
 def test_cam_refuses_another_lens(capsys: pytest.CaptureFixture[str], tmp_path: Path, picture: Path) -> None:
     out = tmp_path / "out"
     assert run(["design", str(picture), "-o", str(out), *SMALL, "--quiet"]) == 0

@@ -36,6 +36,7 @@ def small(*values: str, preset: str = "draft") -> JobSpec:
     return resolve_spec(preset=preset, overrides=(*SMALL, *values))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("picture", ["camera", "astronaut", "logo"])
 def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture: str) -> None:
     """The large forms make the relief; fine detail makes slopes steeper, so that these are only so good."""
@@ -49,13 +50,14 @@ def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture
     assert found["max_slope_deg"] == pytest.approx(facts.max_slope_deg, rel=0.15)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("picture", "values", "preset"),
     [
         ("camera", ("optics.width_mm=14", "optics.height_mm=14", "image.pixels=96"), "draft"),
-        pytest.param("camera", (), "draft", marks=pytest.mark.thorough),
-        pytest.param("astronaut", ("optics.light.kind=sun",), "draft", marks=pytest.mark.thorough),
-        pytest.param("camera", (), "paper", marks=pytest.mark.thorough),
+        ("camera", (), "draft"),
+        ("astronaut", ("optics.light.kind=sun",), "draft"),
+        ("camera", (), "paper"),
     ],
 )
 def test_what_is_estimated_is_what_the_job_comes_to(
@@ -125,6 +127,7 @@ def test_a_slower_machine_takes_longer_and_a_wider_step_blurs_more() -> None:
     assert slow["blur_by"]["milling_mm"] > 1.2 * usual["blur_by"]["milling_mm"]
 
 
+@pytest.mark.thorough
 def test_passes_that_are_still_to_be_planned_are_planned() -> None:
     found = estimated(small(preset="recommended"))
     assert found["planned"] is True
@@ -158,6 +161,7 @@ def test_a_small_picture_stays_as_it_is() -> None:
     assert coarse_spec(spec) == spec
 
 
+@pytest.mark.thorough
 def test_nothing_of_the_answer_depends_on_the_pictures_place(tmp_path: Path) -> None:
     twin: Callable[[Path], dict[str, Any]] = lambda path: estimate(  # noqa: E731
         small(), path, limits=PictureLimits(), name="picture"

@@ -24,6 +24,7 @@ def test_an_example_is_a_complete_job_that_says_what_it_is(spec: Path) -> None:
     assert spec.read_text().startswith("# ")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("spec", SPECS, ids=lambda path: path.stem)
 def test_an_example_makes_a_lens_without_a_warning(spec: Path, tmp_path: Path) -> None:
     """With few pixels: what such a lens can show, each example shows: 27 dB is plainly the picture."""

@@ -192,6 +192,7 @@ def test_many_entries_are_thinned_but_counted():
     assert len(sample.entry_points_mm()) <= 2000
 
 
+@pytest.mark.thorough
 def test_a_toolpath_picture_shows_rapids_and_only_rapids_in_red():
     points, rapid = serpentine(40, 30, pitch_mm=0.5)
 

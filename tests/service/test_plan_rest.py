@@ -49,6 +49,7 @@ def sharp() -> Planned:
     return planned(lens(0.12))
 
 
+@pytest.mark.thorough
 def test_a_valley_that_the_ball_cannot_reach_gets_a_pass_of_its_own(sharp: Planned) -> None:
     """Short beside one of the whole lens with that ball at that pitch, and worth it."""
     chosen = sharp.chosen
@@ -85,6 +86,7 @@ def test_its_spec_is_the_plan(sharp: Planned, tmp_path: object) -> None:
     assert 'where = "rest"' in spec_fragment(sharp, SPEC)
 
 
+@pytest.mark.thorough
 def test_where_every_ball_fits_no_rest_pass_is_planned() -> None:
     found = planned(lens(0.0))
     assert found.light.fillings == {}
@@ -93,6 +95,7 @@ def test_where_every_ball_fits_no_rest_pass_is_planned() -> None:
     assert not any("rest pass" in sentence for sentence in found.why())
 
 
+@pytest.mark.thorough
 def test_what_is_not_worth_the_time_is_left_and_said() -> None:
     """On a mill whose noise blurs more than the valley shows."""
     spec = resolve_spec(preset="recommended", overrides=[*SIZE, "machine.z_noise_mm=0.004"])

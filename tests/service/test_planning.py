@@ -52,6 +52,7 @@ def report(planned: Planned) -> dict[str, Any]:
     return {"plan": planned.figures()}
 
 
+@pytest.mark.thorough
 def test_blur_goes_where_the_picture_has_no_detail(planned: Planned) -> None:
     """Rows along X blur along Y, where the stripes are."""
     assert planned.chosen.finish.direction == "x"
@@ -168,6 +169,7 @@ def test_the_command_writes_a_picture_and_a_spec_that_make_takes(
     assert tomllib.loads(out.with_suffix(".toml").read_text())["preset"] == "recommended"
 
 
+@pytest.mark.thorough
 def test_the_command_speaks_json(picture: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["plan", str(picture), *OPTIONS, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
@@ -176,6 +178,7 @@ def test_the_command_speaks_json(picture: Path, capsys: pytest.CaptureFixture[st
     assert found["passes"][-1]["stock_to_leave_mm"] == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("options", "words"),
     [

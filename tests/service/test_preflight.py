@@ -60,6 +60,7 @@ def test_what_is_found_and_that_it_survives_as_json(program: Path, cache: Path) 
     assert Preflight.from_json(facts.to_json()) == facts
 
 
+@pytest.mark.thorough
 def test_a_result_is_kept_by_content_and_by_the_machine(
     program: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -78,6 +79,7 @@ def test_a_result_is_kept_by_content_and_by_the_machine(
         preflight(program, GRBL, cache=cache)
 
 
+@pytest.mark.thorough
 def test_a_damaged_kept_result_is_made_anew(program: Path, cache: Path) -> None:
     facts = preflight(program, GRBL, cache=cache)
     for kept in cache.glob("*.json"):
@@ -220,6 +222,7 @@ def test_an_rml_program_is_refused_by_line_text_and_reason(
     assert caught.value.line == line and str(caught.value).isprintable()
 
 
+@pytest.mark.thorough
 def test_an_rml_program_is_remembered_too(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "p.rml"
     path.write_bytes(b"V10;\n!RC15;!MC1;\nZ0,0,100;Z0,0,-100;\nW1000;\n!MC0;\n\x1a")

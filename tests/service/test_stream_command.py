@@ -47,6 +47,7 @@ def ended(process: subprocess.Popen[str]) -> tuple[int, list[str], list[str]]:
     return process.returncode, out.splitlines(), errors.splitlines()
 
 
+@pytest.mark.thorough
 def test_without_a_terminal_the_command_is_the_order_and_every_line_is_cut(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 200)
     with bench(50.0) as mill:
@@ -78,6 +79,7 @@ def test_a_person_confirms_each_check_before_anything_moves(tmp_path: Path) -> N
         assert mill.cut == ends(20)
 
 
+@pytest.mark.thorough
 def test_keys_hold_resume_and_override(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 400)
     with bench(4.0) as mill, Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
@@ -136,6 +138,7 @@ def test_left_held_the_mill_stands_and_the_way_on_is_named(tmp_path: Path) -> No
         assert all(words in person.text for words in ("left", "held", "spindle ON", "--recover")), person.text
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_without_a_terminal_a_signal_holds_aborts_and_ends_with_130(tmp_path: Path, number: signal.Signals) -> None:
     path = program(tmp_path / "p.nc", LONG)
@@ -162,6 +165,7 @@ def test_a_terminal_that_goes_away_stops_the_mill(tmp_path: Path) -> None:
         assert mill.stands
 
 
+@pytest.mark.thorough
 def test_an_aborted_run_goes_on_after_a_person_says_so_and_nothing_is_skipped(tmp_path: Path) -> None:
     path, lines = program(tmp_path / "p.nc", 60), 60
     with bench(4.0) as mill:
@@ -186,6 +190,7 @@ def test_an_aborted_run_goes_on_after_a_person_says_so_and_nothing_is_skipped(tm
         assert mill.cut[-1] == ends(lines)[-1]
 
 
+@pytest.mark.thorough
 def test_a_dry_run_moves_nothing_and_finds_what_the_controller_refuses(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 50)
     with bench(10.0) as mill:
@@ -231,6 +236,7 @@ def test_a_tcp_port_where_nobody_listens(tmp_path: Path) -> None:
         assert url in refused(2, str(path), "--port", url)
 
 
+@pytest.mark.thorough
 def test_a_port_that_another_process_has(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     short, long = program(tmp_path / "p.nc", 5), program(tmp_path / "long.nc", LONG)
     with bench(4.0) as mill, Terminal("stream", str(long), "--port", mill.url, "--yes") as person:
@@ -294,6 +300,7 @@ def test_what_is_no_program_file_is_refused_before_anything_is_asked_for(tmp_pat
     assert "folder" in refused(2, str(tmp_path), "--port", "/dev/x")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("content", [b"", b"\n(only words)\n", bytes(range(256)), b"$O100%\nG15 H1\n", b"^IN;!MC1;\n"])
 def test_what_is_no_program_of_this_dialect(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "p.nc"
@@ -317,6 +324,7 @@ def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
         assert mill.cut == ends(60)
 
 
+@pytest.mark.thorough
 def test_something_that_is_not_a_controller(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 5)
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -334,6 +342,7 @@ def _talks(server: socket.socket) -> None:
             connection.sendall(b"Protocol mismatch.\r\n")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
@@ -350,6 +359,7 @@ def test_options_that_cannot_be(tmp_path: Path, arguments: list[str], words: str
     assert words in refused(2, *(str(path) if word == "p.nc" else word for word in arguments))
 
 
+@pytest.mark.thorough
 def test_a_program_that_the_mill_must_not_be_sent(tmp_path: Path) -> None:
     path = tmp_path / "bad.nc"
     path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
@@ -358,6 +368,7 @@ def test_a_program_that_the_mill_must_not_be_sent(tmp_path: Path) -> None:
         assert mill.cut == []
 
 
+@pytest.mark.thorough
 def test_no_recovery_of_a_program_that_has_changed_since(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 60)
     with bench(4.0) as mill:
@@ -386,6 +397,7 @@ def test_a_disk_that_is_full_for_the_journal_holds_the_mill_and_says_so(tmp_path
         assert "Traceback" not in text
 
 
+@pytest.mark.thorough
 def test_the_streaming_process_stays_small(tmp_path: Path) -> None:
     """No numpy, numba or matplotlib in it, and less than 60 MB (pydantic comes with typer)."""
     path = program(tmp_path / "p.nc", 1000, step_mm=0.05)

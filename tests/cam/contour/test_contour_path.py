@@ -129,6 +129,7 @@ def test_any_shape_is_covered_by_one_path_on_the_surface(name):
     judge(tips, heightfield, pass_of())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("twist", [-0.14, -0.11, 0.11])
 def test_places_up_to_the_end_of_an_acute_corner_are_wanted(twist):
     """Where a lens is twisted and the ball large, tips that touch its right corner fill an acute one, between nodes."""
@@ -139,6 +140,7 @@ def test_places_up_to_the_end_of_an_acute_corner_are_wanted(twist):
     assert made.wanted[j, i].all()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["flat", "ramp", "peak", "cone"])
 def test_where_contours_are_simple_the_path_is_rows_and_turns(name):
     """A hundred pitches wide, a lens has a turn of some pitches to every one of its rows, and a rim that the ball
@@ -147,6 +149,7 @@ def test_where_contours_are_simple_the_path_is_rows_and_turns(name):
     assert SIDE**2 < length_mm(tips_of(lens(WAYS[name]))) * PITCH < 1.4 * SIDE**2
 
 
+@pytest.mark.thorough
 @settings(max_examples=4, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(
     st.lists(
@@ -161,6 +164,7 @@ def test_random_hills_are_covered_by_one_path_on_the_surface(bumps):
     judge(tips_of(heightfield), heightfield, pass_of())
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("pitch", "radius", "leave"), [(0.5, 3.0, 0.2), (0.05, 0.5, 0.03), (0.1, 0.5, 0.0), (0.5, 0.5, 0.0)]
 )

@@ -42,6 +42,7 @@ def turned(xy: np.ndarray) -> np.ndarray:
     return np.abs((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
+@pytest.mark.thorough
 @settings(max_examples=30, deadline=None)
 @given(st.integers(2, 30), st.floats(0.5, 5.0), st.floats(0.5, 3.0), st.floats(0.3, 5.0))
 def test_every_row_is_on_the_path_once_and_the_path_stays_in_the_room_without_corners(count, length, radius, ring):
@@ -68,6 +69,7 @@ def test_where_there_is_room_turns_have_their_radius():
     assert bend.max() <= 1.05 / (3 * PITCH)
 
 
+@pytest.mark.thorough
 def test_a_closed_track_is_gone_round_once_and_left_where_it_was_entered():
     angle = np.linspace(0, 2 * np.pi, 61)
     ring = np.column_stack([2 + np.cos(angle), 2 + np.sin(angle)])

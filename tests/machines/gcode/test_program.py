@@ -26,6 +26,7 @@ def indexed(program: bytes, every_lines: int = 5, dialect: str = "grbl") -> Prog
     return ProgramIndex.from_dict(scan.index.to_dict())
 
 
+@pytest.mark.thorough
 @settings(max_examples=300)
 @given(program=programs(wrong=False), every=st.integers(1, 9), start=st.integers(1, 18))
 def test_every_block_once_in_order_with_its_line_and_offset(

@@ -54,6 +54,7 @@ def interpreted(program: bytes, dialect: str = "grbl") -> tuple[list[ModalState]
     return states, steps, 0, ""
 
 
+@pytest.mark.thorough
 @settings(max_examples=400)
 @given(program=programs())
 def test_scanner_and_interpreter_agree_on_every_line(program: bytes) -> None:
@@ -101,6 +102,7 @@ def test_where_the_chunks_are_cut_does_not_matter(program: bytes, cuts: list[int
         assert whole.bytes == len(program)
 
 
+@pytest.mark.thorough
 @settings(max_examples=300)
 @given(program=programs(wrong=False))
 def test_batches_tell_each_move_of_the_interpreter(program: bytes) -> None:

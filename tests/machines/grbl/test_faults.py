@@ -268,6 +268,7 @@ def test_idle_in_between_is_no_standing() -> None:
     assert session.phase is Phase.STREAMING
 
 
+@pytest.mark.thorough
 def test_answers_are_not_counted_where_the_planner_would_run_dry() -> None:
     bench = Bench().connected()
     bench.driver.start(iter(numbered([b"G21G90G94G17G1F3000", *(b"X%.3f" % (0.002 * k) for k in range(25000)), b"M2"])))

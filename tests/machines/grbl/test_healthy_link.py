@@ -48,6 +48,7 @@ PROGRAMS = st.lists(pieces(), min_size=1, max_size=8).map(lambda many: [block fo
 WINDING = [b"G1X%.2fY%.2fF3000" % (0.1 * (k % 2), 0.1 * k) for k in range(60)]
 
 
+@pytest.mark.thorough
 @settings(max_examples=60, deadline=None)
 @given(
     PROGRAMS,

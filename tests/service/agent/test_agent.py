@@ -92,6 +92,7 @@ def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
     said("Line M3 S1000: done")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("path", "body", "status", "field"),
     [
@@ -125,6 +126,7 @@ def test_refusals_are_problems_that_name_the_field(
     assert problem["detail"] and "\n" not in problem["detail"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("content", [b"{", b"[1]", b"\xff", b'"x"', b"[" * 50000, b"x" * 70000])
 def test_bodies_that_are_not_objects(agent: AgentProcess, content: bytes) -> None:
     answer = agent.http.post("/v1/runs", content=content)
@@ -132,6 +134,7 @@ def test_bodies_that_are_not_objects(agent: AgentProcess, content: bytes) -> Non
     assert answer.headers["content-type"] == "application/problem+json"
 
 
+@pytest.mark.thorough
 def test_a_bad_program_is_refused_with_its_line(agent: AgentProcess, tmp_path: Path) -> None:
     path = tmp_path / "bad.nc"
     path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
@@ -179,6 +182,7 @@ def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentPr
     assert agent.post("/v1/programs", 502, url=url, sha256="1" * 64)["field"] == "url"
 
 
+@pytest.mark.thorough
 def test_the_same_key_parks_once_even_across_a_new_start(tmp_path: Path, mill: Bench) -> None:
     """A job server that lost the answer asks again: it must not find two runs."""
     path, other = program(tmp_path / "p.nc", 20), program(tmp_path / "q.nc", 21)
@@ -198,6 +202,7 @@ def test_the_same_key_parks_once_even_across_a_new_start(tmp_path: Path, mill: B
         assert len(agent.get("/v1/runs")["runs"]) == 1
 
 
+@pytest.mark.thorough
 def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 20)
     sha256 = agent.upload(path)
@@ -214,6 +219,7 @@ def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentProcess, mill
     assert agent.http.delete("/v1/programs/..%2Ftoken").status_code in (404, 422)
 
 
+@pytest.mark.thorough
 def test_two_who_start_at_once_start_one_run(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     sha256 = agent.upload(program(tmp_path / "p.nc", LONG))
     runs = [agent.post("/v1/runs", 201, program=sha256, name=name)["id"] for name in ("one", "two")]
@@ -223,6 +229,7 @@ def test_two_who_start_at_once_start_one_run(agent: AgentProcess, mill: Bench, t
     assert sorted(codes) == [202, 409]
 
 
+@pytest.mark.thorough
 def test_a_file_without_a_block_is_not_a_program(agent: AgentProcess, tmp_path: Path) -> None:
     path = tmp_path / "blank.nc"
     path.write_text("\n(words)\n")
@@ -230,6 +237,7 @@ def test_a_file_without_a_block_is_not_a_program(agent: AgentProcess, tmp_path: 
     assert (problem["field"], "not one block" in problem["detail"]) == ("program", True)
 
 
+@pytest.mark.thorough
 def test_a_hold_is_quick_while_twenty_readers_listen_and_some_do_not_read(
     agent: AgentProcess, mill: Bench, tmp_path: Path
 ) -> None:
@@ -249,6 +257,7 @@ def test_a_hold_is_quick_while_twenty_readers_listen_and_some_do_not_read(
         assert agent.rss_mb() < 70
 
 
+@pytest.mark.thorough
 def test_a_slow_body_does_not_stop_a_hold(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     started(agent, program(tmp_path / "p.nc", LONG))
     host, _, port = agent.url.removeprefix("http://").partition(":")
@@ -261,6 +270,7 @@ def test_a_slow_body_does_not_stop_a_hold(agent: AgentProcess, mill: Bench, tmp_
         agent.until(lambda status: status["status"]["state"] == "held")
 
 
+@pytest.mark.thorough
 def test_events_come_live_and_what_was_missed_comes_again(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     with agent.events() as events:
         first = next(events)
@@ -286,6 +296,7 @@ def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentProcess, mi
     assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_an_agent_that_is_stopped_holds_the_mill_first_and_shows_the_run_as_interrupted_afterwards(
     tmp_path: Path, mill: Bench, number: signal.Signals
@@ -308,6 +319,7 @@ def test_an_agent_that_is_stopped_holds_the_mill_first_and_shows_the_run_as_inte
     assert len(mill.cut) == cut
 
 
+@pytest.mark.thorough
 def test_a_killed_agent_leaves_a_run_that_the_next_one_shows_as_interrupted(tmp_path: Path, mill: Bench) -> None:
     with AgentProcess(tmp_path / "data", mill.url) as agent:
         agent.until(lambda status: status["status"]["state"] == "idle")
@@ -333,6 +345,7 @@ def refused(*options: str) -> str:
     return lines[0]
 
 
+@pytest.mark.thorough
 def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     other, port = str(tmp_path / "other"), agent.url.rpartition(":")[2]
     assert port in refused("--port", mill.url, "--bind-port", port, "--data", other)
@@ -361,6 +374,7 @@ def test_without_a_token_the_agent_says_nothing(agent: AgentProcess) -> None:
     assert bare.get("/v1/status", headers={"Host": "evil.example"}).status_code == 403
 
 
+@pytest.mark.thorough
 def test_the_agent_stays_small(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     started(agent, program(tmp_path / "p.nc", 100))
     agent.until(lambda status: status["progress"]["executed_line"] > 20)

@@ -151,6 +151,7 @@ def bearer(secret: str) -> dict[str, str]:
     return {"Authorization": f"Bearer {secret}"}
 
 
+@pytest.mark.thorough
 def test_every_route_that_moves_a_mill_is_known_here(guarded: Guarded) -> None:
     found = {path for method, path in routes(guarded.floor) if moves_mills(method, path)}
     assert len(routes(guarded.floor)) > 30
@@ -179,6 +180,7 @@ def test_revoked_and_expired_tokens(untouched: Guarded) -> None:
     send_all(untouched, bearer(secret))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "headers",
     [
@@ -196,6 +198,7 @@ def test_a_good_token_replayed_by_a_foreign_page(untouched: Guarded, headers: di
     send_all(untouched, bearer(untouched.good) | headers)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("form", ["{}", "Basic {}", "Bearer", "Bearer {}x", "Bearer x{}", "Token {}", "Bearer {},{}"])
 def test_a_good_token_in_another_form(untouched: Guarded, form: str) -> None:
     send_all(untouched, {"Authorization": form.replace("{}", untouched.good)})
@@ -220,12 +223,14 @@ def test_no_host_or_two(untouched: Guarded, hosts: tuple[str, ...]) -> None:
         assert wire.makefile("rb").readline().split()[1] == b"400"
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["token", "access_token", "authorization", "Authorization", "bearer"])
 def test_a_good_token_where_none_belongs(untouched: Guarded, name: str) -> None:
     send_all(untouched, params={name: untouched.good})
     send_all(untouched, {"Cookie": f"{name}={untouched.good}", "X-Api-Key": untouched.good})
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("method", ["GET", "POST", "PUT", "PATCH", "DELETE"])
 def test_other_methods_and_words_for_them(untouched: Guarded, method: str) -> None:
     secret = untouched.floor.token(*OTHERS)

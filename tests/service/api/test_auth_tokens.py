@@ -216,6 +216,7 @@ def test_the_commands_make_list_and_revoke(tmp_path: Path) -> None:
         assert database.execute("SELECT count(*) FROM tokens WHERE revoked_at IS NOT NULL").fetchone() == (1,)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [

@@ -33,6 +33,7 @@ def sent(server: ApiServer, path: str, *, spec: Any = None, image: Any = None) -
     return server.client.post(path, files=files, data=data, timeout=PATIENCE_S)
 
 
+@pytest.mark.thorough
 def test_an_estimate_tells_all_and_leaves_nothing(estimating: ApiServer) -> None:
     before = estimating.files()
     answer = sent(estimating, "/v1/estimates", spec=SMALL)

@@ -62,6 +62,7 @@ def judged(attack: Attack, answer: bytes) -> str:
     return "" if good and "Traceback" not in body.decode() else f"odd problem: {body[:200]!r}"
 
 
+@pytest.mark.thorough
 def test_every_hostile_upload_is_refused_and_leaves_nothing(small: ApiServer) -> None:
     found = attacks(COUNT, seed=4, max_upload=MAX_UPLOAD)
     before, jobs = small.files(), small.client.get("/v1/jobs?limit=200").json()

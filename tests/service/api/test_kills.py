@@ -17,9 +17,10 @@ from tests.service.api.test_process import api_process, migrated
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "crashes",
-    [("after store", "after create", "after engine"), pytest.param(points(JOB_STEPS), marks=pytest.mark.thorough)],
+    [("after store", "after create", "after engine"), points(JOB_STEPS)],
     ids=["around the job's row", "everywhere"],
 )
 def test_a_killed_post_is_a_job_or_nothing_and_can_be_sent_again(

@@ -161,6 +161,7 @@ def test_tries_at_once_are_counted_one_by_one(database: sa.Engine) -> None:
     assert tried(book, code_of(offer)) == "too many"
 
 
+@pytest.mark.thorough
 def test_a_crowd_of_addresses_is_slowed_down_but_not_shut_out(
     database: sa.Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,6 +56,7 @@ def api_process(
         process.communicate()
 
 
+@pytest.mark.thorough
 def test_it_says_when_it_serves_and_ends_within_seconds_when_told(tmp_path: Path) -> None:
     migrated(tmp_path)
     with api_process(tmp_path) as (process, client):
@@ -91,6 +92,7 @@ def test_what_a_killed_server_left_is_removed(tmp_path: Path) -> None:
         assert list((tmp_path / "uploads").iterdir()) == []
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "values", [{"host": "0.0.0.0"}, {"host": "0.0.0.0", "behind_proxy": "true"}, {"port": "99999"}]
 )
@@ -114,6 +116,7 @@ def pss_mb(pid: int) -> float:
     return int(next(line for line in text.splitlines() if line.startswith("Pss:")).split()[1]) / 1000
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="needs Linux")
 def test_a_large_download_costs_no_memory(tmp_path: Path) -> None:
     """400 MB, twice at a time: the process must not grow by more than a few pieces."""

@@ -98,6 +98,7 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fuzzed]:
             kill_agents(folder)
 
 
+@pytest.mark.thorough
 def test_the_server_keeps_to_its_document(fuzzed: Fuzzed) -> None:
     address = fuzzed.floor.server.address
     schema = schemathesis.openapi.from_url(f"{address}/openapi.json", headers=fuzzed.headers)

@@ -42,6 +42,7 @@ def many_files() -> Iterator[None]:
     resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
+@pytest.mark.thorough
 def test_idle_connections_make_room_for_those_that_ask(server: ApiServer, many_files: None) -> None:
     """Ten times as many as are allowed: every request in between is answered, and few of them are still open."""
     with contextlib.ExitStack() as stack:

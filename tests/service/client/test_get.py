@@ -6,6 +6,7 @@ import hashlib
 from pathlib import Path
 
 import httpx
+import pytest
 
 from tests.service.client.shop import BadWire, Shop, run
 
@@ -19,6 +20,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.iterdir()}
 
 
+@pytest.mark.thorough
 def test_all_files_come_and_come_once(shop: Shop, tmp_path: Path) -> None:
     """The folder holds what the list names, but for what only the page draws; asked again, nothing is sent anew."""
     drawn = (".bin", ".path", "thumbnail.png")

@@ -45,6 +45,7 @@ def answering(
         server.server_close()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["../evil", "/etc/passwd", ".bashrc", "a/b", "", "x" * 200])
 def test_a_file_name_that_leaves_the_folder_is_refused(tmp_path: Path, name: str) -> None:
     item = {"name": name, "sha256": _HASH, "bytes": 1, "url": "/x"}

@@ -83,6 +83,7 @@ def _job_with_programs(url: str, folder: Path, token: str) -> str:
     return job
 
 
+@pytest.mark.thorough
 def test_a_program_is_parked_confirmed_and_cut(mill_shop: MillShop) -> None:
     """Parked it waits; without every confirmation it does not start; with them it is cut to the end."""
     code, out, errors = mill_shop.run("park", mill_shop.job, "--machine", "router")
@@ -106,6 +107,7 @@ def test_a_program_is_parked_confirmed_and_cut(mill_shop: MillShop) -> None:
     assert code == 0 and run_id in out
 
 
+@pytest.mark.thorough
 def test_a_run_is_held_resumed_and_aborted(mill_shop: MillShop) -> None:
     """The next pass is chosen by itself. An aborted run is a failure for whoever waits for it."""
     code, out, errors = mill_shop.run("park", mill_shop.job, "--machine", "router", "--program", "2")

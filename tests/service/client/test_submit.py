@@ -28,6 +28,7 @@ def test_a_picture_becomes_files_with_one_command(shop: Shop) -> None:
     assert {"report.html", "heightfield.npz", "pass-1-rough.nc"} <= {path.name for path in shop.out.iterdir()}
 
 
+@pytest.mark.thorough
 def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: Shop) -> None:
     """By the events of the second job: the lens, its light and the roughing are taken over, the rest is made."""
     assert shop.job()
@@ -53,6 +54,7 @@ def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: Shop) -> None:
     assert shop.count() == before + 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -73,6 +75,7 @@ def test_what_cannot_be_used_is_named_by_its_key(shop: Shop, words: tuple[str, .
     assert shop.count() == before
 
 
+@pytest.mark.thorough
 def test_a_file_that_is_no_picture_is_refused(shop: Shop, tmp_path: Path) -> None:
     (tmp_path / "p.png").write_bytes(b"hello")
     done = run("submit", str(tmp_path / "p.png"), server=shop.url)
@@ -80,6 +83,7 @@ def test_a_file_that_is_no_picture_is_refused(shop: Shop, tmp_path: Path) -> Non
     assert done.stderr.count("\n") == 1 and "p.png" in done.stderr
 
 
+@pytest.mark.thorough
 def test_no_server_is_one_line() -> None:
     url = f"http://127.0.0.1:{free_port()}"
     for words in (("jobs",), ("submit", str(ROOT / "examples" / "camera.png"))):
@@ -88,6 +92,7 @@ def test_no_server_is_one_line() -> None:
         assert done.stderr.startswith(f"error: no server answers at {url}") and done.stderr.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_jobs_are_listed_and_shown(shop: Shop) -> None:
     job_id = shop.job()
     listed = run("jobs", server=shop.url)
@@ -99,6 +104,7 @@ def test_jobs_are_listed_and_shown(shop: Shop) -> None:
     assert unknown.returncode == 2 and unknown.stderr.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_ctrl_c_leaves_the_job_alone(shop: Shop) -> None:
     """The command says that the job goes on, and it does."""
     words = ("submit", str(shop.picture()), "--preset", "draft", "--set", "optics.throw_mm=61", "--follow")

@@ -64,6 +64,7 @@ def test_time_is_that_of_the_mill_move_by_move(seed: int) -> None:
     assert (np.diff(full.time_s) >= lengths / 10.0 - full.time_s[-1] / 16383 - 1e-3).all()  # 600 mm/min at the most
 
 
+@pytest.mark.thorough
 @given(SEEDS)
 def test_no_level_strays_from_the_path_nor_leaves_anything_out(seed: int) -> None:
     batch = batch_of(wandering(seed, 300))

@@ -156,6 +156,7 @@ def test_of_many_who_reach_for_it_at_once_one_gets_it(floor: Shop) -> None:
     }
 
 
+@pytest.mark.thorough
 def test_runs_obey_who_has_control_and_scripts_where_nobody_has(floor: Shop) -> None:
     job = floor.job((400,))
     with people(floor) as (ada, bob):
@@ -184,6 +185,7 @@ def test_runs_obey_who_has_control_and_scripts_where_nobody_has(floor: Shop) -> 
         assert post(bob, f"{here}:abort") == 202
 
 
+@pytest.mark.thorough
 def test_control_outlives_the_server_and_holds_for_two_of_them(tmp_path: Path, mill: Bench) -> None:
     with shop(tmp_path / "data", mill) as floor, people(floor) as (ada, _):
         ada.take()
@@ -249,6 +251,7 @@ def control_floor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Sh
             kill_agents(folder)
 
 
+@pytest.mark.thorough
 def test_an_order_to_an_agent_that_is_away_never_comes_true(floor: Shop) -> None:
     with people(floor) as (ada, _):
         ada.take()

@@ -21,9 +21,10 @@ from tests.service.mills import Bench
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "crashes",
-    [("after row", "after post"), pytest.param(points(RUN_STEPS), marks=pytest.mark.thorough)],
+    [("after row", "after post"), points(RUN_STEPS)],
     ids=["before and behind the agent", "everywhere"],
 )
 def test_a_killed_hand_over_is_one_parked_run_or_none(

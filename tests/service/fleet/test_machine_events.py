@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import httpx
+import pytest
 
 from service.fleet.launching import start_agents
 from tests.service.fleet.shop import MACHINE, WAIT_S, Shop, await_agent, kill_agents, shop
@@ -102,6 +103,7 @@ def test_orders_and_control_are_told(floor: Shop) -> None:
     assert reader.logs == list(range(1, len(reader.logs) + 1)), "each entry once, over three connections"
 
 
+@pytest.mark.thorough
 def test_a_run_is_seen_from_parking_to_its_end(floor: Shop) -> None:
     reader, job = Reader(), floor.job((150,))
     reader.follow(

@@ -114,6 +114,7 @@ def test_an_agent_that_a_person_started_is_found_in_its_own_folder(tmp_path: Pat
         person.terminate()
 
 
+@pytest.mark.thorough
 def test_agents_elsewhere_come_from_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     own_folders(monkeypatch, tmp_path)
     with bench(8.0) as far, AgentProcess(tmp_path / "far", far.url) as agent:
@@ -155,6 +156,7 @@ def test_no_profile_of_ones_own_means_no_machines(tmp_path: Path, monkeypatch: p
     assert known_machines(ServerSettings(data=tmp_path)) == ({}, [])
 
 
+@pytest.mark.thorough
 def test_a_hold_is_on_the_wire_at_once_even_behind_hand_overs(tmp_path: Path, mill: Bench) -> None:
     """Asserted loosely here; the figure is the benchmark's."""
     with shop(tmp_path / "data", mill) as floor:

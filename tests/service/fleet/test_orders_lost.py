@@ -49,6 +49,7 @@ def sent(rogue: Rogue, what: str) -> int:
     return sum(path == f"/v1/control/{what}" for _, path in rogue.asked)
 
 
+@pytest.mark.thorough
 def test_an_order_without_an_answer_is_sent_once_and_says_so(far: tuple[Shop, Rogue]) -> None:
     floor, rogue = far
     ada = control(floor, "Ada")
@@ -59,6 +60,7 @@ def test_an_order_without_an_answer_is_sent_once_and_says_so(far: tuple[Shop, Ro
     assert sent(rogue, "jog") == 1
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", list(BABBLE))
 def test_an_order_with_a_mad_answer_is_sent_once(far: tuple[Shop, Rogue], what: str) -> None:
     floor, rogue = far

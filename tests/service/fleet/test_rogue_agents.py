@@ -67,6 +67,7 @@ BABBLE: dict[str, Answer] = {
 }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("what", list(BABBLE))
 def test_babble_is_not_believed(far: tuple[Shop, Rogue], what: str) -> None:
     floor, rogue = far

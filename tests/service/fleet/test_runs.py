@@ -45,6 +45,7 @@ def test_a_mill_has_one_run_and_is_free_again_when_it_is_over(floor: Shop) -> No
     assert floor.bench.cut == []
 
 
+@pytest.mark.thorough
 def test_two_posts_at_once_make_one_run(floor: Shop) -> None:
     job = floor.job()
     path, body = f"/v1/machines/{MACHINE}/runs", {"job": job}
@@ -54,6 +55,7 @@ def test_two_posts_at_once_make_one_run(floor: Shop) -> None:
     assert codes[0] in (201, 202) and codes[1:] == [409, 409, 409]
 
 
+@pytest.mark.thorough
 def test_the_same_key_gives_the_same_run_and_another_request_is_refused(floor: Shop) -> None:
     job = floor.job()
     path, headers = f"/v1/machines/{MACHINE}/runs", {"Idempotency-Key": "k"}
@@ -64,6 +66,7 @@ def test_the_same_key_gives_the_same_run_and_another_request_is_refused(floor: S
     assert (other.status_code, other.json()["field"]) == (422, "Idempotency-Key")
 
 
+@pytest.mark.thorough
 def test_passes_follow_each_other_and_the_tool_change_is_told(floor: Shop) -> None:
     job = floor.job()
     for number in (1, 2, 3):
@@ -82,6 +85,7 @@ def test_passes_follow_each_other_and_the_tool_change_is_told(floor: Shop) -> No
     assert floor.park(job, program="pass-1-rough.nc")["program"]["number"] == 1
 
 
+@pytest.mark.thorough
 def test_a_pass_out_of_order_needs_a_word_about_it(floor: Shop) -> None:
     run = floor.park(floor.job(), program=2)
     assert run["required_checks"] == [*CHECKS, "order"]
@@ -92,6 +96,7 @@ def test_a_pass_out_of_order_needs_a_word_about_it(floor: Shop) -> None:
     floor.until_state(run, "finished")
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("state", ["queued", "failed", "cancelled"])
 def test_only_programs_of_jobs_that_go_well_may_be_run(floor: Shop, state: str) -> None:
     job = floor.job(state=state)
@@ -117,6 +122,7 @@ def test_programs_may_be_run_as_soon_as_all_are_checked(floor: Shop) -> None:
         assert writer.post(f"/v1/jobs/{job}:retry").status_code == 202
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_handed_over_is_told_and_leaves_the_mill_free(floor: Shop) -> None:
     job = floor.job()
     assert floor.park(job, 422, program=9)["field"] == "program"
@@ -168,6 +174,7 @@ def test_an_agent_that_was_killed_leaves_a_run_that_a_person_recovers(floor: Sho
     assert set(ends(600)) <= set(floor.bench.cut)
 
 
+@pytest.mark.thorough
 def test_an_aborted_run_frees_the_mill_and_can_still_be_recovered(floor: Shop) -> None:
     job = floor.job((600,))
     run = floor.park(job)
@@ -193,6 +200,7 @@ def test_an_agent_that_is_down_takes_nothing_and_the_mill_is_not_taken(floor: Sh
     assert floor.get("/v1/runs")["runs"][0]["open"] is False
 
 
+@pytest.mark.thorough
 def test_an_agent_that_does_not_take_our_token_is_told_as_such(floor: Shop) -> None:
     token = floor.folder / "token"
     token.write_text("x" * 40 + "\n")
@@ -202,6 +210,7 @@ def test_an_agent_that_does_not_take_our_token_is_told_as_such(floor: Shop) -> N
     assert "token" in floor.get(f"/v1/machines/{MACHINE}")["agent"]["words"]
 
 
+@pytest.mark.thorough
 def test_a_job_with_an_open_run_is_not_deleted(floor: Shop) -> None:
     job = floor.job()
     run = floor.park(job)
@@ -212,6 +221,7 @@ def test_a_job_with_an_open_run_is_not_deleted(floor: Shop) -> None:
     assert floor.get(f"/v1/runs/{run['id']}")["setup"] is None
 
 
+@pytest.mark.thorough
 def test_a_run_goes_on_without_the_server_and_the_next_one_finds_it(tmp_path: Path, mill: Bench) -> None:
     with shop(tmp_path / "data", mill) as floor:
         run = floor.park(floor.job((300,)))
@@ -223,6 +233,7 @@ def test_a_run_goes_on_without_the_server_and_the_next_one_finds_it(tmp_path: Pa
     assert mill.cut == ends(300)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("agent_has_it", [False, True])
 def test_a_hand_over_cut_short_is_finished_by_the_next_server(tmp_path: Path, mill: Bench, agent_has_it: bool) -> None:
     """The row is there and the answer of the agent was never written down: as after kill -9 in between."""
@@ -241,6 +252,7 @@ def test_a_hand_over_cut_short_is_finished_by_the_next_server(tmp_path: Path, mi
     assert mill.cut == ends(LINES[0])
 
 
+@pytest.mark.thorough
 def test_two_servers_of_one_database_see_the_same_runs(tmp_path: Path, mill: Bench) -> None:
     with shop(tmp_path / "data", mill) as floor, api_server(tmp_path / "data") as second:
         run = floor.park(floor.job((500,)))
@@ -254,6 +266,7 @@ def test_two_servers_of_one_database_see_the_same_runs(tmp_path: Path, mill: Ben
         floor.until_state(run, "held")
 
 
+@pytest.mark.thorough
 def test_a_run_that_ends_while_nobody_asks_is_closed(
     tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -37,6 +37,7 @@ def test_it_is_ready_stops_well_and_starts_again(tmp_path: Path) -> None:
             assert not [line for line in serving.err if "error" in line.lower()], serving.err
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("module", [API, WORKER])
 def test_what_is_killed_is_ready_again(tmp_path: Path, module: str) -> None:
     with served("--no-agents", data=tmp_path) as serving:
@@ -47,6 +48,7 @@ def test_what_is_killed_is_ready_again(tmp_path: Path, module: str) -> None:
         assert serving.process.poll() is None
 
 
+@pytest.mark.thorough
 def test_nothing_is_left_of_a_killed_supervisor(tmp_path: Path) -> None:
     with served("--no-agents", data=tmp_path) as serving:
         serving.until_ready()
@@ -55,6 +57,7 @@ def test_nothing_is_left_of_a_killed_supervisor(tmp_path: Path) -> None:
         until(lambda: not any(map(is_alive, below)), what="the end of all", within_s=5)
 
 
+@pytest.mark.thorough
 def test_a_foreign_address_without_tokens_is_refused_in_words(tmp_path: Path) -> None:
     with served("--host", "0.0.0.0", "--behind-proxy", data=tmp_path) as serving:
         assert serving.ended(30) == 2
@@ -62,6 +65,7 @@ def test_a_foreign_address_without_tokens_is_refused_in_words(tmp_path: Path) ->
         assert "--host 0.0.0.0" in line and "token" in line
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("arguments", "environment", "word"),
     [
@@ -91,6 +95,7 @@ def test_a_misspelt_setting_is_told(capsys: pytest.CaptureFixture[str], monkeypa
     assert warned == ["warning: CAUSTICMILL_QOUTA_MB is no setting; CAUSTICMILL_QUOTA_MB is one"]
 
 
+@pytest.mark.thorough
 def test_a_full_disk_is_told_and_the_mills_have_their_agents(tmp_path: Path) -> None:
     """What keeps the server from being ready is said with its address; it does not keep agents from mills."""
     profile = tmp_path / "config/machines/router.toml"
@@ -105,7 +110,8 @@ def test_a_full_disk_is_told_and_the_mills_have_their_agents(tmp_path: Path) -> 
         serving.kill(int(started.split("process ")[1].split(";")[0]))
 
 
-@pytest.mark.parametrize("word", [pytest.param(signal.SIGTERM, marks=pytest.mark.thorough), signal.SIGKILL])
+@pytest.mark.thorough
+@pytest.mark.parametrize("word", [signal.SIGTERM, signal.SIGKILL])
 def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path: Path, word: signal.Signals) -> None:
     with served("--no-agents", data=tmp_path) as serving:
         serving.until_ready()
@@ -121,6 +127,7 @@ def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path
         until_beyond(serving, job, "heightfield")
 
 
+@pytest.mark.thorough
 def test_a_restored_folder_serves_and_goes_on_with_its_jobs(tmp_path: Path) -> None:
     backup, again = tmp_path / "backup.tar", tmp_path / "again"
     with served("--no-agents", data=tmp_path / "data") as serving:

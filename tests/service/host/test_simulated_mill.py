@@ -85,6 +85,7 @@ def test_it_is_homed_jogged_and_probed_like_a_mill(workshop: tuple[Serving, http
     assert mill(client)["work_mm"][:2] == [0, 0] and mill(client)["machine_mm"][2] == pytest.approx(-28, abs=0.02)
 
 
+@pytest.mark.thorough
 def test_a_mill_that_is_gone_comes_back_switched_off_and_on(workshop: tuple[Serving, httpx.Client]) -> None:
     serving, client = workshop
     serving.kill(serving.child(MILL))
@@ -92,6 +93,7 @@ def test_a_mill_that_is_gone_comes_back_switched_off_and_on(workshop: tuple[Serv
     assert not mill(client)["position_trusted"]
 
 
+@pytest.mark.thorough
 def test_a_server_that_is_killed_in_the_middle_leaves_mill_and_control_as_they_are(
     workshop: tuple[Serving, httpx.Client],
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_worker_that_says_it_is_sick_is_started_again(tmp_path: Path) -> None:
         until(lambda: any("not heard of" in line for line in serving.err), what="the end of its patience")
 
 
+@pytest.mark.thorough
 def test_a_supervisor_that_was_frozen_itself_blames_nobody(tmp_path: Path) -> None:
     with supervised(tmp_path, CAUSTICMILL_LEASE_S="1") as serving:
         serving.until_ready()
@@ -171,6 +172,7 @@ def test_a_refused_configuration_ends_it_in_the_childs_own_words(tmp_path: Path)
         ]
 
 
+@pytest.mark.thorough
 def test_a_refusal_of_what_was_good_before_is_tried_again(tmp_path: Path) -> None:
     """Such as a lock that the killed one before still seems to hold."""
     with supervised(tmp_path, WORKER_DOES="refuses the second time") as serving:

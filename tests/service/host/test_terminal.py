@@ -36,6 +36,7 @@ def logged(form: str, *, terminal: bool) -> str:
     return shown
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(("form", "terminal"), [("auto", False), ("json", True), ("json", False)])
 def test_a_log_that_is_stored_is_json(form: str, terminal: bool) -> None:
     line = json.loads(logged(form, terminal=terminal))

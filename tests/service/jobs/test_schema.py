@@ -30,6 +30,7 @@ def test_the_version_that_is_waited_for_is_the_last_migration() -> None:
     assert ScriptDirectory.from_config(alembic_config()).get_heads() == [HEAD]
 
 
+@pytest.mark.thorough
 def test_a_database_that_is_up_to_date_costs_no_alembic(farm: ServerSettings, database: sa.Engine) -> None:
     """It is slow to import, and the API would carry it for ever."""
     code = """

@@ -195,6 +195,7 @@ def part_values(stage: str, keys: Iterable[str]) -> list[Any]:
     return [part_of(facts, key) for key in stage_of(stage).spec]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("stage", [stage for stage in STAGES if stage != "report"])
 def test_what_a_stage_does_not_declare_does_not_show_in_what_it_makes(job: StagedJob, stage: str) -> None:
     """The law that makes reuse safe: with all undeclared keys changed at once, the bytes are the same."""
@@ -242,6 +243,7 @@ def test_the_bytes_do_not_depend_on_the_number_of_processors(job: StagedJob, tmp
     }
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("module", ["service.stages.lens", "service.stages.programs", "service.stages.final_check"])
 def test_the_sources_in_a_key_are_all_that_python_loads(module: str) -> None:
     code = (

@@ -170,6 +170,7 @@ NAMES = st.text(max_size=20)
 REFS = st.builds(FileRef, NAMES, st.integers(0))
 
 
+@pytest.mark.thorough
 @given(st.dictionaries(NAMES, REFS), st.dictionaries(NAMES, st.lists(NAMES)), st.integers(1))
 def test_orders_and_results_survive_json(files: dict[str, FileRef], notes: dict[str, list[str]], number: int) -> None:
     order = StageOrder(

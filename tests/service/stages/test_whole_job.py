@@ -40,6 +40,7 @@ def test_the_stages_are_those_of_the_contract(job: StagedJob) -> None:
     )  # fmt: skip
 
 
+@pytest.mark.thorough
 def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -> None:
     """But for what only the operator page draws."""
     drawn = {"thumbnail.png", "surface.bin", "focus.bin", "pass-1.path", "pass-2.path", "pass-3.path"}

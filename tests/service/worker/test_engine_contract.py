@@ -81,6 +81,7 @@ def stand(farm: ServerSettings, tmp_path: Path) -> Iterator[Stand]:
     made.close()
 
 
+@pytest.mark.thorough
 def test_submitted_tickets_run_once_in_order_of_priority(stand: Stand) -> None:
     """Submitted twice is submitted once; smaller numbers first, then as they came; cancelled ones never."""
     order = {"low": 1000, "first": 100, "second": 100, "high": 10, "gone": 1}
@@ -97,6 +98,7 @@ def test_submitted_tickets_run_once_in_order_of_priority(stand: Stand) -> None:
     assert [ticket for ticket, _ in stand.notes()][4:] == ["low.2"]
 
 
+@pytest.mark.thorough
 def test_known_ended_forgotten(stand: Stand) -> None:
     done, waits, unheard = Ticket("done", 1), Ticket("slow", 1), Ticket("unheard", 1)
     stand.engine.submit(done, priority=1)
@@ -111,6 +113,7 @@ def test_known_ended_forgotten(stand: Stand) -> None:
     assert stand.engine.known([done, waits, unheard]) == {waits}
 
 
+@pytest.mark.thorough
 def test_a_fenced_body_is_called_again(stand: Stand) -> None:
     stand.engine.submit(Ticket("fenced", 1), priority=1)
     stand.serve("a")
@@ -118,6 +121,7 @@ def test_a_fenced_body_is_called_again(stand: Stand) -> None:
     assert (len(stand.notes()), len(stand.notes("end"))) == (2, 1)
 
 
+@pytest.mark.thorough
 def test_a_ticket_for_which_there_is_no_slot_runs_elsewhere(stand: Stand) -> None:
     """Given back it waits in the queue for anybody; its end is recorded once."""
     ticket = Ticket("busy", 1)
@@ -144,6 +148,7 @@ def test_a_killed_process_goes_on_at_its_next_start(stand: Stand) -> None:
     assert len(stand.notes("end")) == 1
 
 
+@pytest.mark.thorough
 def test_two_that_take_over_from_a_dead_one_run_its_ticket_once(stand: Stand) -> None:
     """Both try again and again, as the reconcile loop does: one gets it, and nothing runs twice."""
     ticket = Ticket("slow", 1)
@@ -161,6 +166,7 @@ def test_two_that_take_over_from_a_dead_one_run_its_ticket_once(stand: Stand) ->
     assert (len(stand.notes()), len(stand.notes("end"))) == (2, 1)
 
 
+@pytest.mark.thorough
 def test_a_frozen_owner_that_wakes_up_changes_nothing(stand: Stand) -> None:
     """Taken over while stopped; its body returns late, and the ticket stays with the one who has it."""
     ticket = Ticket("slow", 1)
@@ -178,6 +184,7 @@ def test_a_frozen_owner_that_wakes_up_changes_nothing(stand: Stand) -> None:
     assert stand.engine.owners() == {}
 
 
+@pytest.mark.thorough
 def test_a_ticket_that_was_begun_without_anybody_knowing_runs(stand: Stand) -> None:
     """The database died after it had noted that the executor begins, and before the executor heard of it."""
     first, stray = Ticket("slow", 1), Ticket("stray", 1)

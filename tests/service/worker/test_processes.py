@@ -96,6 +96,7 @@ def test_much_progress_neither_blocks_nor_piles_up(bench: Bench) -> None:
     assert isinstance(end, Done) and len(end.result["long"]) == 5_000_000
 
 
+@pytest.mark.thorough
 def test_a_log_is_cut_in_its_middle(bench: Bench) -> None:
     """100 MB said, of which never much is on the disk; what was said first and last is there, and where it was cut."""
     taken: list[int] = []
@@ -149,6 +150,7 @@ def test_a_child_of_the_warm_nursery_computes_with_threads_and_solvers(computing
     assert first == second
 
 
+@pytest.mark.thorough
 def test_the_nursery_has_one_thread_when_it_forks(computing: Bench) -> None:
     """With everything imported that the real stages need, too."""
     computing.run("compute")

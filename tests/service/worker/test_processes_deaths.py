@@ -40,6 +40,7 @@ def test_a_killed_worker_leaves_nothing(tmp_path: Path, do: str) -> None:
     assert until(lambda: not any(map(lives, [nursery, *pids]))) < PROMPT_S
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("do", ["sleep", "hold_interpreter", "family"])
 def test_the_stage_of_a_frozen_worker_ends_by_itself(tmp_path: Path, do: str) -> None:
     lease_s = 4.0

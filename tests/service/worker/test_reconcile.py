@@ -73,6 +73,7 @@ def test_a_running_job_to_be_cancelled_whose_worker_is_dead_is_cancelled(stand: 
     assert stand.book.get(job.id).state == JobState.CANCELLED
 
 
+@pytest.mark.thorough
 def test_a_job_of_my_own_former_life_to_be_cancelled_is_cancelled(stand: Stand) -> None:
     """This worker is alive, but does not have the job in hand."""
     job = stand.job()
@@ -86,6 +87,7 @@ def test_a_job_of_my_own_former_life_to_be_cancelled_is_cancelled(stand: Stand) 
     assert stand.book.get(job.id).state == JobState.CANCELLED
 
 
+@pytest.mark.thorough
 def test_a_job_that_the_engine_has_given_up_fails_with_words(stand: Stand) -> None:
     job = stand.job()
     stand.engine.submit(Ticket(job.id, 1), priority=1)

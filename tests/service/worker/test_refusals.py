@@ -52,11 +52,13 @@ def refusal_beside(first: ServerSettings, second: ServerSettings) -> str:
     return errors[0]
 
 
+@pytest.mark.thorough
 def test_a_second_worker_on_one_sqlite_folder(tmp_path: Path) -> None:
     settings = ServerSettings(data=tmp_path / "data")
     assert "another worker has" in refusal_beside(settings, settings)
 
 
+@pytest.mark.thorough
 def test_two_workers_of_one_name_on_postgresql(tmp_path: Path, postgres: Postgres) -> None:
     common = {
         "database_url": postgres.url(),
@@ -87,6 +89,7 @@ def test_sqlite_on_a_network_disk(tmp_path: Path) -> None:
     refuse_network_disk(ServerSettings(data=tmp_path / "local"), lambda: mounts)
 
 
+@pytest.mark.thorough
 def test_the_lock_of_a_name_comes_back_after_a_crash_of_the_database() -> None:
     """Also when the first attempts to lock it again find no database."""
     if reason := missing():

@@ -41,6 +41,7 @@ def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
         assert broken + storm.left_over() == []
 
 
+@pytest.mark.thorough
 def test_two_live_workers_both_work(tmp_path: Path) -> None:
     """Also after each of them was killed, whoever has got its tickets since."""
     if reason := missing():

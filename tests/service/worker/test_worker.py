@@ -61,6 +61,7 @@ def test_told_to_stop_it_leaves_its_job_to_its_next_start(make: Callable[[float]
     assert storm.left_over() == []
 
 
+@pytest.mark.thorough
 def test_cancel_ends_the_stage_and_the_job(make: Callable[[float], Storm]) -> None:
     storm = make(30.0)
     job_id = storm.submit(2)[1]
@@ -77,6 +78,7 @@ def test_cancel_ends_the_stage_and_the_job(make: Callable[[float], Storm]) -> No
     assert storm.left_over() == []
 
 
+@pytest.mark.thorough
 def test_a_database_that_is_locked_for_long_costs_no_work(tmp_path: Path) -> None:
     """By a backup of the file, for longer than a lease: nobody else could take over, so the stage goes on."""
     settings = ServerSettings(data=tmp_path / "data", lease_s=3.0, free_disk_mb=0)
@@ -109,6 +111,7 @@ def test_on_a_full_disk_nothing_is_begun_and_the_log_says_so_once(tmp_path: Path
     storm.stop()
 
 
+@pytest.mark.thorough
 def test_a_stage_that_crashes_three_times_fails_the_job(make: Callable[[float], Storm]) -> None:
     storm = make(30.0)
     job_id = storm.submit(2)[1]
