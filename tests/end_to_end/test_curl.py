@@ -61,7 +61,6 @@ def shell(script: str, folder: Path) -> Iterator[tuple[subprocess.Popen[bytes], 
         process.wait()
 
 
-@pytest.mark.slow
 @pytest.mark.thorough
 def test_a_working_day_with_curl(tmp_path: Path) -> None:
     """Every command succeeds; passes are what the job's report names; the run is held, resumed and finished."""

@@ -44,8 +44,8 @@ def spoiled(how: str) -> Any:
     ("how", "words"),
     [
         ("Z-3", ["below the lens"]),  # a gouge
-        ("G0X0", ["rapid"]),  # through the stock
-        ("G2X1I1", ["arcs"]),  # text that may not run
+        pytest.param("G0X0", ["rapid"], marks=pytest.mark.thorough),  # through the stock
+        pytest.param("G2X1I1", ["arcs"], marks=pytest.mark.thorough),  # text that may not run
     ],
 )
 def test_a_faulty_program_fails_the_job(

@@ -162,6 +162,7 @@ def finish_points(out: Path) -> NDArray[np.float64]:
     return points[inside]
 
 
+@pytest.mark.thorough
 def test_the_finish_program_follows_this_lens_and_not_its_mirror(job: tuple[Path, str]) -> None:
     """The tip rides above the surface by R (1 / cos a - 1) and no mirror image of the lens fits the program."""
     lens = load_heightfield(job[0] / "heightfield.npz")

@@ -15,7 +15,6 @@ from tests.trials.server.storm import Size, storm
 SHORT = Size(jobs=5, kinds=4, kills=10, pause_s=(0.2, 1.5), patience_s=180.0)
 
 
-@pytest.mark.slow
 @pytest.mark.thorough
 def test_nothing_is_lost_in_a_storm_on_sqlite(tmp_path: Path) -> None:
     with embedded(tmp_path) as deployment:
@@ -24,7 +23,6 @@ def test_nothing_is_lost_in_a_storm_on_sqlite(tmp_path: Path) -> None:
     assert result.kills >= SHORT.kills
 
 
-@pytest.mark.slow
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(missing()), reason=missing())
 def test_nothing_is_lost_in_a_storm_on_postgresql(tmp_path: Path) -> None:

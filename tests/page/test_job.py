@@ -201,8 +201,9 @@ def test_each_program_goes_to_the_mill_by_its_number(at_job: Page, shop: Shop) -
     expect(rows).to_have_count(len(job["programs"]))
     for row, program in zip(rows.all(), job["programs"], strict=True):
         expect(row).to_contain_text(program["name"])
-        send = row.locator("a.primary").filter(has_text=re.compile(f"Send to (mill|{MILL})")).first
+        send = row.locator("a.button").filter(has_text=re.compile(f"Send to (mill|{MILL})")).first
         expect(send).to_have_attribute("href", f"#/machines/{MILL}?job={job['id']}&program={program['number']}")
+        assert ("primary" in send.get_attribute("class")) == (program["number"] == 1), "the first pass is cut first"
 
 
 def test_programs_can_be_sent_once_checked_though_their_pictures_are_still_to_come(opened: Opened, shop: Shop) -> None:

@@ -83,7 +83,8 @@ function passOf(name, job) {
 function sendLink(job, program, mill, count) {
   const address = `#/machines/${encodeURIComponent(mill.name)}?job=${job.id}&program=${program.number}`;
   const words = count === 1 ? "Send to mill" : `Send to ${mill.name}`;
-  return h("a", { class: "button primary", href: address, "aria-label": `${words}: ${program.name}` }, words);
+  const isFirst = program === job.programs[0]; // the mill's own screen offers those after it, each in its turn
+  return h("a", { class: isFirst ? "button primary" : "button", href: address, "aria-label": `${words}: ${program.name}` }, words);
 }
 
 /** {node, update(job, artifacts)}: what else there is to keep. */

@@ -33,6 +33,7 @@ def test_all_files_come_and_come_once(shop: Shop, tmp_path: Path) -> None:
     assert again.stdout.count("there already") == len(wanted)
 
 
+@pytest.mark.thorough
 def test_a_wire_that_breaks_every_few_kilobytes_costs_no_byte(shop: Shop, tmp_path: Path) -> None:
     """Each connection is cut; the next goes on where the file ends, and the hash is right at last."""
     with BadWire(shop.url, lambda _, came: len(came) > 20_000) as wire:
