@@ -13,6 +13,8 @@ from cam.as_milled.tracks import Tracks
 from tests.cam.facet_points import rms, spread_over
 from tests.cam.test_as_milled import facets_of, lens, surface_of
 
+pytestmark = pytest.mark.thorough
+
 
 def lowest_ball(tracks, x_mm, y_mm):
     """(n,) height of the lowest ball of the path above points, by asking every move; nothing is left out."""
@@ -78,7 +80,6 @@ def judge(tracks, over, *, pitch, step, noise, places):
     assert weights.sum() == pytest.approx(0.16, rel=0.02)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("radius", "pitch", "step", "noise", "is_crossed"),
     [
@@ -97,7 +98,6 @@ def test_slopes_are_those_of_brute_force(radius, pitch, step, noise, is_crossed)
     judge(tracks, over, pitch=pitch, step=step, noise=noise, places=6000)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("radius", "pitch", "step", "noise", "chord"),
     [(3.0, 0.1, 0.002, 0.0, 0.004), (3.0, 0.1, 0.002, 0.0005, 0.004), (0.5, 0.02, 0.002, 0.0005, 0.008)],

@@ -19,6 +19,8 @@ from optics.light import Light
 from optics.screen import Screen
 from optics.settings import LensSettings
 
+pytestmark = pytest.mark.thorough
+
 ANGLES = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
 OUTLINES = {  # in units of the aperture
     "ellipse": 0.5 + 0.5 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1),
@@ -97,7 +99,6 @@ def hold_the_laws(design: LensDesign, settings: LensSettings, shape: tuple[int, 
         assert seen.reflected_share < 0.05
 
 
-@pytest.mark.thorough
 @hypothesis_settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
 @given(bench=benches(), target=pictures(), corrections=st.integers(0, 1), polish=st.sampled_from([0, 0, 2]))
 def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, polish: int) -> None:
@@ -110,7 +111,6 @@ def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, 
     hold_the_laws(design, settings, target.shape)
 
 
-@pytest.mark.thorough
 @hypothesis_settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
 @given(bench=benches(), target=pictures(), radius_mm=st.sampled_from([0.0, 0.5, 3.0]), polish=st.sampled_from([0, 3]))
 def test_a_lens_or_a_reason_thoroughly(bench: Bench, target: np.ndarray, radius_mm: float, polish: int) -> None:

@@ -17,6 +17,8 @@ from tests.page.listed import answer_with, summary
 from tests.page.machine_states import STATES, machine_in, told, with_control
 from tests.page.shop import MILL, PICTURE, Shop
 
+pytestmark = pytest.mark.thorough
+
 Screen = Callable[[Opened, Shop], Page]
 
 LONG_NAME = "portrait-of-a-very-long-name_that_has_no_place_to_break_it_2026-11-21_final.png"
@@ -190,7 +192,6 @@ SCREENS: dict[str, Screen] = {
 }
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", SCREENS)
 def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, shop: Shop, name: str) -> None:
     page = SCREENS[name](opened, shop)
@@ -204,7 +205,6 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, 
             expect(button).to_be_in_viewport(ratio=1)
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["jobs", "new", "job-planned", "machine-idle"])
 def test_a_view_looks_the_same_whatever_was_looked_at_before(opened: Opened, shop: Shop, name: str) -> None:
     """Sheets stay once they are loaded: none of them may change another view."""

@@ -12,6 +12,8 @@ import pytest
 from tests.service.client.shop import BadWire, Shop, begun, run
 from tests.trials.server.processes import kill, of_kind
 
+pytestmark = pytest.mark.thorough
+
 DRAFT = (
     "--preset",
     "draft",
@@ -28,7 +30,6 @@ def stages(text: str) -> list[str]:
     return [line.removesuffix(" ...") for line in text.splitlines() if line.endswith(" ...")]
 
 
-@pytest.mark.thorough
 def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
     """Each connection is cut after a few events; with Last-Event-ID none is missed and none comes twice."""
     with BadWire(shop.url, lambda _, came: came.count(b"event: stage.") >= 2) as wire:
@@ -45,7 +46,6 @@ def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
     assert ended.returncode == 0 and "succeeded" in ended.stdout
 
 
-@pytest.mark.thorough
 def test_a_server_that_is_killed_is_waited_for(shop: Shop) -> None:
     """kill -9 of the API while somebody follows: they are told, and see the job succeed."""
     words = ("submit", str(shop.picture(4)), *DRAFT, "--set", "optics.throw_mm=72", "--follow")

@@ -12,8 +12,9 @@ import pytest
 from service.fleet.launching import start_agents
 from tests.service.fleet.shop import WAIT_S, Shop, await_agent, kill_agents
 
+pytestmark = pytest.mark.thorough
 
-@pytest.mark.thorough
+
 def test_a_run_is_followed_through_an_agents_restart_to_its_end(floor: Shop) -> None:
     run = floor.park(floor.job((200,)))
     states: list[str] = []
@@ -35,7 +36,6 @@ def test_a_run_is_followed_through_an_agents_restart_to_its_end(floor: Shop) -> 
     assert again.status_code == 204
 
 
-@pytest.mark.thorough
 def test_more_followers_than_an_agent_has_room_for_miss_nothing(floor: Shop) -> None:
     """The agent takes 32 readers. One that leaves in the middle and comes back has every event once, to the end."""
     run = floor.park(floor.job((400,)))

@@ -14,6 +14,8 @@ from tests.service.host.processes import Serving, is_alive, running, served, unt
 from tests.service.host.test_serve import submitted, until_at_work, until_beyond
 from tests.service.worker.postgres import Postgres
 
+pytestmark = pytest.mark.thorough
+
 
 @contextmanager
 def working(data: Path, **environment: str) -> Iterator[Serving]:
@@ -32,7 +34,6 @@ def settings(postgres: Postgres, store_url: str) -> dict[str, str]:
     }
 
 
-@pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["folder", "s3"])
 def test_a_dead_hosts_job_goes_on_at_another(
     postgres: Postgres, tmp_path: Path, kind: str, request: pytest.FixtureRequest
@@ -51,7 +52,6 @@ def test_a_dead_hosts_job_goes_on_at_another(
             until_beyond(serving, job, "heightfield")
 
 
-@pytest.mark.thorough
 def test_a_worker_stops_by_a_word(postgres: Postgres, tmp_path: Path) -> None:
     farm = settings(postgres, (tmp_path / "store").as_uri())
     with working(tmp_path / "a", **farm) as worker:
@@ -62,7 +62,6 @@ def test_a_worker_stops_by_a_word(postgres: Postgres, tmp_path: Path) -> None:
         assert not is_alive(worker.pid)
 
 
-@pytest.mark.thorough
 def test_a_farm_with_a_store_of_one_host_is_refused(postgres: Postgres, tmp_path: Path) -> None:
     environment = {"CAUSTICMILL_DATABASE_URL": postgres.url()}
     with served(data=tmp_path / "serve", **environment) as serving:

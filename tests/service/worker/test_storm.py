@@ -11,10 +11,11 @@ from service.settings import ServerSettings
 from tests.service.worker.postgres import Postgres, missing, running_postgres
 from tests.service.worker.storm import Storm, rage, until
 
+pytestmark = pytest.mark.thorough
+
 LEASE_S = 2.0
 
 
-@pytest.mark.thorough
 def test_storm_on_sqlite(tmp_path: Path) -> None:
     """One worker, ten kills of it and of its stages."""
     storm = Storm(tmp_path, {"only": ServerSettings(data=tmp_path / "data", lease_s=LEASE_S, free_disk_mb=0)})
@@ -26,7 +27,6 @@ def test_storm_on_sqlite(tmp_path: Path) -> None:
     assert broken + storm.left_over() == []
 
 
-@pytest.mark.thorough
 def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
     """Kills, an owner frozen for two leases, the database crashed: the other worker takes over."""
     if reason := missing():
@@ -41,7 +41,6 @@ def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
         assert broken + storm.left_over() == []
 
 
-@pytest.mark.thorough
 def test_two_live_workers_both_work(tmp_path: Path) -> None:
     """Also after each of them was killed, whoever has got its tickets since."""
     if reason := missing():
