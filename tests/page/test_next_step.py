@@ -40,7 +40,7 @@ def ready(route: Route) -> None:
 
 def after(sent: list[Any], count: int, page: Page) -> None:
     """Until so many orders are given; a moment longer, for one too many."""
-    for _ in range(100):
+    for _ in range(400):
         if len(sent) >= count:
             break
         page.wait_for_timeout(50)
