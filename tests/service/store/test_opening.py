@@ -105,7 +105,6 @@ def high_water_mb():
 
 
 @pytest.mark.thorough
-@pytest.mark.slow
 def test_memory_does_not_grow_with_the_object(tmp_path: Path, s3_urls: Iterator[str]) -> None:
     """200 MB up and down: what grows is the parts in flight (4 of 8 MB), not the object."""
     (tmp_path / "tests_memory.py").write_text(_HIGH_WATER)
