@@ -24,7 +24,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """`make test` stays under ten minutes on two cores; what a shorter test shows as well is run where time is."""
+    """`make test` is to take ten minutes on two cores (it takes twelve): what takes longer is run where time is."""
     if "CAUSTICMILL_SLOW" not in os.environ:
         skip = pytest.mark.skip(reason="thorough: runs with CAUSTICMILL_SLOW=1, as in .ci/run")
         for item in items:
