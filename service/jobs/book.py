@@ -82,7 +82,7 @@ class JobBook:
             job, at = locked_job(connection, job_id), clock(connection)
             if job.state not in RETRYABLE:
                 raise JobStateError(job.state, "retrying", RETRYABLE)
-            _require_no_open_run(connection, job, "retrying")
+            _require_no_open_run(connection, job.id)
             is_log = artifacts.c.name.like("%.log")
             connection.execute(artifacts.delete().where(artifacts.c.job_id == job_id, ~is_log))
             change_job(connection, job, **_fresh(job.attempt + 1, at), fence=job.fence + 1)
@@ -231,16 +231,16 @@ def end_job(connection: sa.Connection, job: Job, state: JobState, *, at: float, 
 
 def drop_job(connection: sa.Connection, job: Job) -> None:
     """Everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
-    _require_no_open_run(connection, job, "deleting")
+    _require_no_open_run(connection, job.id)
     connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
     connection.execute(jobs.delete().where(jobs.c.id == job.id))
 
 
-def _require_no_open_run(connection: sa.Connection, job: Job, doing: str) -> None:
+def _require_no_open_run(connection: sa.Connection, job_id: str) -> None:
     from service.fleet.run_book import open_run_of  # it imports this module
 
-    if (run_id := open_run_of(connection, job.id)) is not None:
-        raise JobOnMillError(job.state, doing, run_id)
+    if (run_id := open_run_of(connection, job_id)) is not None:
+        raise JobOnMillError(run_id)
 
 
 def _job(connection: sa.Connection, job_id: str) -> Job:

@@ -40,23 +40,18 @@ RETRYABLE = frozenset(state for state in ENDED if TRANSITIONS[state])
 
 
 class JobStateError(Exception):
-    """A move that the table does not allow: `before`, `doing`, and the states in which it is allowed."""
+    """A move that the table does not allow."""
 
     def __init__(self, before: JobState, doing: str, allowed: frozenset[JobState]) -> None:
         words = ", ".join(sorted(allowed)) or "none"
         super().__init__(f"the job is {before}; {doing} is allowed in: {words}")
-        self.before = before
-        self.doing = doing
-        self.allowed = allowed
 
 
 class JobOnMillError(JobStateError):
     """A run of one of the job's programs is open: what the mill is doing must stay explained."""
 
-    def __init__(self, before: JobState, doing: str, run_id: str) -> None:
-        super().__init__(before, doing, ENDED)
-        self.run_id = run_id
-        self.args = (f"run {run_id} of a program of this job is open; abort it or let it finish first",)
+    def __init__(self, run_id: str) -> None:
+        Exception.__init__(self, f"run {run_id} of a program of this job is open; abort it or let it finish first")
 
 
 def require_move(before: JobState, after: JobState) -> None:
