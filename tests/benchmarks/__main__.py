@@ -2,7 +2,7 @@
 
 Figures are ratios within this run or best-of-several times on this machine; none of them is asserted.
 Name sections to run only those:
-python -m tests.benchmarks transport contact accuracy programs contour milled make server
+python -m tests.benchmarks transport contact accuracy programs contour milled make server page
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from tests.benchmarks import (  # noqa: E402
     frames,
     lights,
     milled,
+    page,
     photographs,
     plans,
     programs,
@@ -48,6 +49,7 @@ SECTIONS = {
     "milled": milled.figures,
     "make": whole.figures,
     "server": server.figures,
+    "page": page.figures,
 }
 
 if __name__ == "__main__":

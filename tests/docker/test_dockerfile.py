@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.docker.dockerfile import ROOT, build, ignored, read
-from tests.service.host.processes import until
+from tests.waiting import PATIENCE_S, until
 
 HEAD, BUILD, IMAGE = read(ROOT / "docker/Dockerfile")
 
@@ -94,7 +94,7 @@ def test_its_steps_make_a_server_that_serves(tmp_path: Path) -> None:
             imports = "import psycopg, obstore, rollingmill"
             assert subprocess.run([venv / "bin/python", "-c", imports], env=inside).returncode == 0
             server.send_signal(signal.SIGTERM)
-            assert server.wait(30) == 0
+            assert server.wait(PATIENCE_S) == 0
             assert (
                 subprocess.run(
                     [venv / "bin" / command[0], *command[1:]], env=inside, stderr=subprocess.DEVNULL

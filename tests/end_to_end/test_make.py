@@ -22,6 +22,7 @@ from pygcode import Line, Machine
 from optics.heightfield import Heightfield
 from service.stages.arrays import load_heightfield
 from tests.end_to_end.command import COMMAND, ran, settings
+from tests.waiting import PATIENCE_S
 
 SIDE_MM = 7.0
 SETTINGS = settings(
@@ -247,7 +248,7 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
         assert any(line.startswith(stage) for line in process.stdout)
         time.sleep(0.05)  # into the stage; where exactly does not matter
         process.send_signal(kind)
-        _, errors = process.communicate(timeout=60)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert errors.splitlines() == ["error: interrupted; nothing half-written is left"]
     assert list(tmp_path.iterdir()) == []

@@ -20,6 +20,7 @@ from tests.trials.server.judge import Verdict, database_faults, judged
 from tests.trials.server.processes import MARK, wait_until
 from tests.trials.server.storm import Result, Size, _calm, _stopped
 from tests.trials.server.watching import Watching
+from tests.waiting import PATIENCE_S
 
 SIZE = Size(jobs=0, kinds=0, kills=0, patience_s=120.0)
 
@@ -64,7 +65,7 @@ def _break_everything(deployment: Deployment, customers: Customers) -> None:
     orders = customers.orders
     ids = [next(iter(order.ids)) for order in orders]
     stored = data / "objects"
-    with sqlite3.connect(data / "causticmill.sqlite", timeout=30) as book:
+    with sqlite3.connect(data / "causticmill.sqlite", timeout=PATIENCE_S) as book:
         book.execute("UPDATE jobs SET state = 'failed' WHERE id = ?", (ids[0],))
         query = "SELECT seq, kind, data, at FROM events WHERE job_id = ? ORDER BY seq DESC LIMIT 1"
         seq, kind, words, at = book.execute(query, (ids[1],)).fetchone()

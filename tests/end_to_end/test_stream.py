@@ -13,6 +13,7 @@ from cam.reading.gcode import read_program
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from tests.end_to_end.command import ran
+from tests.waiting import PATIENCE_S
 
 SPEC = """
 image.pixels = 32
@@ -54,7 +55,7 @@ def test_the_path_cut_is_the_path_programmed(programs: list[Path], tmp_path: Pat
     mill = SimulatedMill(GRBL_11)
     with serve_pty(mill, SPEEDUP) as endpoint:
         told = ["--port", endpoint.url, "--machine", "bench", "--yes"]
-        done = ran("stream", programs[number], *told, env={**os.environ, **folders}, timeout=300)
+        done = ran("stream", programs[number], *told, env={**os.environ, **folders}, timeout=PATIENCE_S)
     assert done.returncode == 0, done.stderr
     assert "finished" in done.stdout
     batches = list(read_program([programs[number].read_bytes()]))

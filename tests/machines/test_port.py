@@ -19,6 +19,7 @@ from machines.errors import PortError, PortLostError
 from machines.grbl.driver import GrblDriver
 from machines.port import SerialPort, open_port, stable_name
 from machines.profiles import LinkSettings
+from tests.waiting import PATIENCE_S
 
 LINK = LinkSettings()
 
@@ -264,7 +265,7 @@ def test_the_driver_runs_over_a_real_terminal(terminal: tuple[int, str]) -> None
     controller = LittleController(far)
     controller.start()
     driver.connect()
-    until = time.monotonic() + 30.0
+    until = time.monotonic() + PATIENCE_S
     while driver.status.state is not MillState.IDLE and time.monotonic() < until:
         driver.poll(0.1)
     assert driver.status.state is MillState.IDLE, (driver.failure, controller.lines)

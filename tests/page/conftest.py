@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from tests.page.browser import Scheme, Watched, missing, running_browser, shoot
+from tests.page.browser import ANSWER_MS, Scheme, Watched, missing, running_browser, shoot
 from tests.page.shop import Shop, running_shop
 
 Opened = Callable[..., Page]
 
-expect.set_options(timeout=20_000)
+expect.set_options(timeout=ANSWER_MS)
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,6 @@ from playwright.sync_api import Locator, Page, expect
 
 from tests.page.shop import MILL
 
-WAIT_MS = 60_000
-
 
 def go_to_machine(page: Page, name: str = MILL) -> None:
     page.evaluate("name => { location.hash = `#/machines/${name}` }", name)
@@ -80,8 +78,8 @@ def homed(page: Page) -> None:
     done = page.locator(".log li", has_text="Home: done")
     before = done.count()
     setup(page).get_by_role("button", name="Home", exact=True).click()
-    expect(done).to_have_count(before + 1, timeout=WAIT_MS)
-    expect(machine_state(page)).to_have_text("idle", timeout=WAIT_MS)
+    expect(done).to_have_count(before + 1)
+    expect(machine_state(page)).to_have_text("idle")
 
 
 def say(page: Page, line: str) -> None:
@@ -94,7 +92,7 @@ def zeroed(page: Page) -> None:
     homed(page)
     say(page, "G53 G0 X-150 Y-150 Z-20")
     for axis, place in zip("XYZ", ("−150.000", "−150.000", "−20.000"), strict=True):
-        expect(readout(page, axis, own=True)).to_have_text(place, timeout=WAIT_MS)
+        expect(readout(page, axis, own=True)).to_have_text(place)
     expect(machine_state(page)).to_have_text("idle")
     setup(page).get_by_role("button", name="X and Y = 0 here").click()
     expect(readout(page, "X")).to_have_text("0.000")
@@ -106,7 +104,7 @@ def load(page: Page, job: str, program: str) -> None:
     page.get_by_role("combobox", name="Job").select_option(job)
     page.get_by_role("combobox", name="Program").select_option(program)
     page.get_by_role("button", name="Load onto the mill").click()
-    expect(page.get_by_role("button", name=f"Start {program}")).to_be_visible(timeout=WAIT_MS)
+    expect(page.get_by_role("button", name=f"Start {program}")).to_be_visible()
 
 
 def start(page: Page) -> None:

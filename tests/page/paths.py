@@ -18,6 +18,7 @@ from service.drawing.level import Level
 from service.drawing.points import HIDDEN, RAPID, Points
 
 FEED_MM_PER_S = 25.0
+SIDE_MM = 10.0  # of the shop's lens
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,6 +55,14 @@ def write_path(path: Path, *, side_mm: float, pitch_mm: float, levels: tuple[Thi
                 file.write(level.index.tobytes())
                 file.writelines(level.blocks())
         return made[-1].points
+
+
+_HUGE = (Thinned(16, 0.025, 0.08), Thinned(4, 0.01, 0.02), Thinned(2, 0.004, 0.01), Thinned(1, 0.002, 0.0))
+
+
+def write_huge_path(path: Path) -> int:
+    """A finish pass of more than five million points over the shop's lens; their number."""
+    return write_path(path, side_mm=SIDE_MM, pitch_mm=0.01, levels=_HUGE)
 
 
 def _rows(side_mm: float, pitch_mm: float, thinned: Thinned, *, lines: int) -> Iterator[Points]:

@@ -22,8 +22,9 @@ from service.settings import ServerSettings
 from service.store.opening import open_store
 from tests.service.api.server import ApiServer
 from tests.service.fleet.shop import await_agent, kill_agents
-from tests.service.host.processes import Serving, running, until
+from tests.service.host.processes import Serving, running
 from tests.service.mills import AT_ZERO, program
+from tests.waiting import PATIENCE_S, until
 
 MILL = "shop"
 TIME_FACTOR = 20.0
@@ -92,7 +93,7 @@ class Shop:
     @contextlib.contextmanager
     def client(self) -> Iterator[httpx.Client]:
         headers = {"Authorization": f"Bearer {self.key('the tests')}"}
-        with httpx.Client(base_url=self.url, headers=headers, timeout=60, trust_env=False) as client:
+        with httpx.Client(base_url=self.url, headers=headers, timeout=PATIENCE_S, trust_env=False) as client:
             yield client
 
     def submit(self, spec: dict[str, Any] | None = None) -> str:
@@ -103,13 +104,13 @@ class Shop:
             assert answer.status_code == 202, answer.text
             return str(answer.json()["id"])
 
-    def succeeded(self, job: str, within_s: float = 240.0) -> str:
-        now = self._until_ended(job, within_s)
+    def succeeded(self, job: str) -> str:
+        now = self._until_ended(job)
         assert now["state"] == "succeeded", now
         return job
 
-    def _until_ended(self, job: str, within_s: float) -> dict[str, Any]:
-        deadline = time.monotonic() + within_s
+    def _until_ended(self, job: str) -> dict[str, Any]:
+        deadline = time.monotonic() + PATIENCE_S
         with self.client() as client:
             while (now := client.get(f"/v1/jobs/{job}").json())["state"] not in ("succeeded", "failed", "cancelled"):
                 assert time.monotonic() < deadline, now
@@ -129,7 +130,7 @@ class Shop:
             job = self.submit()
             with self.client() as client:
                 client.post(f"/v1/jobs/{job}:cancel")
-            self._until_ended(job, 90.0)
+            self._until_ended(job)
             path = program(self.folder / "long.nc", LONG_LINES, step_mm=0.1)
             made = Made(ServerSettings(data=self.data))
             made.put_artifact(job, LONG_PROGRAM, path.read_bytes(), stage="pass-1")
@@ -191,5 +192,5 @@ def _served(folder: Path, arguments: tuple[str, ...], port: str = "0") -> Iterat
         "CAUSTICMILL_FREE_DISK_MB": "0",
     }
     with running(command, data, environment) as serving:
-        serving.until_ready(60)
+        serving.until_ready()
         yield serving

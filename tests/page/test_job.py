@@ -20,6 +20,7 @@ from tests.page.browser import every_screen
 from tests.page.conftest import Opened
 from tests.page.jobs import PLAN_HOURS, answer, like, of_shop, shown, stopped_at, with_plan
 from tests.page.shop import MILL, SMALL_SPEC, Shop
+from tests.waiting import PATIENCE_MS
 
 AWAY = (r"net::ERR_", r"status of 50[234]")
 NO_WEBGL = """const get = HTMLCanvasElement.prototype.getContext;
@@ -313,9 +314,9 @@ def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: O
     job = shop.submit(SMALL_SPEC | {"image": {"pixels": 32}, "optics": {"width_mm": 6.0, "height_mm": 6.0}})
     page = opened(f"#/jobs/{job}", errors=AWAY)
     words = page.locator(".progress-words")
-    expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=60_000)
+    expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=PATIENCE_MS)
     shop.kill_api()
-    expect(words).to_contain_text("Made", timeout=150_000)
+    expect(words).to_contain_text("Made", timeout=PATIENCE_MS)
     expect(page.locator(".job-state")).to_have_text("done")
     expect(page.get_by_role("img", name="As milled: with all marks of the tool").last).to_be_visible()
     expect(page.locator(".facts")).to_contain_text("will blur")

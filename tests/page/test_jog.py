@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, CDPSession, Page, Route, expect
 
 from tests.page.browser import Watched
 from tests.page.conftest import sign_in
-from tests.page.driving import WAIT_MS, go_to_machine, homed, machine_state, readout, release, say, take_control
+from tests.page.driving import go_to_machine, homed, machine_state, readout, release, say, take_control
 from tests.page.shop import Shop
 
 SLOWER = 40  # a jog goes so much farther than it was ordered, so that one can see where it is stopped
@@ -152,14 +152,14 @@ def test_a_hold_that_nothing_ends_is_short(at_mill: Page) -> None:
 def test_a_probe_sets_the_zero_by_the_plate(at_mill: Page) -> None:
     """The plate is felt at machine Z -25; from there the tool rises, and its height over the block is known."""
     say(at_mill, "G53 G0 Z-20")
-    expect(readout(at_mill, "Z", own=True)).to_have_text("−20.000", timeout=WAIT_MS)
+    expect(readout(at_mill, "Z", own=True)).to_have_text("−20.000")
     unfold_probe(at_mill)
     at_mill.get_by_label("Plate thickness").fill(str(PLATE_MM))
     at_mill.get_by_role("button", name="Probe Z", exact=True).click()
     question = at_mill.get_by_role("group", name="Probe Z")
     expect(question).to_contain_text("goes down by up to 10 mm")
     question.get_by_role("button", name="Probe", exact=True).click()
-    expect(readout(at_mill, "Z")).to_have_text(f"{PLATE_MM + RETRACT_MM:.3f}", timeout=WAIT_MS)
+    expect(readout(at_mill, "Z")).to_have_text(f"{PLATE_MM + RETRACT_MM:.3f}")
     expect(readout(at_mill, "Z", own=True)).to_have_text("−23.000")
     expect(machine_state(at_mill)).to_have_text("idle")
 
@@ -169,6 +169,6 @@ def test_a_probe_that_touches_nothing_is_said_with_what_to_do(at_mill: Page) -> 
     at_mill.get_by_label("Down at most").fill("1")
     at_mill.get_by_role("button", name="Probe Z", exact=True).click()
     at_mill.get_by_role("group", name="Probe Z").get_by_role("button", name="Probe", exact=True).click()
-    expect(at_mill.locator(".trouble")).to_contain_text(re.compile("probe", re.IGNORECASE), timeout=WAIT_MS)
+    expect(at_mill.locator(".trouble")).to_contain_text(re.compile("probe", re.IGNORECASE))
     expect(at_mill.locator(".next")).to_contain_text("Next: see that the tool is free to rise, then home the mill.")
     homed(at_mill)

@@ -11,9 +11,9 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.conftest import Opened
-from tests.page.driving import WAIT_MS, give_up, load, machine_state, release, start, take_control, zeroed
+from tests.page.driving import give_up, load, machine_state, release, start, take_control, zeroed
 from tests.page.shop import LONG_PROGRAM, MILL, PICTURE, Shop
-from tests.service.host.processes import until
+from tests.waiting import PATIENCE_MS, until
 
 AWAY = (r"net::ERR_", r"status of 50[234]")
 
@@ -77,7 +77,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     page.get_by_label("Pitch").last.fill("0.25")
     page.get_by_label("Step down").last.fill("0.4")
     page.get_by_role("button", name="Make the lens").click()
-    page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=4 * WAIT_MS)
+    page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=PATIENCE_MS)
     page.get_by_role("button", name="Take control").click()
     page.get_by_role("textbox", name="Code", exact=True).fill(shop.code)
     page.get_by_label("Your name").fill("Ada Lovelace")
@@ -85,15 +85,15 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     expect(page.get_by_text("You have control.")).to_be_visible()
     expect(page.locator(".primary:visible")).to_have_text("Home")  # and not to load, before the mill knows where it is
     zeroed(page)
-    page.get_by_role("button", name="Load onto the mill").click(timeout=4 * WAIT_MS)
-    expect(page.get_by_role("button", name="Start pass-1-rough.nc")).to_be_visible(timeout=WAIT_MS)
+    page.get_by_role("button", name="Load onto the mill").click(timeout=PATIENCE_MS)
+    expect(page.get_by_role("button", name="Start pass-1-rough.nc")).to_be_visible()
     start(page)
-    expect(page.locator(".running .mark")).to_have_text("finished", timeout=WAIT_MS)
+    expect(page.locator(".running .mark")).to_have_text("finished")
     expect(page.locator(".meter")).to_contain_text("100 %")
     expect(page.locator(".next")).to_contain_text("load the next program, pass-2-finish.nc")
     expect(page.get_by_role("combobox", name="Program")).to_have_value("pass-2-finish.nc")
     page.get_by_role("button", name="Load onto the mill").click()
-    expect(page.get_by_role("button", name="Start pass-2-finish.nc")).to_be_visible(timeout=WAIT_MS)
+    expect(page.get_by_role("button", name="Start pass-2-finish.nc")).to_be_visible()
     give_up(page)
     release(page)
 
@@ -105,7 +105,7 @@ def raised(page: Page) -> None:
     if "raise Z first" in line.inner_text():
         with page.expect_response("**/recovery"):
             line.get_by_role("button", name="Raise Z").click()
-    expect(line).to_contain_text("go on with it", timeout=WAIT_MS)
+    expect(line).to_contain_text("go on with it")
 
 
 def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Shop) -> None:
@@ -133,7 +133,7 @@ def test_the_page_recovers_by_itself_from_restarts_while_the_mill_runs(at_mill: 
     at_mill.evaluate("window.neverReloaded = true")
     shop.kill_api()
     expect(at_mill.locator(".next")).to_contain_text("use the button on the mill")
-    expect(at_mill.locator(".trouble")).to_be_empty(timeout=WAIT_MS)
+    expect(at_mill.locator(".trouble")).to_be_empty()
     goes_on(at_mill)
     shop.stop()
     expect(at_mill.locator(".next")).to_contain_text("use the button on the mill")
@@ -141,7 +141,7 @@ def test_the_page_recovers_by_itself_from_restarts_while_the_mill_runs(at_mill: 
     for control in at_mill.locator(".overrides button").all():
         expect(control).to_be_disabled()
     shop.start()
-    expect(at_mill.locator(".trouble")).to_be_empty(timeout=WAIT_MS)
+    expect(at_mill.locator(".trouble")).to_be_empty()
     goes_on(at_mill)
     expect(at_mill.get_by_text("You have control.")).to_be_visible()
     at_mill.get_by_role("button", name="HOLD").click()
@@ -158,4 +158,4 @@ def test_a_pulled_cable_is_said_and_the_run_gone_on_with(at_mill: Page, shop: Sh
     expect(machine_state(at_mill)).to_have_text("not connected")
     expect(at_mill.get_by_role("button", name=re.compile("^Go on from"))).to_be_hidden()
     shop.plug_in()
-    expect(at_mill.get_by_role("heading", name="Go on with this program")).to_be_visible(timeout=WAIT_MS)
+    expect(at_mill.get_by_role("heading", name="Go on with this program")).to_be_visible()

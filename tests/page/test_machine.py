@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.page.browser import Scheme, layout_faults, serious_faults
 from tests.page.conftest import Opened
-from tests.page.driving import WAIT_MS, homed, machine_state, readout, release, setup, take_control
+from tests.page.driving import homed, machine_state, readout, release, setup, take_control
 from tests.page.machine_states import STATES, machine_in, told, with_control
 from tests.page.shop import MILL, Shop
 
@@ -73,7 +73,7 @@ def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(op
         with page.expect_response(lambda answer: "/control/" in answer.url) as told:
             page.get_by_role("button", name=name).click()
         assert told.value.status == 202
-    expect(machine_state(page)).to_have_text("idle", timeout=WAIT_MS)
+    expect(machine_state(page)).to_have_text("idle")
 
 
 def test_without_a_server_nothing_is_offered_and_nobody_is_said_to_have_control(opened: Opened) -> None:
@@ -127,7 +127,7 @@ def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
     for route in hanging:
         route.fulfill(status=202, json={})
     at_mill.get_by_role("button", name="STOP").click()  # held, the mill would be of no use to the next test
-    expect(machine_state(at_mill)).to_have_text("idle", timeout=WAIT_MS)
+    expect(machine_state(at_mill)).to_have_text("idle")
 
 
 def test_mill_and_program_are_one_state_in_words(opened: Opened) -> None:

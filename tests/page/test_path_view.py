@@ -2,77 +2,25 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import expect
 
 from service.drawing.layout import parted
 from tests.page.conftest import Opened
-from tests.page.jobs import answer, like, of_shop
-from tests.page.paths import FEED_MM_PER_S, Served, Thinned, write_path
+from tests.page.drawn import Drawn, drawn
+from tests.page.paths import FEED_MM_PER_S, SIDE_MM, Thinned, write_huge_path, write_path
 from tests.page.shop import Shop
 from tests.page.test_job import NO_WEBGL
 
-SIDE_MM, PITCH_MM = 10.0, 0.05  # of the shop's lens
+PITCH_MM = 0.05
 SMALL = (Thinned(8, 0.2, 0.4), Thinned(2, 0.04, 0.1), Thinned(1, 0.01, 0.0))
-HUGE = (Thinned(16, 0.025, 0.08), Thinned(4, 0.01, 0.02), Thinned(2, 0.004, 0.01), Thinned(1, 0.002, 0.0))
 GLANCE_BYTES = 700_000
-NOTE_FIRST_PICTURE = """new MutationObserver(() => {
-    if (document.querySelector("[data-level]")) window.drawnAt ??= performance.now();
-}).observe(document, {subtree: true, childList: true, attributes: true});"""
-FIRST_PICTURE_MS = (
-    """window.drawnAt - performance.getEntriesByType("resource").find(one => one.name.endsWith(".path")).startTime"""
-)
-FRAMES = """ms => new Promise(done => {
-    const all = []; let last = performance.now(); const end = last + ms;
-    const step = now => { all.push(now - last); last = now; now < end ? requestAnimationFrame(step) : done(all); };
-    requestAnimationFrame(step);
-})"""
-
-
-@dataclass(frozen=True, slots=True)
-class Drawn:
-    page: Page
-    served: Served
-
-    @property
-    def frame(self) -> Locator:
-        return self.page.locator(".path-frame")
-
-    @property
-    def level(self) -> Locator:
-        return self.page.locator("[data-level]")
-
-    def at_rest(self) -> None:
-        """Nothing more is fetched or drawn for a while."""
-        before = -1
-        while before != len(self.served.fetched):
-            before = len(self.served.fetched)
-            self.page.wait_for_timeout(500)
-
-    def picture(self) -> Image.Image:
-        self.frame.evaluate("one => one.scrollIntoView({block: 'center'})")  # not under the page's bar
-        return Image.open(io.BytesIO(self.frame.screenshot())).convert("RGB")
-
-    def middle(self) -> tuple[float, float]:
-        box = self.frame.bounding_box()
-        assert box
-        return box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-
-    def zoom(self, steps: int) -> None:
-        """By the wheel, which counts once the drawing has been clicked."""
-        self.page.mouse.click(*self.middle())
-        for _ in range(steps):
-            self.page.mouse.wheel(0, -400)
-            self.page.wait_for_timeout(20)
 
 
 @pytest.fixture(scope="module")
@@ -80,25 +28,6 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("paths") / "small.path"
     assert write_path(path, side_mm=SIDE_MM, pitch_mm=PITCH_MM, levels=SMALL) > 200_000
     return path
-
-
-def drawn(opened: Opened, shop: Shop, path: Path, before: str = "") -> Drawn:
-    job, files = of_shop(shop)
-    job = like(job, 20)
-    url = f"/v1/jobs/{job['id']}/artifacts/pass-1.path"
-    file = files[0] | {"name": "pass-1.path", "sha256": "f" * 64, "bytes": path.stat().st_size, "url": url}
-    page = opened("#/machines")
-    if before:
-        page.context.add_init_script(before)
-        page.reload()
-    found = Drawn(page, Served(path))
-    found.served.on(page, url)
-    answer(page, job, [file])
-    page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
-    expect(page.locator(".path-body")).to_be_visible()
-    page.locator(".path-body").evaluate("one => one.scrollIntoView({block: 'center'})")
-    expect(found.level).to_be_attached()
-    return found
 
 
 @pytest.fixture
@@ -220,29 +149,16 @@ def test_without_webgl_the_path_is_drawn_all_the_same(opened: Opened, shop: Shop
 
 
 @pytest.mark.thorough
-def test_five_million_points_are_seen_within_two_seconds_and_move_at_thirty_frames(
-    opened: Opened, shop: Shop, tmp_path: Path
-) -> None:
+def test_five_million_points_are_seen_from_a_glance_at_the_file(opened: Opened, shop: Shop, tmp_path: Path) -> None:
+    """How soon that is, and how smooth a hand moves it, is for the benchmark of the page."""
     path = tmp_path / "huge.path"
-    assert write_path(path, side_mm=SIDE_MM, pitch_mm=0.01, levels=HUGE) > 5_000_000
-    view = drawn(opened, shop, path, NOTE_FIRST_PICTURE)
-    assert view.page.evaluate(FIRST_PICTURE_MS) < 2000
+    assert write_huge_path(path) > 5_000_000
+    view = drawn(opened, shop, path)
     assert view.served.fetched[0][1] <= GLANCE_BYTES
-    for zoomed in (0, 8):
-        view.zoom(zoomed)
+    for steps in (0, 8):
+        view.zoom(steps)
         view.at_rest()
-        assert _frames_per_second(view) > 30
-
-
-def _frames_per_second(view: Drawn) -> float:
-    """While the drawing is dragged about."""
-    x, y = view.middle()
-    view.page.mouse.move(x, y)
-    view.page.mouse.down()
-    view.page.evaluate(f"window.frames_ = ({FRAMES})(2000)")
-    for step in range(80):
-        view.page.mouse.move(x + 150 * np.sin(step / 9), y + 90 * np.sin(step / 7))
-        view.page.wait_for_timeout(15)
-    times: list[Any] = view.page.evaluate("window.frames_")
-    view.page.mouse.up()
-    return 1000 * len(times) / sum(times)
+        fetched = view.served.bytes
+        view.drag(ms=500)
+        assert view.served.bytes - fetched <= GLANCE_BYTES
+    assert view.served.bytes < path.stat().st_size / 4

@@ -14,10 +14,9 @@ from tests.page.browser import serious_faults
 from tests.page.conftest import Opened
 from tests.page.shop import Shop
 from tests.page.test_new_job import as_floats, parts
-from tests.service.host.processes import until
+from tests.waiting import until
 
 SPEC: dict[str, Any] = {"preset": "recommended", "image": {"pixels": 64}, "optics": {"width_mm": 20, "height_mm": 20}}
-PLANNED_S = 120.0
 
 pytestmark = pytest.mark.thorough  # lenses are designed for a dozen plans
 
@@ -34,7 +33,7 @@ def planned(shop: Shop) -> Iterator[dict[str, Any]]:
             assert found["state"] in ("queued", "running", "succeeded"), found
             return bool((found["report"] or {}).get("plan"))
 
-        until(has_plan, what="a plan", within_s=PLANNED_S)
+        until(has_plan, what="a plan")
         client.post(f"/v1/jobs/{job}:cancel")
         yield found
 

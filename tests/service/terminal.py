@@ -17,9 +17,10 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+from tests.waiting import PATIENCE_S
+
 ROOT = Path(__file__).parents[2]
 _CONTROL = re.compile(rb"\x1b\[[0-9;?]*[ -/]*[@-~]|\x1b.|\r")
-WAIT_S = 30.0  # on a busy machine; nothing passes or fails by it unless the command hangs
 
 
 class Terminal:
@@ -57,7 +58,7 @@ class Terminal:
 
     def sees(self, words: str) -> str:
         """Wait until the words are printed after those seen last; returns the text up to them."""
-        give_up = time.monotonic() + WAIT_S
+        give_up = time.monotonic() + PATIENCE_S
         while (at := self.text.find(words, self._seen)) < 0:
             if time.monotonic() > give_up or not self._read():
                 raise AssertionError(f"'{words}' never came; last: {self.text[-1500:]}")
@@ -80,10 +81,10 @@ class Terminal:
 
     def ends(self) -> int:
         """Wait for the end; its exit code."""
-        give_up = time.monotonic() + WAIT_S
+        give_up = time.monotonic() + PATIENCE_S
         while self._read():
             assert time.monotonic() < give_up, self.text[-1500:]
-        return self.process.wait(WAIT_S)
+        return self.process.wait(PATIENCE_S)
 
     def _read(self) -> bool:
         if not select.select([self.master], [], [], 0.2)[0]:

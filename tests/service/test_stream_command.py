@@ -19,7 +19,8 @@ import pytest
 
 from tests.service.agent.process import memory_mb
 from tests.service.mills import bench, ends, program
-from tests.service.terminal import ROOT, WAIT_S, Terminal
+from tests.service.terminal import ROOT, Terminal
+from tests.waiting import PATIENCE_S
 
 LONG = 2000  # lines: minutes at the slow factor, so that a run never ends before the keys come
 
@@ -43,7 +44,7 @@ def piped(*arguments: str, **settings: object) -> subprocess.Popen[str]:
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[int, list[str], list[str]]:
-    out, errors = process.communicate(timeout=2 * WAIT_S)
+    out, errors = process.communicate(timeout=PATIENCE_S)
     return process.returncode, out.splitlines(), errors.splitlines()
 
 
@@ -161,7 +162,7 @@ def test_a_terminal_that_goes_away_stops_the_mill(tmp_path: Path) -> None:
     with bench(4.0) as mill, Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
         person.sees("RUN")
         person.hangs_up()
-        assert person.process.wait(WAIT_S) != 0
+        assert person.process.wait(PATIENCE_S) != 0
         assert mill.stands
 
 
@@ -418,6 +419,6 @@ def test_the_streaming_process_stays_small(tmp_path: Path) -> None:
         most, said = 0.0, ""
         for line in process.stdout:
             most, said = max(most, memory_mb(process.pid)), said + line
-        assert process.wait(WAIT_S) == 0, said
+        assert process.wait(PATIENCE_S) == 0, said
         assert "heavy: []" in said
         assert 10 < most < 60

@@ -12,6 +12,7 @@ from machines.drip.driver import DripDriver
 from machines.driver import MillState, ProgramDone, ProgramLine
 from machines.port import open_port
 from machines.profiles import LinkSettings
+from tests.waiting import PATIENCE_S
 
 LINK = LinkSettings(driver="drip", baud=38400, flow="none")
 PROGRAM = [ProgramLine(n, 0, b"N%dG01X%d.%03dY-4.5" % (n, n, n)) for n in range(1, 61)]
@@ -67,11 +68,11 @@ def test_every_byte_once_and_few_after_each_stop() -> None:
     try:
         driver.start(iter(PROGRAM))
         control.start()
-        end_s = time.monotonic() + 30
+        end_s = time.monotonic() + PATIENCE_S
         events = []
         while ProgramDone() not in events and time.monotonic() < end_s:
             events += driver.poll(0.5)
-        control.join(5)
+        control.join(PATIENCE_S)
         assert ProgramDone() in events
         assert driver.status.state is MillState.IDLE
         assert bytes(control.received) == b"%\r\n" + b"".join(line.text + b"\r\n" for line in PROGRAM) + b"%"

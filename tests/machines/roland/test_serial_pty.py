@@ -24,6 +24,7 @@ from machines.driver import Driver, Event, FaultCause, Faulted, MillState, Progr
 from machines.drivers import open_driver
 from machines.port import SerialPort
 from machines.profiles import LinkSettings, load_profile
+from tests.waiting import PATIENCE_S
 
 PROFILE = replace(
     load_profile("roland-mdx-40a", ()),
@@ -82,7 +83,7 @@ def linked(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Driver, PtyMill, i
             os.close(fd)
 
 
-def until_done(driver: Driver, most_s: float = 20.0) -> list[Event]:
+def until_done(driver: Driver, most_s: float = PATIENCE_S) -> list[Event]:
     events: list[Event] = []
     end_s = time.monotonic() + most_s
     while not any(isinstance(event, ProgramDone | Faulted) for event in events):
@@ -96,7 +97,7 @@ def test_a_busy_mill_gets_every_byte_once_and_little_waits_for_it(linked: tuple[
     driver.start(iter(PROGRAM))
     mill.start()
     assert ProgramDone() in until_done(driver)
-    mill.join(5)
+    mill.join(PATIENCE_S)
     assert bytes(mill.received) == SENT
     assert 0 < mill.most_waiting <= 128
     assert driver.progress.answered_line == len(PROGRAM)
@@ -118,7 +119,7 @@ def test_hold_stops_within_the_little_that_waits_and_resume_goes_on(linked: tupl
     assert len(mill.received) - before <= 192
     driver.resume()
     assert ProgramDone() in until_done(driver)
-    mill.join(5)
+    mill.join(PATIENCE_S)
     assert bytes(mill.received) == SENT
 
 

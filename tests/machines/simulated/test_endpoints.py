@@ -10,9 +10,10 @@ import serial
 
 from machines.simulated import GRBL_11, SimulatedMill, serve_pty, serve_tcp
 from service.sim_mill import run_sim_mill
+from tests.waiting import PATIENCE_S
 
 
-def ask(port, text: bytes, until: bytes, seconds: float = 5.0) -> bytes:
+def ask(port, text: bytes, until: bytes, seconds: float = PATIENCE_S) -> bytes:
     port.write(text)
     words, end = b"", time.monotonic() + seconds
     while until not in words and time.monotonic() < end:
@@ -53,7 +54,7 @@ def test_a_pulled_cable_takes_the_device_away_and_brings_it_back(tmp_path):
         for connected, change in ((False, mill.unplug), (True, mill.replug)):
             with endpoint.lock:
                 change()
-            end = time.monotonic() + 3.0
+            end = time.monotonic() + PATIENCE_S
             while link.exists() != connected and time.monotonic() < end:
                 time.sleep(0.01)
             assert link.exists() == connected
@@ -63,7 +64,7 @@ def test_the_command_prints_where_to_connect_and_records_the_cut(tmp_path, capsy
     link, record, stop = tmp_path / "mill", tmp_path / "cut.csv", threading.Event()
 
     def client():
-        end = time.monotonic() + 5.0
+        end = time.monotonic() + PATIENCE_S
         while not link.exists() and time.monotonic() < end:
             time.sleep(0.01)
         with serial.serial_for_url(str(link), timeout=0.2) as port:

@@ -18,8 +18,9 @@ from typing import Any, Self
 
 import httpx
 
+from tests.waiting import PATIENCE_S
+
 ROOT = Path(__file__).parents[3]
-WAIT_S = 30.0
 
 
 class AgentProcess:
@@ -39,7 +40,7 @@ class AgentProcess:
         self.url = self._url()
         self.token = (folder / "token").read_text().strip()
         self.http = httpx.Client(
-            base_url=self.url, headers={"Authorization": f"Bearer {self.token}"}, timeout=WAIT_S, trust_env=False
+            base_url=self.url, headers={"Authorization": f"Bearer {self.token}"}, timeout=PATIENCE_S, trust_env=False
         )
 
     def _url(self) -> str:
@@ -62,7 +63,7 @@ class AgentProcess:
     def stop(self, number: signal.Signals = signal.SIGTERM) -> tuple[int, str]:
         """Tell it to stop; exit code and what it said on stderr."""
         self.process.send_signal(number)
-        errors = self.process.communicate(timeout=WAIT_S)[1]
+        errors = self.process.communicate(timeout=PATIENCE_S)[1]
         return self.process.returncode, errors
 
     def get(self, path: str) -> Any:
@@ -80,7 +81,7 @@ class AgentProcess:
 
     def until(self, good: Callable[[Any], bool]) -> Any:
         """Wait for a status; returns it."""
-        give_up = time.monotonic() + WAIT_S
+        give_up = time.monotonic() + PATIENCE_S
         while not good(status := self.status()):
             assert time.monotonic() < give_up, json.dumps(status, indent=1)
             time.sleep(0.02)

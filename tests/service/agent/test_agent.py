@@ -19,8 +19,9 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.service.agent.process import ROOT, WAIT_S, AgentProcess
+from tests.service.agent.process import ROOT, AgentProcess
 from tests.service.mills import Bench, bench, ends, program
+from tests.waiting import PATIENCE_S
 
 CHECKS = ["tool", "zero", "stock", "clear"]
 LONG = 2000
@@ -252,7 +253,7 @@ def test_a_hold_is_quick_while_twenty_readers_listen_and_some_do_not_read(
         agent.until(lambda status: status["progress"]["executed_line"] > 8)
         begun_s = time.monotonic()
         agent.post("/v1/control/hold", 202)
-        assert time.monotonic() - begun_s < 1.0  # alone a few ms; on a busy machine more, but never a client's timeout
+        assert time.monotonic() - begun_s < 10.0  # alone a few ms; on a busy machine more, but never a client's timeout
         agent.until(lambda status: status["status"]["state"] == "held")
         assert agent.rss_mb() < 70
 
@@ -338,7 +339,7 @@ def refused(*options: str) -> str:
         cwd=ROOT,
         capture_output=True,
         text=True,
-        timeout=WAIT_S,
+        timeout=PATIENCE_S,
     )
     lines = done.stderr.splitlines()
     assert (done.returncode in (1, 2), len(lines)) == (True, 1), done.stderr

@@ -8,7 +8,7 @@ import hashlib
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -25,8 +25,7 @@ from service.jobs.events import write_event
 from service.jobs.schema import upgrade_schema
 from service.jobs.tables import artifacts, jobs, stage_runs
 from service.settings import ServerSettings
-
-PATIENCE_S = 20.0
+from tests.waiting import PATIENCE_S, until
 
 
 class ApiServer:
@@ -103,7 +102,7 @@ def api_server(data: Path, **settings: Any) -> Iterator[ApiServer]:
 def _serving(server: uvicorn.Server, listener: socket.socket) -> Iterator[None]:
     thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
     thread.start()
-    wait_for(lambda: server.started or not thread.is_alive())
+    until(lambda: server.started or not thread.is_alive())
     assert server.started
     try:
         yield
@@ -111,14 +110,6 @@ def _serving(server: uvicorn.Server, listener: socket.socket) -> Iterator[None]:
         server.should_exit = True
         thread.join(PATIENCE_S)
         assert not thread.is_alive()
-
-
-def wait_for(fact: Callable[[], object], *, patience_s: float = PATIENCE_S) -> None:
-    """Poll until it is true."""
-    limit = time.monotonic() + patience_s
-    while not fact():
-        assert time.monotonic() < limit, "this did not become true in time"
-        time.sleep(0.01)
 
 
 _shade = 0

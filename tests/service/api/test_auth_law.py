@@ -23,6 +23,7 @@ from service.jobs.tables import tokens
 from tests.service.api.server import png
 from tests.service.fleet.shop import CHECKS, MACHINE, Shop, kill_agents, own_folders, shop, write_profile
 from tests.service.mills import AT_ZERO, Bench, ends
+from tests.waiting import PATIENCE_S
 
 ORDERS: dict[str, dict[str, Any]] = {
     "jog": {"by_mm": [1.0, 0.0, 0.0]},
@@ -138,7 +139,9 @@ def untouched(guarded: Guarded) -> Iterator[Guarded]:
 
 def send_all(guarded: Guarded, headers: Any = None, params: dict[str, str] | None = None, methods: str = "") -> None:
     """A request to every route; those that move mills are refused."""
-    with httpx.Client(base_url=guarded.floor.server.address, timeout=20, headers={"Connection": "close"}) as client:
+    with httpx.Client(
+        base_url=guarded.floor.server.address, timeout=PATIENCE_S, headers={"Connection": "close"}
+    ) as client:
         for method, address, content in guarded.every_request():
             with client.stream(methods or method, address, headers=headers, params=params, **content) as answer:
                 assert answer.status_code < 500 or answer.status_code == 503, (method, address, answer.read())
@@ -218,7 +221,7 @@ def test_no_host_or_two(untouched: Guarded, hosts: tuple[str, ...]) -> None:
     lines = [f"POST /v1/runs/{untouched.run['id']}:start HTTP/1.1", f"Authorization: Bearer {untouched.good}"]
     lines += [f"Host: {host or own.netloc.decode()}" for host in hosts]
     lines += ["Content-Type: application/json", f"Content-Length: {len(body)}", "Connection: close", "", ""]
-    with socket.create_connection((own.host, own.port or 80), timeout=20) as wire:
+    with socket.create_connection((own.host, own.port or 80), timeout=PATIENCE_S) as wire:
         wire.sendall("\r\n".join(lines).encode() + body)
         assert wire.makefile("rb").readline().split()[1] == b"400"
 

@@ -19,6 +19,7 @@ from service.jobs.database import reading
 from service.jobs.tokens import TokenBook
 from service.settings import ServerSettings
 from tests.service.api.server import ApiServer, api_server, problem
+from tests.waiting import PATIENCE_S
 
 
 class Clock:
@@ -196,7 +197,7 @@ def causticmill(*arguments: str, data: Path | None = None) -> subprocess.Complet
         capture_output=True,
         text=True,
         env=os.environ | own,
-        timeout=60,
+        timeout=PATIENCE_S,
     )
 
 

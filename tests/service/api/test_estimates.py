@@ -14,11 +14,11 @@ import pytest
 
 from service.api.estimating import Estimator
 from service.kernel_cache import ESTIMATES, ready_mark
-from tests.service.api.server import ApiServer, api_server, png, wait_for
+from tests.service.api.server import ApiServer, api_server, png
 from tests.service.api.test_estimating import STUB
+from tests.waiting import PATIENCE_S, until
 
 SMALL = {"preset": "draft", "image": {"pixels": 64}, "optics": {"width_mm": 20, "height_mm": 20, "throw_mm": 40}}
-PATIENCE_S = 300.0  # kernels may have to be compiled
 
 
 @pytest.fixture(scope="module")
@@ -85,8 +85,8 @@ def test_a_caller_s_windows_do_not_end_each_other_s(tmp_path: Path, monkeypatch:
             return threads.submit(server.client.post, "/v1/estimates", files=files, headers={"Causticmill-Tab": tab})
 
         one, other = asked("one"), asked("other")
-        wait_for(lambda: server.services.estimates.child_pid is not None)
-        wait_for(lambda: len(server.services.estimates.callers) == 2)
+        until(lambda: server.services.estimates.child_pid is not None)
+        until(lambda: len(server.services.estimates.callers) == 2)
         newer = asked("one")
         assert [answer.result().status_code for answer in (one, other, newer)] == [409, 200, 200]
 
@@ -94,7 +94,7 @@ def test_a_caller_s_windows_do_not_end_each_other_s(tmp_path: Path, monkeypatch:
 def test_what_the_first_estimate_needs_can_be_compiled_before_it(estimating: ApiServer) -> None:
     ready_mark(ESTIMATES).unlink(missing_ok=True)
     estimating.services.estimates.prepare()
-    wait_for(ready_mark(ESTIMATES).exists, patience_s=PATIENCE_S)
+    until(ready_mark(ESTIMATES).exists)
 
 
 def test_what_only_the_lens_tells_is_told(estimating: ApiServer, tmp_path: Path) -> None:

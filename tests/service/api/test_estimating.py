@@ -15,10 +15,9 @@ from service.api.estimating import Estimator
 from service.errors import PictureError
 from service.kernel_cache import ESTIMATES, ready_mark
 from service.web.problems import Problem
-from tests.service.api.server import wait_for
+from tests.waiting import PATIENCE_S, until
 
 STUB = "tests.service.api.estimating_stub"
-PATIENCE_S = 60.0
 
 
 @pytest.fixture
@@ -70,7 +69,7 @@ def test_it_is_made_ready_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     with closing(Estimator(module=STUB)) as estimator:
         estimator.prepare()
-        wait_for(lambda: estimator.child_pid is not None, patience_s=PATIENCE_S)
+        until(lambda: estimator.child_pid is not None)
     ready_mark(ESTIMATES).touch()
     with closing(Estimator(module=STUB)) as estimator:
         estimator.prepare()
@@ -79,7 +78,7 @@ def test_it_is_made_ready_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 def test_too_many_callers_are_told_to_come_back(estimator: Estimator) -> None:
     ask(estimator, "takes 1", "first")
-    wait_for(lambda: estimator.child_pid is not None, patience_s=PATIENCE_S)
+    until(lambda: estimator.child_pid is not None)
     with pytest.raises(Problem) as refused:
         for number in range(20):
             ask(estimator, "x", str(number))
@@ -102,7 +101,7 @@ def test_an_idle_process_is_ended_and_the_next_ask_starts_another() -> None:
     with closing(Estimator(module=STUB, idle_s=0.1)) as estimator:
         ask(estimator, "a").result(PATIENCE_S)
         first = estimator.child_pid
-        wait_for(lambda: estimator.child_pid is None, patience_s=PATIENCE_S)
+        until(lambda: estimator.child_pid is None)
         assert not Path(f"/proc/{first}").exists()
         assert ask(estimator, "b").result(PATIENCE_S) == {"name": "b"}
 
@@ -110,7 +109,7 @@ def test_an_idle_process_is_ended_and_the_next_ask_starts_another() -> None:
 def test_the_end_of_the_server_ends_it_even_at_work() -> None:
     estimator = Estimator(module=STUB)
     answer = ask(estimator, "takes 600")
-    wait_for(lambda: estimator.child_pid is not None, patience_s=PATIENCE_S)
+    until(lambda: estimator.child_pid is not None)
     estimator.close()
     assert refusal(answer).status == 503
     assert estimator.child_pid is None

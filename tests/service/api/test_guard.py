@@ -11,6 +11,7 @@ import pytest
 from service.api.limits import _MOST_CALLERS, Limiter
 from service.api.whence import is_here
 from tests.service.api.server import ApiServer, api_server, problem
+from tests.waiting import PATIENCE_S
 
 RUN = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
 BODY = b'{"operator": "Mallory", "checks": ["tool", "zero", "stock", "clear"]}'
@@ -26,7 +27,7 @@ def closed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[ApiServer
 def sent(server: ApiServer, head: str, *headers: str, body: bytes = b"") -> int:
     """Status of the answer to a request of which every byte is ours."""
     lines = [head, *headers, f"Content-Length: {len(body)}", "Connection: close", "", ""]
-    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as wire:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as wire:
         wire.sendall("\r\n".join(lines).encode("latin-1") + body)
         return int(wire.makefile("rb").readline().split()[1])
 

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from tests.service.api.hostile import Attack, attacks, form, part, request
-from tests.service.api.server import ApiServer, api_server, encoded, png, wait_for
+from tests.service.api.server import ApiServer, api_server, encoded, png
+from tests.waiting import PATIENCE_S, until
 
 COUNT = 500
 MAX_UPLOAD = 300_000
@@ -29,7 +30,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ApiServer]:
 
 def sent(server: ApiServer, attack: Attack) -> bytes:
     """The server's first answer, or as much of it as comes."""
-    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as connection:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as connection:
         with contextlib.suppress(ConnectionError):  # the server may have closed: its answer can still be read
             connection.sendall(attack.request)
             if attack.cut:
@@ -72,7 +73,7 @@ def test_every_hostile_upload_is_refused_and_leaves_nothing(small: ApiServer) ->
         (attack.name, words) for attack, answer in zip(found, answers, strict=True) if (words := judged(attack, answer))
     ]
     assert not wrong, f"{len(wrong)} of {COUNT}, the first: {wrong[:12]}"
-    wait_for(lambda: small.files() == before, patience_s=40)  # those that were cut off end a little later
+    until(lambda: small.files() == before)  # those that were cut off end a little later
     assert small.client.get("/v1/jobs?limit=200").json() == jobs
     assert small.client.get("/livez").status_code == 200
     assert small.submit()["state"] == "queued"

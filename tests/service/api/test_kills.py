@@ -13,6 +13,7 @@ import pytest
 from tests.service.api.crashing import JOB_STEPS, points
 from tests.service.api.server import png
 from tests.service.api.test_process import api_process, migrated
+from tests.waiting import PATIENCE_S
 
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
@@ -45,7 +46,7 @@ def test_a_killed_post_is_a_job_or_nothing_and_can_be_sent_again(
                 _post(client, *before)
                 pytest.fail(f"'{point}' was not reached")
             trap.unlink()
-            assert process.wait(20) == -signal.SIGKILL, point
+            assert process.wait(PATIENCE_S) == -signal.SIGKILL, point
     assert len(set(made.values())) == len(crashes)
 
 

@@ -19,7 +19,8 @@ import pytest
 from service.jobs.database import connect
 from service.jobs.schema import upgrade_schema
 from service.settings import ServerSettings
-from tests.service.api.server import png, wait_for
+from tests.service.api.server import png
+from tests.waiting import PATIENCE_S, until
 
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "PIL", "skimage", "trimesh", "optics")
 START = [sys.executable, "-m", "service.api.main"]
@@ -49,7 +50,7 @@ def api_process(
         assert process.stdout is not None
         line = process.stdout.readline()
         assert line.startswith("causticmill on http://127.0.0.1:"), line + process.communicate()[1]
-        with httpx.Client(base_url=line.split()[-1], timeout=10) as client:
+        with httpx.Client(base_url=line.split()[-1], timeout=PATIENCE_S) as client:
             yield process, client
     finally:
         process.kill()
@@ -70,10 +71,10 @@ def test_it_says_when_it_serves_and_ends_within_seconds_when_told(tmp_path: Path
             ended.set()
 
         threading.Thread(target=follow, daemon=True).start()
-        wait_for(lambda: "causticmill_followers 1.0" in client.get("/metrics").text)
+        until(lambda: "causticmill_followers 1.0" in client.get("/metrics").text)
         process.send_signal(signal.SIGTERM)
-        assert ended.wait(5)
-        assert process.wait(8) in (0, -signal.SIGTERM)
+        assert ended.wait(PATIENCE_S)
+        assert process.wait(PATIENCE_S) in (0, -signal.SIGTERM)
     with api_process(tmp_path) as (_, client):
         assert client.get(f"/v1/jobs/{job['id']}").json()["state"] == "queued"
 
@@ -98,7 +99,9 @@ def test_what_a_killed_server_left_is_removed(tmp_path: Path) -> None:
 )
 def test_what_is_not_safe_ends_in_one_line(tmp_path: Path, values: dict[str, str]) -> None:
     migrated(tmp_path)
-    done = subprocess.run(START, env=environment(tmp_path, **values), capture_output=True, text=True, timeout=30)
+    done = subprocess.run(
+        START, env=environment(tmp_path, **values), capture_output=True, text=True, timeout=PATIENCE_S
+    )
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
 

@@ -9,6 +9,7 @@ import httpx
 import pytest
 
 from tests.service.api.server import ApiServer
+from tests.waiting import PATIENCE_S
 
 VERSION = metadata.version("causticmill")
 
@@ -31,7 +32,7 @@ def test_every_answer_tells_the_version(server: ApiServer, method: str, path: st
 
 def test_what_the_guard_and_the_wire_refuse_tells_the_version_too(server: ApiServer) -> None:
     assert httpx.get(f"{server.address}/livez", headers={"Host": "evil"}).headers["causticmill-version"] == VERSION
-    with socket.create_connection(("127.0.0.1", server.port), timeout=20) as wire:
+    with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as wire:
         wire.sendall(b"this is no request\r\n\r\n")
         answer = wire.makefile("rb").read().decode()
     assert answer.startswith("HTTP/1.1 400") and f"causticmill-version: {VERSION}" in answer.lower()

@@ -19,6 +19,7 @@ from tests.service.api.server import png
 from tests.service.api.test_health import beat
 from tests.service.fleet.shop import MACHINE, Shop, kill_agents, own_folders, shop, write_profile
 from tests.service.mills import bench
+from tests.waiting import PATIENCE_S
 
 EXAMPLES = int(os.environ.get("CAUSTICMILL_FUZZ_EXAMPLES", "12"))  # of each operation
 CHECKS = [
@@ -126,6 +127,6 @@ def _tried(operation: APIOperation, fuzzed: Fuzzed) -> None:
     def tried(case: schemathesis.Case) -> None:
         fuzzed.placed(case)
         address = fuzzed.floor.server.address
-        case.call_and_validate(base_url=address, headers=fuzzed.headers, checks=CHECKS, timeout=40)
+        case.call_and_validate(base_url=address, headers=fuzzed.headers, checks=CHECKS, timeout=PATIENCE_S)
 
     tried()

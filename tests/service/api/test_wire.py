@@ -19,11 +19,12 @@ from starlette.types import Message, Receive, Scope, Send
 from service.api.patience import Patient
 from service.api.space import Space
 from service.web import http
-from tests.service.api.server import ApiServer, api_server, png, problem, wait_for
+from tests.service.api.server import ApiServer, api_server, png, problem
+from tests.waiting import PATIENCE_S, until
 
 
 def opened(server: ApiServer) -> socket.socket:
-    return socket.create_connection(("127.0.0.1", server.port), timeout=20)
+    return socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S)
 
 
 def read_until(wire: socket.socket, end: bytes) -> bytes:
@@ -50,7 +51,7 @@ def test_idle_connections_make_room_for_those_that_ask(server: ApiServer, many_f
         for _ in range(20):
             assert httpx.get(f"{server.address}/livez").status_code == 200
             idle += [stack.enter_context(opened(server)) for _ in range(50)]
-        wait_for(lambda: len(server.server.server_state.connections) <= 1001)
+        until(lambda: len(server.server.server_state.connections) <= 1001)
 
 
 def test_too_many_requests_at_once_are_told_so(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -62,7 +63,7 @@ def test_too_many_requests_at_once_are_told_so(server: ApiServer, monkeypatch: p
             wire.sendall(f"GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             assert wire.recv(12) == b"HTTP/1.1 200"
         assert "requests" in problem(late.get("/livez"), 503)["detail"]
-    wait_for(lambda: httpx.get(f"{server.address}/livez").status_code == 200)
+    until(lambda: httpx.get(f"{server.address}/livez").status_code == 200)
 
 
 @pytest.mark.parametrize("before", [b"", b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n"])

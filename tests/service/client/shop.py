@@ -19,6 +19,7 @@ import httpx
 
 from tests.trials.server.deployment import Deployment
 from tests.trials.server.pictures import picture
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[3]
 SMALL = ("--preset", "draft", "--set", "image.pixels=48", "--set", "optics.width_mm=8", "--set", "optics.height_mm=8")
@@ -49,7 +50,7 @@ class Shop:
         """The one job that has succeeded: SHARED, submitted and fetched with one command; made once."""
         if not self._made:
             words = ("submit", str(self.picture(1)), *SHARED, "-o", str(self.out))
-            self._made.append(run(*words, server=self.url, timeout_s=300.0))
+            self._made.append(run(*words, server=self.url))
         return self._made[0]
 
     def job(self) -> str:
@@ -62,12 +63,10 @@ class Shop:
         return len(httpx.get(f"{self.url}/v1/jobs?limit=200", trust_env=False).json()["jobs"])
 
 
-def run(
-    *words: str, server: str | None = None, timeout_s: float = 120.0, **environment: str
-) -> subprocess.CompletedProcess[str]:
+def run(*words: str, server: str | None = None, **environment: str) -> subprocess.CompletedProcess[str]:
     """The command, to its end."""
     with begun(*words, server=server, **environment) as process:
-        out, errors = process.communicate(timeout=timeout_s)
+        out, errors = process.communicate(timeout=PATIENCE_S)
     return subprocess.CompletedProcess(process.args, process.returncode, out, errors)
 
 

@@ -9,21 +9,11 @@ import signal
 import httpx
 import pytest
 
-from tests.service.client.shop import BadWire, Shop, begun, run
+from tests.service.client.shop import SMALL, BadWire, Shop, begun, run
 from tests.trials.server.processes import kill, of_kind
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.thorough
-
-DRAFT = (
-    "--preset",
-    "draft",
-    "--set",
-    "image.pixels=128",
-    "--set",
-    "optics.width_mm=30",
-    "--set",
-    "optics.height_mm=30",
-)
 
 
 def stages(text: str) -> list[str]:
@@ -33,7 +23,7 @@ def stages(text: str) -> list[str]:
 def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
     """Each connection is cut after a few events; with Last-Event-ID none is missed and none comes twice."""
     with BadWire(shop.url, lambda _, came: came.count(b"event: stage.") >= 2) as wire:
-        words = ("submit", str(shop.picture(3)), *DRAFT, "--set", "optics.throw_mm=71", "--follow")
+        words = ("submit", str(shop.picture(3)), *SMALL, "--set", "optics.throw_mm=34", "--follow")
         done = run(*words, server=wire.url)
     assert done.returncode == 0, done.stderr
     assert wire.cuts >= 2
@@ -48,13 +38,13 @@ def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
 
 def test_a_server_that_is_killed_is_waited_for(shop: Shop) -> None:
     """kill -9 of the API while somebody follows: they are told, and see the job succeed."""
-    words = ("submit", str(shop.picture(4)), *DRAFT, "--set", "optics.throw_mm=72", "--follow")
+    words = ("submit", str(shop.picture(4)), *SMALL, "--set", "optics.throw_mm=35", "--follow")
     with begun(*words, server=shop.url) as process:
         assert process.stdout is not None
         while not process.stdout.readline().startswith("irradiance"):
             assert process.poll() is None
         assert kill((p.pid for p in of_kind(shop.deployment.mark, "api")), signal.SIGKILL) == 1
-        out, errors = process.communicate(timeout=120)
+        out, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0, errors
     assert "trying again, the job goes on" in out
     assert "succeeded" in out

@@ -13,6 +13,7 @@ import pytest
 
 from tests.service.client.shop import ROOT, SHARED, SMALL, BadWire, Shop, begun, run
 from tests.trials.server.deployment import free_port
+from tests.waiting import PATIENCE_S
 
 
 def test_a_picture_becomes_files_with_one_command(shop: Shop) -> None:
@@ -114,7 +115,7 @@ def test_ctrl_c_leaves_the_job_alone(shop: Shop) -> None:
         while not process.stdout.readline().startswith("irradiance"):
             assert process.poll() is None
         process.send_signal(signal.SIGINT)
-        _, errors = process.communicate(timeout=30)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert f"the job goes on; `causticmill jobs follow {job_id}`" in errors
     assert httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False).json()["state"] in ("queued", "running")

@@ -9,11 +9,12 @@ from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
+HANGS_S = 60.0
 Answer = tuple[int, dict[str, str], bytes]
 
 
 class Rogue:
-    """`answers` gives the answer to a method and path; None: the connection hangs until the end."""
+    """`answers` gives the answer to a method and path; None: the connection hangs."""
 
     def __init__(self, name: str) -> None:
         self.asked: list[tuple[str, str]] = []
@@ -31,7 +32,7 @@ class Rogue:
                 self.rfile.read(int(self.headers.get("Content-Length") or 0))
                 told = as_json({"name": name}) if self.path == "/v1/machine" else rogue.answers(self.command, self.path)
                 if told is None:
-                    rogue.over.wait(60)
+                    rogue.over.wait(HANGS_S)
                     self.close_connection = True
                     return
                 status, headers, body = told

@@ -18,12 +18,12 @@ from service.agent.card import AgentCard, read_card
 from service.fleet.launching import is_owned, start_agents
 from service.jobs.tokens import TokenScope
 from service.settings import ServerSettings
-from tests.service.api.server import ApiServer, api_server, wait_for
+from tests.service.api.server import ApiServer, api_server
 from tests.service.mills import Bench, program
+from tests.waiting import PATIENCE_S, until
 
 MACHINE = "shop"
 CHECKS = ["tool", "zero", "stock", "clear"]
-WAIT_S = 60.0
 LINES = (40, 60, 30)
 
 
@@ -56,7 +56,7 @@ class Shop:
 
     def client(self, *scopes: str, address: str = "") -> httpx.Client:
         headers = {"Authorization": f"Bearer {self.token(*scopes)}"}
-        return httpx.Client(base_url=address or self.server.address, headers=headers, timeout=WAIT_S)
+        return httpx.Client(base_url=address or self.server.address, headers=headers, timeout=PATIENCE_S)
 
     def job(self, lines: tuple[int, ...] = LINES, state: str = "succeeded") -> str:
         """A job as it is once its stages are done: a program of so many cuts for each pass."""
@@ -102,7 +102,7 @@ class Shop:
         return self.post(f"/v1/runs/{run['id']}:start", status, operator="Ada", checks=checks or run["required_checks"])
 
     def until(self, run: Any, good: Callable[[Any], bool]) -> Any:
-        limit = time.monotonic() + WAIT_S
+        limit = time.monotonic() + PATIENCE_S
         while not good(now := self.get(f"/v1/runs/{run['id']}")):
             assert time.monotonic() < limit, now
             time.sleep(0.02)
@@ -112,14 +112,14 @@ class Shop:
         return self.until(run, lambda now: now["state"] in states)
 
     def until_cut(self, blocks: int) -> None:
-        wait_for(lambda: len(self.bench.cut) >= blocks, patience_s=WAIT_S)
+        until(lambda: len(self.bench.cut) >= blocks)
 
     def until_idle(self) -> None:
         def idle() -> bool:
             mill = self.get(f"/v1/machines/{MACHINE}")["mill"]
             return bool(mill) and mill["state"] == "idle"
 
-        wait_for(idle, patience_s=WAIT_S)
+        until(idle)
 
 
 def write_profile(port: str, *, name: str = MACHINE, text: str = "") -> Path:
@@ -145,7 +145,7 @@ def kill_agents(data: Path, number: signal.Signals = signal.SIGKILL) -> None:
     for pid in agent_pids(data):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, number)
-    wait_for(lambda: not agent_pids(data), patience_s=WAIT_S)
+    until(lambda: not agent_pids(data))
 
 
 def await_agent(folder: Path) -> AgentCard:
@@ -157,7 +157,7 @@ def await_agent(folder: Path) -> AgentCard:
             return httpx.get(f"{card.url}/livez", trust_env=False).status_code == 200
         return False
 
-    wait_for(answers, patience_s=WAIT_S)
+    until(answers)
     card = read_card(folder)
     assert card is not None
     return card

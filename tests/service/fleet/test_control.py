@@ -16,9 +16,10 @@ from service.fleet.launching import start_agents
 from service.fleet.lease_book import LEASE_S
 from service.jobs.database import reading, writing
 from service.jobs.tables import controls
-from tests.service.api.server import api_server, problem, wait_for
-from tests.service.fleet.shop import CHECKS, MACHINE, WAIT_S, Shop, await_agent, kill_agents, shop
+from tests.service.api.server import api_server, problem
+from tests.service.fleet.shop import CHECKS, MACHINE, Shop, await_agent, kill_agents, shop
 from tests.service.mills import Bench
+from tests.waiting import until
 
 HEADER = "Causticmill-Control"
 HERE = f"/v1/machines/{MACHINE}/control"
@@ -48,7 +49,7 @@ class Person:
 
     def until_taken(self, name: str, /, **body: Any) -> None:
         """A controller that still answers the order before refuses the next; the person tries again."""
-        wait_for(lambda: (answer := self.order(name, **body)).status_code == 202 or "busy" not in answer.text)
+        until(lambda: (answer := self.order(name, **body)).status_code == 202 or "busy" not in answer.text)
 
     def jog(self, x_mm: float, feed: float = 5000) -> httpx.Response:
         return self.order("jog", by_mm=[x_mm, 0, 0], feed_mm_per_min=feed)
@@ -68,7 +69,7 @@ def until_x(floor: Shop, x_mm: float) -> None:
         mill = floor.get(f"/v1/machines/{MACHINE}")["mill"]
         return bool(mill and mill["work_mm"]) and mill["state"] == "idle" and abs(mill["work_mm"][0] - x_mm) < 0.01
 
-    wait_for(there, patience_s=WAIT_S)
+    until(there)
 
 
 def age(floor: Shop, seconds: float) -> None:
@@ -106,10 +107,10 @@ def test_everybody_stops_the_mill_at_any_time(floor: Shop, what: str) -> None:
         ada.take()
         bob.control = "x" * 24
         assert ada.jog(200, feed=600).status_code == 202
-        wait_for(lambda: not floor.bench.stands)
+        until(lambda: not floor.bench.stands)
         for _ in range(3):
             assert bob.order(what).status_code == 202
-        wait_for(lambda: floor.bench.stands)
+        until(lambda: floor.bench.stands)
         assert floor.get(f"/v1/machines/{MACHINE}")["mill"]["work_mm"][0] < 199
         assert holder(floor)["operator"] == "Ada"
 
@@ -277,7 +278,7 @@ def test_home_zero_probe_and_blocks_reach_the_mill(floor: Shop) -> None:
         ada.until_taken("block", text="G0 X7")
         until_x(floor, 7)
         ada.until_taken("probe", depth_mm=10, feed_mm_per_min=1000, plate_mm=1, retract_mm=0)
-        wait_for(lambda: floor.get(f"/v1/machines/{MACHINE}")["mill"]["work_mm"][2] == pytest.approx(1, abs=0.01))
+        until(lambda: floor.get(f"/v1/machines/{MACHINE}")["mill"]["work_mm"][2] == pytest.approx(1, abs=0.01))
         floor.until_idle()
         ada.until_taken("settings")
-        wait_for(lambda: "homing" in problem(ada.order("home"), 409)["detail"])  # this mill has no switches
+        until(lambda: "homing" in problem(ada.order("home"), 409)["detail"])  # this mill has no switches

@@ -13,10 +13,10 @@ import pytest
 
 from service.agent.card import AgentCard
 from tests.service.api.crashing import RUN_STEPS, points
-from tests.service.api.server import wait_for
 from tests.service.api.test_process import api_process
 from tests.service.fleet.shop import MACHINE, shop
 from tests.service.mills import Bench
+from tests.waiting import PATIENCE_S, until
 
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
@@ -49,7 +49,7 @@ def test_a_killed_hand_over_is_one_parked_run_or_none(
                 _post(client, point, jobs[point])
                 pytest.fail(f"'{point}' was not reached")
             trap.unlink()
-            assert process.wait(20) == -signal.SIGKILL, point
+            assert process.wait(PATIENCE_S) == -signal.SIGKILL, point
             before = point
     assert mill.cut == []
 
@@ -63,7 +63,7 @@ def _found_again(client: httpx.Client, card: AgentCard, key: str, job: str) -> N
     run = _post(client, key, job)
     assert run.status_code in (201, 202), (key, run.text)
     address = f"/v1/runs/{run.json()['id']}"
-    wait_for(lambda: client.get(address).json()["state"] == "parked", patience_s=40)
+    until(lambda: client.get(address).json()["state"] == "parked")
     assert _post(client, key, job).json()["id"] == run.json()["id"]
     assert len(client.get("/v1/runs", params={"job": job}).json()["runs"]) == 1
     assert [one["state"] for one in _at_the_agent(card, job)] == ["parked"], key

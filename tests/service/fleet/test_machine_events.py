@@ -12,8 +12,9 @@ import httpx
 import pytest
 
 from service.fleet.launching import start_agents
-from tests.service.fleet.shop import MACHINE, WAIT_S, Shop, await_agent, kill_agents, shop
+from tests.service.fleet.shop import MACHINE, Shop, await_agent, kill_agents, shop
 from tests.service.mills import Bench
+from tests.waiting import PATIENCE_S
 
 HERE = f"/v1/machines/{MACHINE}"
 Event = tuple[str, str, Any]
@@ -48,12 +49,12 @@ class Reader:
     def follow(self, floor: Shop, good: Callable[[Any], bool], then: Callable[[], None] | None = None) -> Any:
         """Up to the first status that is good; `then` is called after the first event."""
         headers = {"Last-Event-ID": self.last_id} if self.last_id else {}
-        with floor.operator.stream("GET", f"{HERE}/events", headers=headers, timeout=WAIT_S) as answer:
+        with floor.operator.stream("GET", f"{HERE}/events", headers=headers, timeout=PATIENCE_S) as answer:
             assert answer.headers["content-type"].startswith("text/event-stream")
             return self.read(events(answer.iter_lines()), good, then)
 
     def read(self, found: Iterator[Event], good: Callable[[Any], bool], then: Callable[[], None] | None = None) -> Any:
-        limit = time.monotonic() + WAIT_S
+        limit = time.monotonic() + PATIENCE_S
         for event_id, name, data in found:
             assert time.monotonic() < limit, data
             self.last_id = event_id or self.last_id

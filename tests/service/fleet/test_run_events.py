@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from service.fleet.launching import start_agents
-from tests.service.fleet.shop import WAIT_S, Shop, await_agent, kill_agents
+from tests.service.fleet.shop import Shop, await_agent, kill_agents
+from tests.waiting import PATIENCE_S
 
 pytestmark = pytest.mark.thorough
 
@@ -46,7 +47,7 @@ def test_more_followers_than_an_agent_has_room_for_miss_nothing(floor: Shop) -> 
         floor.post(f"/v1/runs/{run['id']}:hold", 202)
         floor.until_state(run, "held")
         floor.post(f"/v1/runs/{run['id']}:resume", 202)
-        seen = [follower.result(WAIT_S) for follower in followers]
+        seen = [follower.result(PATIENCE_S) for follower in followers]
     assert {states[-1] for states, _ in seen} == {"finished"}
     known = sorted({number for _, logs in seen for number in logs})
     assert len(known) > 3

@@ -10,9 +10,10 @@ import pytest
 
 from service.fleet.fleet import Fleet
 from service.fleet.launching import start_agents
-from tests.service.api.server import api_server, wait_for
+from tests.service.api.server import api_server
 from tests.service.fleet.shop import CHECKS, LINES, MACHINE, Shop, await_agent, kill_agents, shop, write_profile
 from tests.service.mills import Bench, ends
+from tests.waiting import until
 
 
 def test_a_program_is_parked_started_held_resumed_and_finished(floor: Shop) -> None:
@@ -276,6 +277,6 @@ def test_a_run_that_ends_while_nobody_asks_is_closed(
         run = floor.park(floor.job((20,)))
         floor.start(run)
         book = floor.server.services.fleet._core.runs
-        wait_for(lambda: not book.get(run["id"]).open, patience_s=60)
+        until(lambda: not book.get(run["id"]).open)
         assert book.get(run["id"]).state == "finished"
         assert "causticmill_open_runs 0.0" in floor.server.client.get("/metrics").text

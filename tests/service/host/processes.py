@@ -9,20 +9,13 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
+
+from tests.waiting import PATIENCE_S, until
 
 HERE = Path(__file__).parent
 STAND_INS = ("worker=stand_in_worker", "API=stand_in_api", "agents=stand_in_agents")
-
-
-def until(true: Callable[[], object], *, what: str, within_s: float = 20.0) -> None:
-    """Wait for something that must become true."""
-    deadline = time.monotonic() + within_s
-    while not true():
-        assert time.monotonic() < deadline, f"not within {within_s:g} s: {what}"
-        time.sleep(0.02)
 
 
 def is_alive(pid: int) -> bool:
@@ -72,7 +65,7 @@ class Serving:
     def url(self) -> str:
         return re.findall(r"http://\S+", self.out[0])[0]
 
-    def until_ready(self, within_s: float = 30.0) -> None:
+    def until_ready(self, within_s: float = PATIENCE_S) -> None:
         until(lambda: self.out or self.process.poll() is not None, what="the ready line", within_s=within_s)
         assert self.out and "ready in" in self.out[0], self.err
 
@@ -89,11 +82,11 @@ class Serving:
     def kill(self, pid: int, number: int = signal.SIGKILL) -> None:
         os.kill(pid, number)
 
-    def ended(self, within_s: float = 20.0) -> int:
+    def ended(self, within_s: float = PATIENCE_S) -> int:
         """Its exit code; everything it said is there."""
         code = self.process.wait(within_s)
         for reader in self._readers:
-            reader.join(5)
+            reader.join(PATIENCE_S)
         return code
 
     def _read(self, stream: Iterator[str], lines: list[str]) -> None:

@@ -20,6 +20,7 @@ from service.host.restore import restore
 from service.host.verifying import verify_store
 from service.settings import ServerSettings
 from service.store.local import LocalStore
+from tests.waiting import PATIENCE_S
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def add(settings: ServerSettings, store: LocalStore, content: bytes) -> None:
     path.write_bytes(content)
     sha256 = store.put_file(path).sha256
     path.unlink()
-    with sqlite3.connect(settings.data / "causticmill.sqlite", timeout=30) as database:
+    with sqlite3.connect(settings.data / "causticmill.sqlite", timeout=PATIENCE_S) as database:
         database.execute("INSERT INTO things VALUES (?)", (sha256,))
     database.close()
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.host.processes import Serving, is_alive, running, served, until
+from tests.service.host.processes import Serving, is_alive, running, served
 from tests.service.host.test_serve import submitted, until_at_work, until_beyond
 from tests.service.worker.postgres import Postgres
+from tests.waiting import until
 
 pytestmark = pytest.mark.thorough
 
@@ -65,9 +66,9 @@ def test_a_worker_stops_by_a_word(postgres: Postgres, tmp_path: Path) -> None:
 def test_a_farm_with_a_store_of_one_host_is_refused(postgres: Postgres, tmp_path: Path) -> None:
     environment = {"CAUSTICMILL_DATABASE_URL": postgres.url()}
     with served(data=tmp_path / "serve", **environment) as serving:
-        assert serving.ended(30) == 2
+        assert serving.ended() == 2
     with working(tmp_path / "work", **environment) as worker:
-        assert worker.ended(30) == 2
+        assert worker.ended() == 2
     for process in (serving, worker):
         (line,) = {line for line in process.err if line.startswith("error:")}
         assert "CAUSTICMILL_DATABASE_URL" in line and "STORE_URL" in line

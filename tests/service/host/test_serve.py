@@ -12,14 +12,15 @@ import httpx
 import pytest
 
 from service.cli import run
-from tests.service.host.processes import Serving, descendants, is_alive, served, until
+from tests.service.host.processes import Serving, descendants, is_alive, served
+from tests.waiting import PATIENCE_S, until
 
 API, WORKER = "service.api.main", "service.worker.main"
 
 
 def ready(serving: Serving) -> bool:
     try:
-        with urllib.request.urlopen(f"{serving.url}/readyz", timeout=10) as answer:
+        with urllib.request.urlopen(f"{serving.url}/readyz", timeout=PATIENCE_S) as answer:
             return bool(answer.status == 200)
     except OSError:
         return False
@@ -44,7 +45,7 @@ def test_what_is_killed_is_ready_again(tmp_path: Path, module: str) -> None:
         serving.until_ready()
         before = serving.child(module)
         serving.kill(before)
-        until(lambda: serving.child(module) not in (0, before) and ready(serving), what="ready again", within_s=30)
+        until(lambda: serving.child(module) not in (0, before) and ready(serving), what="ready again")
         assert serving.process.poll() is None
 
 
@@ -54,13 +55,13 @@ def test_nothing_is_left_of_a_killed_supervisor(tmp_path: Path) -> None:
         serving.until_ready()
         below = descendants(serving.pid)
         serving.kill(serving.pid)
-        until(lambda: not any(map(is_alive, below)), what="the end of all", within_s=5)
+        until(lambda: not any(map(is_alive, below)), what="the end of all")
 
 
 @pytest.mark.thorough
 def test_a_foreign_address_without_tokens_is_refused_in_words(tmp_path: Path) -> None:
     with served("--host", "0.0.0.0", "--behind-proxy", data=tmp_path) as serving:
-        assert serving.ended(30) == 2
+        assert serving.ended() == 2
         (line,) = [line for line in serving.err if line.startswith("error:")]
         assert "--host 0.0.0.0" in line and "token" in line
 
@@ -81,7 +82,7 @@ def test_what_cannot_be_is_refused_in_one_line(
     tmp_path: Path, arguments: tuple[str, ...], environment: dict[str, str], word: str
 ) -> None:
     with served(*arguments, data=tmp_path, **environment) as serving:
-        assert serving.ended(30) == 2
+        assert serving.ended() == 2
         lines = {line for line in serving.err if line.startswith("error:")}
         assert len(lines) == 1 and word in lines.pop()
         assert serving.out == []
@@ -103,7 +104,7 @@ def test_a_full_disk_is_told_and_the_mills_have_their_agents(tmp_path: Path) -> 
     profile.write_text('extends = "grbl"\n[link]\nport = "socket://127.0.0.1:1"\n')
     wanted = {"CAUSTICMILL_FREE_DISK_MB": "1000000000000", "CAUSTICMILL_CONFIG_DIR": str(tmp_path / "config")}
     with served(data=tmp_path / "data", **wanted) as serving:
-        until(lambda: serving.out, what="a line", within_s=60)
+        until(lambda: serving.out, what="a line")
         assert "not ready: disk:" in serving.out[0] and "1000000000000 MB" in serving.out[0]
         until(lambda: [line for line in serving.err if "agent started" in line], what="an agent")
         (started,) = [line for line in serving.err if "agent started" in line]
@@ -120,8 +121,8 @@ def test_a_running_stage_ends_with_it_and_the_job_goes_on_with_the_next(tmp_path
         below = descendants(serving.pid)
         assert len(below) > 3, "worker, API, nursery, stage"
         serving.kill(serving.pid, word)
-        serving.ended(30)
-        until(lambda: not any(map(is_alive, below)), what="the end of all", within_s=5)
+        serving.ended()
+        until(lambda: not any(map(is_alive, below)), what="the end of all")
     with served("--no-agents", data=tmp_path) as serving:
         serving.until_ready()
         until_beyond(serving, job, "heightfield")
@@ -154,18 +155,20 @@ def submitted(serving: Serving) -> str:
     """The id of a small job."""
     given = {"spec": json.dumps(SPEC)}
     with PICTURE.open("rb") as file:
-        answer = httpx.post(f"{serving.url}/v1/jobs", files={"image": ("logo.png", file)}, data=given, timeout=30)
+        answer = httpx.post(
+            f"{serving.url}/v1/jobs", files={"image": ("logo.png", file)}, data=given, timeout=PATIENCE_S
+        )
     assert answer.status_code == 202, answer.text
     return str(answer.json()["id"])
 
 
 def answered(serving: Serving, job: str) -> dict[str, Any]:
-    return dict(httpx.get(f"{serving.url}/v1/jobs/{job}", timeout=30).json())
+    return dict(httpx.get(f"{serving.url}/v1/jobs/{job}", timeout=PATIENCE_S).json())
 
 
 def until_at_work(serving: Serving, job: str) -> None:
     """A stage of it runs in a process of its own."""
-    until(lambda: answered(serving, job)["stage"] not in (None, "image"), what="a stage that runs", within_s=60)
+    until(lambda: answered(serving, job)["stage"] not in (None, "image"), what="a stage that runs")
 
 
 def until_beyond(serving: Serving, job: str, stage: str) -> None:
@@ -175,5 +178,5 @@ def until_beyond(serving: Serving, job: str, stage: str) -> None:
         stages = {row["name"]: row["state"] for row in answered(serving, job)["stages"]}
         return stages[stage] in ("committed", "reused")
 
-    until(done, what=f"the end of stage {stage}", within_s=120)
+    until(done, what=f"the end of stage {stage}")
     assert answered(serving, job)["state"] in ("running", "succeeded"), answered(serving, job)["error"]

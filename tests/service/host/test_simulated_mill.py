@@ -12,7 +12,8 @@ import httpx
 import pytest
 
 from service.cli import run
-from tests.service.host.processes import Serving, descendants, is_alive, served, until
+from tests.service.host.processes import Serving, descendants, is_alive, served
+from tests.waiting import PATIENCE_S, until
 
 HERE = "/v1/machines/simulated"
 MILL, AGENT = "service.host.simulated_mill", "service.host.simulated_agent"
@@ -25,12 +26,12 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Serving
     config = {"CAUSTICMILL_CONFIG_DIR": str(folder / "config")}
     with served("--no-worker", "--with-simulated-mill", data=folder / "data", **config) as serving:
         _tables(folder / "data")
-        until(lambda: len(serving.out) == 2, what="the second line", within_s=60)
-        with httpx.Client(base_url=serving.url, timeout=30) as client:
+        until(lambda: len(serving.out) == 2, what="the second line")
+        with httpx.Client(base_url=serving.url, timeout=PATIENCE_S) as client:
             code = re.findall(r"\d{4}-\d{4}", serving.out[1])[0]
             token = client.post("/v1/pairings", json={"code": code, "name": "Ada"}).json()["token"]
             client.headers["Authorization"] = f"Bearer {token}"
-            until(lambda: mill(client)["state"] == "alarm", what="a mill", within_s=60)
+            until(lambda: mill(client)["state"] == "alarm", what="a mill")
             control = client.post(f"{HERE}/control", json={"operator": "Ada"}).json()["control"]
             client.headers["Causticmill-Control"] = control
             yield serving, client
@@ -54,11 +55,11 @@ def order(client: httpx.Client, what: str, **body: Any) -> None:
         assert answer.status_code == 202 or "busy" in answer.text, answer.text
         return answer.status_code == 202
 
-    until(taken, what=what, within_s=60)
+    until(taken, what=what)
 
 
 def until_idle(client: httpx.Client) -> None:
-    until(lambda: mill(client)["state"] == "idle", what="idle", within_s=60)
+    until(lambda: mill(client)["state"] == "idle", what="idle")
 
 
 def test_it_says_that_it_is_simulated_and_begins_locked(workshop: tuple[Serving, httpx.Client]) -> None:
@@ -76,12 +77,12 @@ def test_it_is_homed_jogged_and_probed_like_a_mill(workshop: tuple[Serving, http
     until_idle(client)
     assert mill(client)["machine_mm"] == [-1, -1, -1] and mill(client)["position_trusted"]
     order(client, "jog", by_mm=[-199, -199, -20], feed_mm_per_min=5000)
-    until(lambda: mill(client)["machine_mm"] == [-200, -200, -21], what="arrival", within_s=60)
+    until(lambda: mill(client)["machine_mm"] == [-200, -200, -21], what="arrival")
     until_idle(client)
     order(client, "zero", axes="XY")
     until_idle(client)
     order(client, "probe", depth_mm=20, feed_mm_per_min=200, retract_mm=2)
-    until(lambda: abs(mill(client)["work_mm"][2] - 2) < 0.01, what="a touch and two millimetres up", within_s=60)
+    until(lambda: abs(mill(client)["work_mm"][2] - 2) < 0.01, what="a touch and two millimetres up")
     assert mill(client)["work_mm"][:2] == [0, 0] and mill(client)["machine_mm"][2] == pytest.approx(-28, abs=0.02)
 
 
@@ -89,7 +90,7 @@ def test_it_is_homed_jogged_and_probed_like_a_mill(workshop: tuple[Serving, http
 def test_a_mill_that_is_gone_comes_back_switched_off_and_on(workshop: tuple[Serving, httpx.Client]) -> None:
     serving, client = workshop
     serving.kill(serving.child(MILL))
-    until(lambda: mill(client)["state"] == "alarm", what="a mill after its power came back", within_s=60)
+    until(lambda: mill(client)["state"] == "alarm", what="a mill after its power came back")
     assert not mill(client)["position_trusted"]
 
 
@@ -100,7 +101,7 @@ def test_a_server_that_is_killed_in_the_middle_leaves_mill_and_control_as_they_a
     serving, client = workshop
     before, holder = serving.child(MILL), client.get(HERE).json()["control"]
     serving.kill(serving.child("service.api.main"))
-    until(lambda: _answers(client), what="the next API", within_s=60)
+    until(lambda: _answers(client), what="the next API")
     assert serving.child(MILL) == before and client.get(HERE).json()["control"] == holder
 
 
@@ -117,7 +118,7 @@ def test_nothing_of_it_is_left_when_the_server_ends(workshop: tuple[Serving, htt
     below = descendants(serving.pid)
     assert serving.child(AGENT) and serving.child(MILL)
     serving.kill(serving.pid, signal.SIGTERM)
-    assert serving.ended(40) == 0
+    assert serving.ended() == 0
     assert not any(map(is_alive, below))
 
 

@@ -12,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.host.processes import Serving, is_alive, supervised, until
+from tests.service.host.processes import Serving, is_alive, supervised
+from tests.waiting import PATIENCE_S, until
 
 API, WORKER = "stand_in_api", "stand_in_worker"
 
@@ -82,7 +83,7 @@ def test_callers_wait_while_the_api_is_started_again(tmp_path: Path) -> None:
         before = serving.child(API)
         serving.kill(before)
         until(lambda: not is_alive(before), what="its end")
-        assert urllib.request.urlopen(serving.url, timeout=20).status == 200
+        assert urllib.request.urlopen(serving.url, timeout=PATIENCE_S).status == 200
 
 
 def test_a_frozen_worker_is_killed_with_its_stage_and_started_again(tmp_path: Path) -> None:
@@ -123,7 +124,7 @@ def test_nothing_is_left_of_a_killed_supervisor_but_agents(tmp_path: Path) -> No
         try:
             ours = [*children_of(serving), stage_of(tmp_path)]
             serving.kill(serving.pid)
-            until(lambda: not any(map(is_alive, ours)), what="the end of all", within_s=5)
+            until(lambda: not any(map(is_alive, ours)), what="the end of all")
             assert is_alive(agent)
         finally:
             os.kill(agent, signal.SIGKILL)
@@ -150,8 +151,8 @@ def test_the_second_word_ends_what_does_not_listen(tmp_path: Path) -> None:
         until(lambda: not is_alive(ours[0]), what="the API's end")
         assert is_alive(ours[1])
         serving.kill(serving.pid, signal.SIGTERM)
-        assert serving.ended(within_s=5) == 0
-        until(lambda: not any(map(is_alive, ours)), what="the end of all", within_s=5)
+        assert serving.ended(within_s=15) == 0
+        until(lambda: not any(map(is_alive, ours)), what="the end of all")
 
 
 def test_a_stopped_child_ends_well_too(tmp_path: Path) -> None:
@@ -160,7 +161,7 @@ def test_a_stopped_child_ends_well_too(tmp_path: Path) -> None:
         until(lambda: (tmp_path / "stage.pid").exists(), what="a stage")
         serving.kill(serving.child(WORKER), signal.SIGSTOP)
         serving.kill(serving.pid, signal.SIGTERM)
-        assert serving.ended(within_s=10) == 0
+        assert serving.ended(within_s=15) == 0
         assert "worker ends well" in serving.err
 
 

@@ -13,7 +13,8 @@ from pathlib import Path
 import pytest
 
 from service.host.notice import framed
-from tests.service.host.processes import HERE, STAND_INS, until
+from tests.service.host.processes import HERE, STAND_INS
+from tests.waiting import PATIENCE_S, until
 
 LOG = """
 from service.logs import configure_logs
@@ -69,7 +70,7 @@ def test_on_a_terminal_address_and_code_stand_in_a_frame(tmp_path: Path) -> None
         until(framed_code, what="the frame")
     finally:
         serving.terminate()
-        serving.communicate(timeout=30)
+        serving.communicate(timeout=PATIENCE_S)
         os.close(ours)
     rows = [line.strip() for line in seen.decode().splitlines() if line.startswith("│")]
     assert re.search(r"http://127\.0\.0\.1:\d+ ", rows[0]) and re.search(r"Code +\d{4}-\d{4} ", rows[1])

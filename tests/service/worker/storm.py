@@ -31,17 +31,11 @@ from service.stages.plan import plan
 from service.store.opening import open_store
 from service.worker.dbos_engine import DbosEngine
 from service.worker.engine import Ticket
+from tests.waiting import PATIENCE_S, until
 
 HERE = Path(__file__).parent
 MARK = "STORM_NOTES"
 TINY = ("image.pixels=32", "optics.width_mm=10", "optics.height_mm=10")
-
-
-def until(what: Callable[[], bool], *, doing: str, patience_s: float = 60.0) -> None:
-    deadline = time.monotonic() + patience_s
-    while not what():
-        assert time.monotonic() < deadline, f"waited {patience_s:g} s for {doing}"
-        time.sleep(0.02)
 
 
 @dataclass
@@ -101,7 +95,7 @@ class Storm:
         for process in self._workers.values():
             process.terminate()
         for process in self._workers.values():
-            process.wait(timeout=30)
+            process.wait(timeout=PATIENCE_S)
         self.engine.close()
         self.database.dispose()
 
@@ -139,7 +133,7 @@ class Storm:
             except Exception:  # the database is just being restarted
                 return False
 
-        until(ended, doing="the end of all jobs", patience_s=patience_s)
+        until(ended, what="the end of all jobs", within_s=patience_s)
 
     def noted(self, word: str) -> list[dict[str, object]]:
         path = self.notes / "notes"

@@ -6,8 +6,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -17,16 +16,9 @@ from service.jobs.database import connect, writing
 from service.settings import ServerSettings
 from service.worker.dbos_engine import DbosEngine
 from service.worker.engine import JobEngine, Ticket
+from tests.waiting import until
 
 SCRIPT = Path(__file__).parent / "engine_process.py"
-PATIENCE_S = 60.0
-
-
-def until(what: Callable[[], bool], *, doing: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not what():
-        assert time.monotonic() < deadline, f"waited too long for {doing}"
-        time.sleep(0.02)
 
 
 class Stand:
@@ -59,11 +51,11 @@ class Stand:
         return [(line.split()[1], line.split()[2]) for line in lines if line.split()[0] == word]
 
     def await_notes(self, count: int, word: str = "begin") -> list[tuple[str, str]]:
-        until(lambda: len(self.notes(word)) >= count, doing=f"{count} times '{word}'")
+        until(lambda: len(self.notes(word)) >= count, what=f"{count} times '{word}'")
         return self.notes(word)
 
     def await_end(self, *tickets: Ticket) -> None:
-        until(lambda: self.engine.ended(list(tickets)) == set(tickets), doing=f"the end of {tickets}")
+        until(lambda: self.engine.ended(list(tickets)) == set(tickets), what=f"the end of {tickets}")
 
     def close(self) -> None:
         self.engine.close()
@@ -160,7 +152,7 @@ def test_two_that_take_over_from_a_dead_one_run_its_ticket_once(stand: Stand) ->
     for name in ("b", "c"):
         stand.serve(name, "a")
     heirs = stand.await_notes(2)[1:]
-    until(lambda: stand.engine.owners() == {ticket: heirs[0][1]}, doing="the new owner")
+    until(lambda: stand.engine.owners() == {ticket: heirs[0][1]}, what="the new owner")
     (stand.folder / "release").touch()
     stand.await_end(ticket)
     assert (len(stand.notes()), len(stand.notes("end"))) == (2, 1)

@@ -15,6 +15,7 @@ from service.jobs.tables import executors
 from service.jobs.work_book import WorkBook
 from service.worker.engine import Fenced, Ticket
 from service.worker.leases import Heart, Lease, NameTakenError, live_executors
+from tests.waiting import PATIENCE_S
 
 NEW = NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")
 
@@ -99,7 +100,7 @@ def test_who_starts_under_a_name_ends_the_one_who_had_it(database: sa.Engine) ->
     new.beat()
     taken = threading.Event()
     Heart(old, taken.set).start()
-    assert taken.wait(10)
+    assert taken.wait(PATIENCE_S)
     old.give_back()  # not his to give
     new.beat()
 

@@ -11,7 +11,8 @@ import pytest
 
 from service.kernel_cache import JOBS, ready_mark
 from service.worker import preparing
-from tests.service.host.processes import is_alive, until
+from tests.service.host.processes import is_alive
+from tests.waiting import PATIENCE_S, until
 
 BEGIN_AND_DIE = """
 import sys, time
@@ -36,7 +37,7 @@ def test_it_ends_with_the_worker_and_leaves_no_folder(tmp_path: Path) -> None:
     cache.mkdir()
     environment = os.environ | {"NUMBA_CACHE_DIR": str(cache), "TMPDIR": str(scratch)}
     command = [sys.executable, "-c", BEGIN_AND_DIE, str(scratch)]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     pid = int(done.stdout)
     until(lambda: not is_alive(pid), what="the end of the process")
     assert list(scratch.iterdir()) == []
@@ -49,5 +50,5 @@ def test_the_job_is_one_that_can_be_made() -> None:
     mark.unlink(missing_ok=True)
     process = preparing.begin()
     assert process is not None
-    assert process.wait(timeout=300) == 0
+    assert process.wait(timeout=PATIENCE_S) == 0
     assert mark.exists()

@@ -19,7 +19,8 @@ from service.settings import ServerSettings
 from service.worker.child import PipeOfWords
 from service.worker.linux import own_children
 from service.worker.processes import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
-from tests.service.worker.stage_bench import Bench, lives, nursery_pid, pids_in, until
+from tests.service.worker.stage_bench import Bench, lives, nursery_pid, pids_in
+from tests.waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="stages run under Linux only")
 
@@ -160,7 +161,7 @@ def test_the_nursery_has_one_thread_when_it_forks(computing: Bench) -> None:
     real.warm()
     end = real.run({"stage": "none"}, log=computing.log, on_progress=lambda _: None, stop=lambda: None)
     assert isinstance(end, Crashed)  # no such order; but the nursery is warm
-    until(lambda: real._link.begin().threads, within_s=60)
+    until(lambda: real._link.begin().threads)
     assert real._link.begin().threads == 1
     real.close()
 

@@ -15,6 +15,7 @@ from service.jobs.database import connect
 from service.settings import ServerSettings
 from service.worker.refusals import NameLock, file_system_of, refuse_network_disk
 from tests.service.worker.postgres import Postgres, missing, running_postgres
+from tests.waiting import PATIENCE_S
 
 MOUNTS = """\
 22 1 8:1 / / rw,relatime shared:1 - ext4 /dev/sda1 rw
@@ -40,12 +41,12 @@ def refusal_beside(first: ServerSettings, second: ServerSettings) -> str:
     try:
         assert one.stdout.readline().startswith("ready")
         two = started(second.environment())
-        _, words = two.communicate(timeout=60)
+        _, words = two.communicate(timeout=PATIENCE_S)
         assert two.returncode == 2
         assert one.poll() is None
     finally:
         one.terminate()
-        one.communicate(timeout=30)
+        one.communicate(timeout=PATIENCE_S)
     assert one.returncode == 0
     errors = [line for line in words.splitlines() if line.startswith("error: ")]
     assert len(errors) == 1
@@ -73,7 +74,7 @@ def test_two_workers_of_one_name_on_postgresql(tmp_path: Path, postgres: Postgre
 def test_postgresql_with_a_store_of_this_computer_alone(tmp_path: Path) -> None:
     settings = ServerSettings(data=tmp_path, database_url="postgresql://nowhere.invalid/x")
     worker = started(settings.environment())
-    _, words = worker.communicate(timeout=60)
+    _, words = worker.communicate(timeout=PATIENCE_S)
     assert worker.returncode == 2
     assert "CAUSTICMILL_STORE_URL" in words
 

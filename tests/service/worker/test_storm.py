@@ -9,7 +9,8 @@ import pytest
 
 from service.settings import ServerSettings
 from tests.service.worker.postgres import Postgres, missing, running_postgres
-from tests.service.worker.storm import Storm, rage, until
+from tests.service.worker.storm import Storm, rage
+from tests.waiting import until
 
 pytestmark = pytest.mark.thorough
 
@@ -55,7 +56,7 @@ def test_two_live_workers_both_work(tmp_path: Path) -> None:
 
         for name in ("one", "two", "one", None):
             killed_at = time.time()
-            until(lambda: at_work(killed_at) == {"one", "two"}, doing="both workers at work")  # noqa: B023
+            until(lambda: at_work(killed_at) == {"one", "two"}, what="both workers at work")  # noqa: B023
             if name is not None:
                 storm.kill(name)
         storm.stop()
