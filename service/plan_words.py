@@ -113,7 +113,8 @@ def _ball(planned: Planned) -> Iterator[str]:
     """What the ball is chosen for, and which others were not."""
     radius = planned.chosen.finish.radius_mm
     across = 1000 * planned.chosen.slopes.across.rms
-    words = f"A ball {ball(radius)} finishes: its rows leave slopes of {across:.1f} mrad, a smaller ball steeper ones"
+    slopes = f"slopes of {across:.1f} µm per mm ({across:.1f} mrad)"
+    words = f"A ball {ball(radius)} finishes: its rows leave {slopes}, a smaller ball steeper ones"
     if planned.shapes_lens:
         perfect, least = planned.light.perfect_db(radius), planned.light.perfect_db(min(planned.light.lenses))
         lost = max(0.0, least - perfect)

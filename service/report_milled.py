@@ -74,7 +74,8 @@ def _expected(milled: Mapping[str, Any]) -> str:
 def _blur(milled: Mapping[str, Any]) -> str:
     step_um, noise_um = (number(1000 * milled[name], 2) for name in ("step_mm", "z_noise_mm"))
     machine = f"steps of {step_um} µm and height errors of {noise_um} µm"
+    slopes = milled["slope_rms_mrad"]
     return (
-        f"For experts: its slopes are off by {milled['slope_rms_mrad']:.1f} mrad rms, which blurs the picture by "
-        f"{milled['blur_x_px']:.1f} pixels in X and {milled['blur_y_px']:.1f} in Y (rms; with {machine})."
+        f"For experts: its slopes are off by {slopes:.1f} µm per mm ({slopes:.1f} mrad) rms, which blurs the picture "
+        f"by {milled['blur_x_px']:.1f} pixels in X and {milled['blur_y_px']:.1f} in Y (rms; with {machine})."
     )

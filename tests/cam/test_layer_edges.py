@@ -26,6 +26,7 @@ def milled(heightfield, specs, *, cell_mm) -> list[PassCheck]:
     return verdicts
 
 
+@pytest.mark.thorough
 def test_walls_around_a_dome_hold_no_flakes_for_later_layers():
     """The tops of a dome part rows in two, so that layers turn at different places of a wall 3 mm high; 0.012 mm cells
     see the flakes between row ends, 11 um thick. Then another pass with the same ball goes along the same walls.

@@ -80,6 +80,7 @@ def circle(radius, step, turns=1.0):
     return SIDE / 2 + radius * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
+@pytest.mark.thorough
 @settings(max_examples=40, deadline=None)
 @given(st.floats(0.5, 12), st.floats(0.02, 2.0))
 def test_a_circle_turns_with_its_radius_whatever_its_vertices(pitches, spacing):

@@ -81,6 +81,7 @@ def test_three_passes_make_the_lens(small, slow_mill, margin_mm, link):
     assert reached <= 3 * cusp_mm + CELL_MM**2 / (2 * 0.5)
 
 
+@pytest.mark.thorough
 def test_a_pass_alone_on_a_flat_block(small, slow_mill):
     """A finishing pass that meets an uncut block clears it in planes first and ends with exact rows."""
     stock = block()

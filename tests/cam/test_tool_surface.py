@@ -120,6 +120,7 @@ def test_a_v_groove_is_touched_on_both_flanks(make_lens):
     assert tip == pytest.approx(np.sqrt(2) - 1, abs=1e-3)  # the spline overshoots the planes a little near the kink
 
 
+@pytest.mark.thorough
 def test_where_creases_end_two_rests_lie_close_together(make_lens, brute_force):
     """Roofs and valleys that meet: the ball hops between rests a few lattice steps apart; the higher one counts."""
 

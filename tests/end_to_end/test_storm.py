@@ -11,8 +11,9 @@ from tests.service.worker.postgres import missing, running_postgres
 from tests.trials.server.deployment import embedded, farm
 from tests.trials.server.judge import half_objects
 from tests.trials.server.storm import Size, storm
+from tests.waiting import PATIENCE_S
 
-SHORT = Size(jobs=5, kinds=4, kills=10, pause_s=(0.2, 1.5), patience_s=180.0)
+SHORT = Size(jobs=5, kinds=4, kills=10, pause_s=(0.2, 1.5), patience_s=PATIENCE_S)
 
 
 @pytest.mark.thorough
@@ -27,7 +28,9 @@ def test_nothing_is_lost_in_a_storm_on_sqlite(tmp_path: Path) -> None:
 @pytest.mark.skipif(bool(missing()), reason=missing())
 def test_nothing_is_lost_in_a_storm_on_postgresql(tmp_path: Path) -> None:
     """Two workers; the database is restarted in the middle, and an owner stands still for longer than its lease."""
-    size = Size(jobs=5, kinds=4, kills=10, freezes=1, restarts=1, pause_s=(0.2, 1.5), freeze_s=6.0, patience_s=180.0)
+    size = Size(
+        jobs=5, kinds=4, kills=10, freezes=1, restarts=1, pause_s=(0.2, 1.5), freeze_s=6.0, patience_s=PATIENCE_S
+    )
     lease = {"CAUSTICMILL_LEASE_S": "4"}
     with running_postgres(durable=True) as database:
         url, restart = database.url(), database.crash_and_restart

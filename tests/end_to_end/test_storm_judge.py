@@ -84,7 +84,7 @@ def _break_everything(deployment: Deployment, customers: Customers) -> None:
         query = "SELECT sha256 FROM artifacts WHERE job_id = ? AND name = 'report.json'"
         (half,) = book.execute(query, (ids[4],)).fetchone()
     book.close()
-    httpx.delete(f"{deployment.url}/v1/jobs/{ids[5]}", trust_env=False).raise_for_status()
+    httpx.delete(f"{deployment.url}/v1/jobs/{ids[5]}", trust_env=False, timeout=PATIENCE_S).raise_for_status()
     orders[6].ids.clear()
     orders[6].ids.add(ids[7])
     orders[7].ids.add(ids[0])

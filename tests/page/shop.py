@@ -85,7 +85,9 @@ class Shop:
     def key(self, name: str = "Ada") -> str:
         """A token of this person, got for the code."""
         if name not in self._keys:
-            answer = httpx.post(f"{self.url}/v1/pairings", json={"code": self.code, "name": name}, trust_env=False)
+            answer = httpx.post(
+                f"{self.url}/v1/pairings", json={"code": self.code, "name": name}, trust_env=False, timeout=PATIENCE_S
+            )
             assert answer.status_code == 201, answer.text
             self._keys[name] = str(answer.json()["token"])
         return self._keys[name]

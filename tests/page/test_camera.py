@@ -62,6 +62,7 @@ def test_a_photograph_becomes_the_picture_of_the_job(page: Page) -> None:
     assert tones > 10
 
 
+@pytest.mark.thorough
 def test_who_thinks_better_of_it_has_no_picture_and_the_camera_is_off(page: Page) -> None:
     page.evaluate(NOTE_STREAMS)
     page.get_by_role("button", name="Take a photo").click()
@@ -85,6 +86,7 @@ def test_a_phone_takes_it_with_its_own_program(opened: Opened) -> None:
     assert asked.value.element.get_attribute("capture") == "environment"
 
 
+@pytest.mark.thorough
 def test_where_no_camera_can_be_used_none_is_offered(page: Page) -> None:
     """As without TLS: the browser does not even say whether there is one."""
     page.evaluate("delete Navigator.prototype.mediaDevices")

@@ -74,6 +74,7 @@ def test_two_tabs_side_by_side_get_their_estimates_both(opened: Opened, shop: Sh
         expect(estimate).not_to_contain_text("No estimate")
 
 
+@pytest.mark.thorough
 def test_a_long_wait_is_explained(opened: Opened) -> None:
     page = opened("#/machines")
     page.clock.install()

@@ -16,12 +16,13 @@ from service.drawing.layout import parted
 from service.report_words import duration, psnr_in_words
 from service.spec_files import resolve_spec
 from service.stages.plan import usual_seconds
-from tests.page.browser import every_screen
+from tests.page.browser import SIZES, every_screen
 from tests.page.conftest import Opened
 from tests.page.jobs import PLAN_HOURS, answer, like, of_shop, shown, stopped_at, with_plan
 from tests.page.shop import MILL, SMALL_SPEC, Shop
 from tests.waiting import PATIENCE_MS
 
+NEAR_PX = 150
 AWAY = (r"net::ERR_", r"status of 50[234]")
 NO_WEBGL = """const get = HTMLCanvasElement.prototype.getContext;
 HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
@@ -469,3 +470,17 @@ def test_every_screen_of_a_finished_job(at_job: Page, picture: Any) -> None:
 def test_a_job_that_is_not_there_is_said_so(opened: Opened) -> None:
     page = opened("#/jobs/00000000-0000-4000-8000-00000000dead", errors=("status of 404",))
     expect(page.get_by_role("alert")).to_contain_text("no job")
+
+
+@pytest.mark.parametrize("size", ["wide", "tablet"])
+def test_beside_the_pictures_no_column_is_left_empty(opened: Opened, shop: Shop, size: str) -> None:
+    """With two programs and two things to look out for: where each column's last words are, the other's are near."""
+    job, files = of_shop(shop)
+    told = ["The picture will be flatter: a smaller ball or a wall farther away keeps more of it. " * 2] * 2
+    page = shown(opened, like(job, 1, report=job["report"] | {"warnings": told}), files, size=size)
+    expect(page.locator(".pictures-row img")).to_have_count(3)
+    expect(page.locator(".programs li")).to_have_count(2)
+    place = "one => { const { left, bottom } = one.getBoundingClientRect(); return [left, bottom]; }"
+    pictures, programs = (page.locator(one).evaluate(place) for one in (".pictures-row", ".programs"))
+    assert programs[0] > pictures[0] + SIZES[size][0] / 3, "beside each other"
+    assert abs(programs[1] - pictures[1]) < NEAR_PX

@@ -42,6 +42,7 @@ def shown(opened: Opened, jobs: list[dict[str, Any]], **how: Any) -> Page:
     return page
 
 
+@pytest.mark.thorough
 def test_every_state_is_a_word_and_a_shape(opened: Opened) -> None:
     error = {"stage": "map", "detail": "the lens is " + "very " * 60 + "thin", "field": None}
     jobs = [summary(number, state, error=error if state == "failed" else None) for number, state in enumerate(STATES)]
@@ -57,6 +58,7 @@ def test_every_state_is_a_word_and_a_shape(opened: Opened) -> None:
         expect(page.get_by_role("link", name="picture-0")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_who_has_no_job_is_told_in_one_sentence_what_to_do(opened: Opened) -> None:
     page = shown(opened, [])
     place = page.locator(".drop")
@@ -92,6 +94,7 @@ def test_the_list_goes_on_by_itself_and_leaves_the_focus_where_it_is(opened: Ope
     expect(page.get_by_role("link", name="picture-2")).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_filter_shows_the_jobs_of_its_states(opened: Opened) -> None:
     page = shown(opened, [summary(number, state) for number, state in enumerate(STATES)])
     for words, states in (("Working", ("queued", "running")), ("Failed", ("failed", "cancelled")), ("All", STATES)):
@@ -216,6 +219,7 @@ def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_se
     expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_the_list_can_be_walked_with_the_keyboard_alone(opened: Opened) -> None:
     page = shown(opened, [summary(1, "succeeded")])
     page.reload()

@@ -90,6 +90,7 @@ def test_without_a_server_nothing_is_offered_and_nobody_is_said_to_have_control(
     expect(page.locator(".running .mark")).to_have_text("last seen stopped")
 
 
+@pytest.mark.thorough
 def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened: Opened) -> None:
     page = opened("#/machines")
     for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left, simulated")):

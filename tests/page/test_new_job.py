@@ -174,6 +174,7 @@ def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: lis
     expect(new_job.locator(".submit-bar")).to_contain_text("enough for this test")
 
 
+@pytest.mark.thorough
 def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, sent: list[Any]) -> None:
     """So that pressing again after a fault makes no second job."""
     first = pressed(new_job, sent)
@@ -202,6 +203,7 @@ def test_turned_mirrored_and_cut_out_it_is_exactly_those_pixels(new_job: Page, s
     assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[top : top + side, left : left + side])
 
 
+@pytest.mark.thorough
 def test_the_part_is_chosen_by_dragging_and_by_the_keyboard_alike(new_job: Page, sent: list[Any]) -> None:
     """A square of a 60 x 40 picture can move 10 pixels to either side, and stops there."""
     seen = pixels_of(picture())
@@ -219,6 +221,7 @@ def test_the_part_is_chosen_by_dragging_and_by_the_keyboard_alike(new_job: Page,
     assert np.array_equal(pixels_of(pressed(new_job, sent)[1]), seen[:, 20:])
 
 
+@pytest.mark.thorough
 def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> None:
     fill(new_job, Width="30,5", Distance_to_the_wall="250")
     new_job.get_by_label("Draft").check()
@@ -322,6 +325,7 @@ def as_floats(spec: Any) -> Any:
     return json.loads(json.dumps(spec), parse_int=float)
 
 
+@pytest.mark.thorough
 def test_what_was_set_is_still_there_after_a_look_at_something_else(new_job: Page) -> None:
     fill(new_job, Width="33")
     new_job.get_by_role("button", name="Mirror").click()
@@ -335,6 +339,7 @@ def test_what_was_set_is_still_there_after_a_look_at_something_else(new_job: Pag
     expect(wall(new_job)).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent: list[Any]) -> None:
     file = io.BytesIO()
     Image.open(io.BytesIO(picture())).save(file, "TIFF")
@@ -344,6 +349,7 @@ def test_a_picture_this_browser_cannot_show_is_sent_as_it_is(new_job: Page, sent
     assert pressed(new_job, sent)[1] == file.getvalue()
 
 
+@pytest.mark.thorough
 def test_the_way_to_a_job_needs_no_mouse(new_job: Page, sent: list[Any]) -> None:
     new_job.get_by_label("Width", exact=True).focus()
     new_job.keyboard.press("Control+A")

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
+from tests.page.browser import SIZES
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import MACHINE, PLAN, RUN, machine_in, told, with_control
@@ -148,6 +149,7 @@ def test_a_tool_in_the_block_is_said_and_goes_up_before_it_goes_sideways(opened:
     expect(line).to_contain_text("go on with it, step by step")
 
 
+@pytest.mark.thorough
 def test_nothing_is_said_to_be_left_while_the_tool_stands_in_the_block(opened: Opened) -> None:
     page = with_control(opened, "stopped")
     page.route("**/v1/runs/*/recovery", ready)
@@ -239,10 +241,36 @@ def test_who_jogs_sees_where_the_tool_is_however_far_the_page_is_scrolled(opened
         assert out_of_sight(page, f".readout .work, .pad [aria-label='{name}']") == []
 
 
+@pytest.mark.thorough
+def test_keys_to_jog_by_and_their_steps_are_in_sight_together(opened: Opened) -> None:
+    """Scrolled to the steps, with the position still above."""
+    page = with_control(opened, "parked", mill=FRESH)
+    for width, height in ((1440, 900), (1024, 768), (768, 1024), (390, 844)):
+        page.set_viewport_size({"width": width, "height": height})
+        page.locator(".steps").evaluate("one => one.scrollIntoView({block: 'end'})")
+        assert out_of_sight(page, ".readout .work, .pad button, .steps label") == [], (width, height)
+
+
+@pytest.mark.parametrize(("state", "mill"), [("unplugged", {}), ("locked", {}), ("parked", OVER_IT)])
+def test_on_a_phone_the_next_step_leaves_room_for_the_mill(opened: Opened, state: str, mill: dict[str, Any]) -> None:
+    """Its words are within it; with all of them unfolded it takes a third of the height, and what stops is in reach."""
+    page = with_control(opened, state, mill=mill, size="phone")
+    line = page.locator(".next")
+    high, words = (one.evaluate("one => one.offsetHeight") for one in (line, line.locator(".next-words")))
+    assert words <= high
+    if state != "parked":
+        line.get_by_text("More").click()
+        high += line.locator(".next-more").evaluate("one => one.offsetHeight")
+    assert high <= 0.35 * SIZES["phone"][1]
+    for name in ("HOLD", "STOP"):
+        page.get_by_role("button", name=name).click(trial=True)
+
+
 def test_a_drawing_says_which_corner_is_zero_before_a_program_is_loaded(opened: Opened) -> None:
     page = with_control(opened, "idle")
-    drawing = page.get_by_role("img", name="X0 Y0 is the front left corner of the lens, inside the block")
-    expect(drawing).to_be_visible()
+    drawing = page.get_by_role("img", name="X0 Y0 is the front left corner of the lens, inside the block, not to scale")
+    expect(drawing).to_contain_text("not to scale")
+    expect(page.locator(".zero-place")).to_contain_text("is known once a program is loaded")
     block, lens, corner = (drawing.locator(one).bounding_box() for one in (".block", ".lens", ".corner"))
     middle = [corner["x"] + corner["width"] / 2, corner["y"] + corner["height"] / 2]
     assert middle == pytest.approx([lens["x"], lens["y"] + lens["height"]], abs=1)
@@ -252,6 +280,7 @@ def test_a_drawing_says_which_corner_is_zero_before_a_program_is_loaded(opened: 
     expect(drawing).to_be_visible()
     block, lens = (drawing.locator(one).bounding_box() for one in (".block", ".lens"))
     assert lens["width"] / block["width"] == pytest.approx(100 / 116, abs=0.03)
+    expect(drawing).not_to_contain_text("scale")
     expect(page.locator(".zero-place")).to_contain_text("8 mm inside the block's left and front edges")
 
 
@@ -301,6 +330,7 @@ def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
     expect(page.get_by_role("heading", level=1, name=MILL)).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
     page = with_control(opened, "stopped", mill=RAISED)
     plan = {"needs": [{"code": "zero", "words": "G54 differs"}], "zero_back": "G10 L2 P1 X-150.000 Y-150.000 Z-20.000"}

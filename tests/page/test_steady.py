@@ -12,7 +12,7 @@ from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import STATES, told, with_control
 
-REFUSAL = "start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
+REFUSAL = "Start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
 BOXES = """(names) => Object.fromEntries([...document.querySelectorAll("main button")]
     .filter((one) => one.checkVisibility() && names.includes(one.getAttribute("aria-label") ?? one.textContent))
     .filter((one) => !one.closest(".next"))
@@ -88,7 +88,7 @@ def test_words_that_come_and_go_move_no_button_that_moves_the_mill(opened: Opene
         assert page.locator(".next").bounding_box() == high, word
     page.route("**/control/jog", lambda route: route.fulfill(status=409, json={"detail": "Jog: it leaves the travel"}))
     page.get_by_role("button", name="Z up").click()
-    expect(page.locator(".jog .said")).to_have_text("Jog: it leaves the travel")
+    expect(page.locator(".jog .said")).to_have_text("Jog: it leaves the travel.")
     page.evaluate("scrollTo(0, 0)")
     assert boxes(page, MOVING + SETTING) == before, "a refusal has its place, too"
 

@@ -242,6 +242,7 @@ def test_of_a_contour_path_evenly_strewn_pieces_are_drawn(batch):
     )
 
 
+@pytest.mark.thorough
 def test_a_contour_pass_is_drawn_beside_the_others():
     points = np.concatenate([[[10, 10, 5]], spiral(0.5)])
     sample = ContourSample(label="p", pitch_mm=0.5, radius_mm=0.5, width_mm=20, height_mm=20)
@@ -250,6 +251,7 @@ def test_a_contour_pass_is_drawn_beside_the_others():
     assert pixels(toolpath_png([rows, sample], width_mm=20, height_mm=20, margin_mm=2)).std() > 10
 
 
+@pytest.mark.thorough
 def test_a_toolpath_picture_shows_a_lens_that_does_not_fill_its_aperture():
     """Its rim is drawn where it runs, and nothing else changes but the line of the aperture."""
 

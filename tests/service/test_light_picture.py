@@ -66,6 +66,7 @@ def test_what_is_no_picture_of_light_is_one_line(tmp_path: Path) -> None:
         resolve_spec(overrides=["optics.light.gaussian_mm=90"], light_picture=path)
 
 
+@pytest.mark.thorough
 def test_the_command_designs_for_the_light_and_the_job_remembers_it(tmp_path: Path) -> None:
     x = np.linspace(0, 1, 40)
     light = saved(50000 * (0.4 + 0.6 * x[None, :] * np.ones((30, 1))), tmp_path / "light.png")

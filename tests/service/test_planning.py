@@ -150,6 +150,7 @@ def test_wishes_of_the_plan_and_the_mill_are_in_its_key(
     assert len({*found, key()}) == 5
 
 
+@pytest.mark.thorough
 def test_the_command_writes_a_picture_and_a_spec_that_make_takes(
     picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -127,6 +127,7 @@ def test_ctrl_c_twice_aborts_from_hold_with_the_position_kept(tmp_path: Path) ->
         assert f"causticmill stream {path} --port {mill.url} --recover" in person.text.replace("\n", "")
 
 
+@pytest.mark.thorough
 def test_left_held_the_mill_stands_and_the_way_on_is_named(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill, Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
@@ -295,6 +296,7 @@ def test_what_is_behind_the_port_is_no_grbl(tmp_path: Path, answer: Callable[[by
         os.close(far)
 
 
+@pytest.mark.thorough
 def test_what_is_no_program_file_is_refused_before_anything_is_asked_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.nc")
     assert "pipe" in refused(2, str(tmp_path / "pipe.nc"), "--port", "/dev/x")
@@ -311,6 +313,7 @@ def test_what_is_no_program_of_this_dialect(tmp_path: Path, content: bytes) -> N
         assert mill.cut == []
 
 
+@pytest.mark.thorough
 def test_a_run_under_nohup_outlives_its_terminal(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 60)
     with bench(4.0) as mill:
@@ -381,6 +384,7 @@ def test_no_recovery_of_a_program_that_has_changed_since(tmp_path: Path) -> None
         assert "as it is now" in refused(2, str(path), "--port", mill.url, "--recover", "--confirm-position")
 
 
+@pytest.mark.thorough
 def test_a_disk_that_is_full_for_the_journal_holds_the_mill_and_says_so(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill:

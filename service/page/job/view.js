@@ -123,7 +123,7 @@ function layout(parts, spec) {
   return h(
     "div", { class: "job-view", style: { "--shape": screen.width / screen.height, "--lens-shape": width / height } },
     parts.head.node, parts.progress.node,
-    h("div", { class: "job-columns" }, column("pictures", "warnings"), column("facts", "programs")),
+    h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.plan.node,
     h("div", { class: "job-columns lens-columns" }, parts.lens.node, parts.focus.node),
     parts.path.node, parts.files.node,

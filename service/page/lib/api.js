@@ -205,7 +205,7 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, p
       credentials: "omit",
       signal: signals.length ? AbortSignal.any(signals) : undefined,
     });
-    setAway(AWAY_STATUS.has(response.status));
+    setAway(AWAY_STATUS.has(response.status) && !isOurs(response));
     compareClocks(response);
     return response;
   } catch (error) {
@@ -213,6 +213,11 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, p
     setAway(true);
     throw new ProblemError(0, "The server does not answer. Is it running, and is the cable in?");
   }
+}
+
+/** Whether the server itself has refused: a proxy in front of one that is away does not do it so. */
+function isOurs(response) {
+  return response.headers.get("content-type")?.startsWith("application/problem+json") ?? false;
 }
 
 /** Clocks that agree to a few seconds are taken to be the same: answers tell whole seconds, and take their time. */

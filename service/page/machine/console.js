@@ -2,7 +2,7 @@
 
 import { h, write } from "../lib/dom.js";
 import { enable, said } from "./said.js";
-import { RUN_WORDS, stateWord, whyNot } from "./words.js";
+import { plain, RUN_WORDS, stateWord, whyNot } from "./words.js";
 
 const SHOWN = 200;
 
@@ -45,11 +45,10 @@ function line(entry) {
   const clock = new Date(entry.at_s * 1000).toLocaleTimeString([], { hour12: false });
   const item = h("li", { class: `log-${entry.kind}` });
   item.append(h("time", {}, clock), " ", h("span", {}));
-  write(item.lastChild, entry.kind === "state" ? stateWord(entry.words) : plain(entry.words));
+  write(item.lastChild, entry.kind === "state" ? stateWord(entry.words) : told(entry.words));
   return item;
 }
 
-/** The agent's words without the number of the job. */
-function plain(words) {
-  return words.replace(/ of job [0-9a-f-]{36}/, "").replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
+function told(words) {
+  return plain(words).replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
 }

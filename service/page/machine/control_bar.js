@@ -4,9 +4,10 @@ import { toast } from "../lib/dialog.js";
 import { h, replace, write } from "../lib/dom.js";
 import { ago } from "../lib/words.js";
 import { guarded } from "./ask.js";
+import { refusal } from "./words.js";
 
 export function controlBar(link) {
-  const take = (takeOver) => link.lease.take({ takeOver }).catch((error) => toast(error.detail ?? error.message, { kind: "bad" }));
+  const take = (takeOver) => link.lease.take({ takeOver }).catch((error) => toast(refusal(error), { kind: "bad" }));
   const free = h("button", { type: "button", onclick: () => take(false) }, "Take control");
   const give = h("button", { type: "button", onclick: () => link.lease.release() }, "Give control back");
   const over = guarded("Take over", {

@@ -61,8 +61,12 @@ export function jog(link) {
   const node = h(
     "section",
     { class: "card jog", "aria-labelledby": "jog-title" },
-    h("h2", { id: "jog-title" }, "Jog"),
-    h("div", { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.left(event) }, pad, arm.node),
+    h(
+      "div",
+      { class: "jog-keys", onkeydown: arm.onKey, onkeyup: arm.onKeyUp, onfocusout: (event) => arm.left(event) },
+      h("div", { class: "row spread" }, h("h2", { id: "jog-title" }, "Jog"), arm.node),
+      pad,
+    ),
     steps.node,
     h("div", { class: "jog-more" }, h("label", { class: "field" }, h("span", {}, "Feed"), h("span", { class: "with-unit" }, feed, h("span", {}, "mm/min"))), inside.node),
     words.node,

@@ -6,7 +6,7 @@
 
 import { api } from "../lib/api.js";
 import { toast } from "../lib/dialog.js";
-import { hasLiveRun } from "./words.js";
+import { hasLiveRun, refusal } from "./words.js";
 
 const RENEW_MS = 20_000;
 const STALE_MS = 3000;
@@ -62,7 +62,7 @@ export class Lease {
     try {
       this.keep(await api.post(this.path, { operator: this.operator }, { headers: this.headers() }));
     } catch (error) {
-      if (error.status === 409) this.lost(error.detail);
+      if (error.status === 409) this.lost(refusal(error));
     }
   }
 

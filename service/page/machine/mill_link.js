@@ -8,6 +8,7 @@
 import { api } from "../lib/api.js";
 import { follow } from "../lib/sse.js";
 import { Lease } from "./lease.js";
+import { refusal } from "./words.js";
 
 const MOST_LOG = 300;
 const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
@@ -182,7 +183,7 @@ export class MillLink {
       this.urgentWords = "";
       return true;
     } catch (error) {
-      this.urgentWords = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${error.detail ?? error.message})`;
+      this.urgentWords = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(error)})`;
       return false;
     } finally {
       clearTimeout(room);

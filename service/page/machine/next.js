@@ -6,15 +6,17 @@
 import { h, replace, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { enable } from "./said.js";
+import { refusal as refusalOf, sentence } from "./words.js";
 
 const REST_MS = 1000; // that a new button rests: the press before it was meant for another one
+const SHORT = 60; // letters of a refusal that the line has room for
 
 /** cards: {name: node} that a step may be done in. */
 export function next(link, cards) {
   const look = h("span", { class: "next-shape" });
   const trouble = h("p", { class: "trouble", role: "alert" });
   const step = h("p", { class: "step", role: "status" });
-  const more = h("div", { class: "next-more" });
+  const more = h("div", { class: "next-more", tabIndex: 0 });
   const fold = h("details", { class: "next-fold", hidden: true }, h("summary", {}, "More"), more);
   const place = h("div", { class: "next-act" });
   const node = h("section", { class: "next", "aria-label": "Next step" }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
@@ -42,7 +44,7 @@ export function next(link, cards) {
     try {
       await link.order(act.what, act.body);
     } catch (error) {
-      if (error.name !== "AbortError") refusal = error.detail ?? error.message;
+      if (error.name !== "AbortError") refusal = refusalOf(error);
     }
     link.changed();
   }
@@ -51,11 +53,13 @@ export function next(link, cards) {
     const kind = refusal ? "bad" : due.kind;
     node.className = `next ${kind}`;
     replace(look, shape(kind || "wait"));
-    write(trouble, refusal || due.trouble?.wrong || "");
+    const brief = refusal.length > SHORT ? inBrief(refusal) : refusal;
+    write(trouble, brief || due.trouble?.wrong || "");
     const words = due.whole ? due.words : `Next: ${due.words}`;
     write(step, words);
-    write(more, due.trouble?.more ?? "");
-    fold.hidden = !due.trouble?.more;
+    const all = brief === refusal ? (due.trouble?.more ?? "") : refusal;
+    write(more, all);
+    fold.hidden = !all;
     if (fold.hidden) fold.open = false;
   }
 
@@ -74,8 +78,14 @@ export function next(link, cards) {
   };
 }
 
+/** How a long refusal begins, or what has to be done about it at once. */
+function inBrief(refusal) {
+  return refusal.includes("LOOK AT THE MILL") ? "Look at the mill: the order may have arrived." : sentence(refusal.split("; ")[0]);
+}
+
 /** Into view, under no bar, with the focus on what can be used there. */
 function reveal(card) {
   card?.scrollIntoView({ block: "start" });
-  card?.querySelector("button:enabled, select:enabled, input:enabled")?.focus({ preventScroll: true });
+  const first = card?.querySelector(".pad button:enabled") ?? card?.querySelector("button:enabled, select:enabled, input:enabled");
+  first?.focus({ preventScroll: true });
 }

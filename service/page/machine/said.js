@@ -1,6 +1,7 @@
 /** A line under a group of controls that says what the last order was refused for. */
 
 import { h, write } from "../lib/dom.js";
+import { refusal } from "./words.js";
 
 export function said() {
   const node = h("p", { class: "said", role: "status" });
@@ -15,7 +16,7 @@ export function said() {
         return true;
       } catch (error) {
         if (error.name === "AbortError") return false;
-        write(node, error.detail ?? error.message);
+        write(node, refusal(error));
         node.classList.add("bad");
         node.scrollIntoView({ block: "nearest" }); // the bars over the page keep their distance by scroll-padding
         return false;

@@ -1,18 +1,18 @@
 /** What is wrong, in words, and the one safe thing to do next. Pure: `next.js` shows it. */
 
 import { thousands } from "../lib/words.js";
-import { RUN_WORDS, sentence } from "./words.js";
+import { outOfReach, RUN_WORDS, sentence } from "./words.js";
 
 const SHORT = 44; // letters of somebody else's words that a line of the page has room for
 
 /** {kind, wrong, next, more, step} or null where nothing is; more: for who asks. step: what is due, where a button does it. */
 export function troubleOf(link) {
   const { machine, run, away, gone } = link;
-  if (gone) return told("bad", gone, "go back to the list of machines.");
+  if (gone) return told("bad", sentence(gone), "go back to the list of machines.");
   if (away) return told("bad", "The server does not answer.", "to stop, use the button on the mill.", "The mill goes on with what it has; what is shown is what was said last. This page goes on by itself when the server is back.");
   if (!machine) return null;
   if (machine.problem) return told("bad", "The file of this machine is not right.", "correct it; this page sees it at once.", machine.problem);
-  if (!machine.agent.reachable) return told("bad", "The server has lost this mill.", "look at the mill, then start the server again.", `${sentence(machine.agent.words)} The mill may still be moving: stop it with its own button.`);
+  if (!machine.agent.reachable) return told("bad", "The server has lost this mill.", machine.remote ? "look at the mill, then at the computer beside it." : "look at the mill, then start the server again.", `${outOfReach(machine)} The mill may still be moving: stop it with its own button.`);
   return troubleOfMill(machine) ?? troubleOfRun(machine, run);
 }
 

@@ -43,10 +43,48 @@ export const RUN_WORDS = {
   aborted: ["off", "stopped"],
 };
 
+// What parts of the service say of each other, and what a person beside the mill has to know of it; in this order.
+const BESIDE = "the computer beside the mill";
+const PLAIN = [
+  [/machine '[^']*' has no agent at present(?:; `serve` starts one)?/g, `${BESIDE} does not answer`],
+  [/the agent of '[^']*' cannot be reached: [^;]*/g, `${BESIDE} does not answer`],
+  [/machine '[^']*': at \S+ there is (?:no agent|'[^']*')/g, `another program answers in place of ${BESIDE}`],
+  [/machine '[^']*': (?=the agent|its agent)/g, ""],
+  [/the agent ended while the run was/g, `${BESIDE} stopped while the program was`],
+  [/the event stream of (?=the agent|its agent)/g, "the connection to "],
+  [/its agent's token/g, `the key of ${BESIDE}`],
+  [/(?:the|its) agent(?: of '[^']*')?(?: at \S+)? does not take the token we have for it/g, `${BESIDE} does not take this server's key`],
+  [/given up while its agent had it as \w+/g, "given up"],
+  [/; start the agent again/g, "; start it again"],
+  [/(?:the|its) agent(?: of '[^']*')?|the mill's thread/g, BESIDE],
+  [/ of job [0-9a-f-]{36}/g, ""],
+  [/\brun \d{8}-\d{6}-\w+/g, "the program"],
+  [/ \(trust position\)/g, ""],
+  [/^SendBlock: /g, ""],
+  [/ is not a plain block\b/g, " is no line of G-code"],
+];
+
+/** The server's or the agent's words without those for its own parts, which nobody sees who stands at the mill. */
+export function plain(words) {
+  return PLAIN.reduce((said, [technical, own]) => said.replace(technical, own), words);
+}
+
+/** Why nothing is known of the mill, and what brings it back. */
+export function outOfReach({ agent, remote }) {
+  const why = sentence(agent.words);
+  if (!why.includes("does not answer")) return why;
+  return `${why} ${remote ? "Switch it on, or start causticmill mill on it." : "To connect it again, start the server again."}`;
+}
+
+/** What an order was refused for. */
+export function refusal(error) {
+  return sentence((error.detail ?? error.message).trim());
+}
+
 /** How a machine stands: {kind, word, words}; words say more where there is more to say. */
 export function standing(machine) {
   if (machine.problem) return { kind: "bad", word: "cannot be used", words: machine.problem };
-  if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: machine.agent.words };
+  if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: outOfReach(machine) };
   const { mill } = machine;
   const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", "idle, tool in the block"] : doing(mill, machine.run);
   return { kind, word, words: mill.connected ? mill.detail : mill.problem };
@@ -129,9 +167,9 @@ export function checkWords(check, run) {
   }
 }
 
-/** The server's or the agent's words as a sentence, without the codes of the controller in them. */
+/** The same as a sentence, without the codes of the controller in them. */
 export function sentence(words) {
   if (!words) return "";
-  const alarm = words.replaceAll(/\bALARM:\d+ \(([^()]*)\)/g, "$1").replaceAll(/\bALARM:\d+ /g, "");
+  const alarm = plain(words).replaceAll(/\bALARM:\d+ \(([^()]*)\)/g, "$1").replaceAll(/\bALARM:\d+ /g, "");
   return inWords(alarm.replaceAll(/ \(\$\w+\)/g, ""));
 }

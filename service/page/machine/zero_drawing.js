@@ -24,8 +24,8 @@ export function zeroDrawing(link) {
       if (key === shown) return;
       shown = key;
       const known = stock && `${mm(stock.margin_mm)} inside the block's left and front edges.`;
-      write(inside, `${known ?? "How far inside the block, the job says."} Z0 is the block's top.`);
-      replace(drawing, stock ? drawn(stock, sizes(stock)) : drawn(ANY, ["block", "inside the block"]));
+      write(inside, `${known ?? "How far inside the block is known once a program is loaded."} Z0 is the block's top.`);
+      replace(drawing, stock ? drawn(stock, sizes(stock)) : drawn(ANY, ["block, not to scale", "inside the block, not to scale"], "guess"));
     },
   };
 }
@@ -36,7 +36,7 @@ function sizes({ width_mm, height_mm, margin_mm }) {
   return [block, `${mm(margin_mm)} inside the ${block}`];
 }
 
-function drawn(stock, [block, where]) {
+function drawn(stock, [block, where], kind = "") {
   const k = Math.min((WIDE - 2 * SIDE) / stock.width_mm, (HIGH - TOP - FOOT) / stock.height_mm);
   const [width, height, margin] = [stock.width_mm, stock.height_mm, stock.margin_mm].map((side) => k * side);
   const [left, low] = [(WIDE - width) / 2, HIGH - FOOT];
@@ -44,7 +44,7 @@ function drawn(stock, [block, where]) {
   const name = `Seen from above: X0 Y0 is the front left corner of the lens, ${where}`;
   return svg(
     "svg",
-    { role: "img", "aria-label": name, viewBox: `0 0 ${WIDE} ${HIGH}`, width: WIDE, height: HIGH },
+    { role: "img", class: kind, "aria-label": name, viewBox: `0 0 ${WIDE} ${HIGH}`, width: WIDE, height: HIGH },
     svg("rect", { class: "block", x: left, y: low - height, width, height, rx: 2 }),
     svg("rect", { class: "lens", x, y: low - height + margin, width: width - 2 * margin, height: height - 2 * margin }),
     svg("text", { x: WIDE / 2, y: low - height - 5, "text-anchor": "middle" }, block),

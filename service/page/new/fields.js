@@ -33,7 +33,7 @@ export const LENS = [
 
 const LIGHTS = [
   ["collimated", "Parallel", "a spotlight far away, or a collimated lamp"],
-  ["sun", "Sun", "a disc of half a degree: the picture softens with distance"],
+  ["sun", "Sun", "half a degree wide: about 1 mm of blur for every 110 mm to the wall"],
   ["point", "Lamp", "a small bright lamp close by"],
 ];
 
@@ -82,13 +82,14 @@ const METHODS = [["transport", "optical path"], ["paper", "as published"]];
 const BRANCHES = [["auto", "automatic"], ["direct", "straight"], ["inverted", "crossing"]];
 const SHAPES = [["rectangle", "rectangle"], ["ellipse", "ellipse"]];
 const SURFACES = [["lens", "lens"], ["mirror", "mirror"]];
+const INDEX = { hint: "How strongly the material bends light: acrylic 1.49." };
 const PIXELS = { hint: "More shows finer detail where the mill can cut it, and takes longer to compute." };
 const BEAM = { hint: "Where a laser's beam has fallen to 1/e² of its middle." };
 const BALL = { hint: "Valleys tighter than this are filled; 0: none." };
 const AGAINST = { usual: [0, 0], hint: "The lens is made sharper by as much as the tool will blur." };
 
 const OPTICS = [
-  number("optics.refractive_index", "Refractive index", "", 1.49, { hint: "Acrylic: 1.49." }),
+  number("optics.refractive_index", "Refractive index", "", 1.49, INDEX),
   choice("optics.surface", "Surface", SURFACES, "lens"),
   choice("optics.viewed_from", "Looked at", VIEWS, "lens"),
   choice("optics.outline", "Outline", SHAPES, "rectangle"),

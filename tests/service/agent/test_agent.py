@@ -143,6 +143,7 @@ def test_a_bad_program_is_refused_with_its_line(agent: AgentProcess, tmp_path: P
     assert (problem["field"], "line 3" in problem["detail"]) == ("program", True)
 
 
+@pytest.mark.thorough
 def test_a_program_that_changed_on_disk_since_preflight_is_not_started(
     agent: AgentProcess, mill: Bench, tmp_path: Path
 ) -> None:
@@ -158,6 +159,7 @@ def test_a_program_that_changed_on_disk_since_preflight_is_not_started(
     assert mill.cut == []
 
 
+@pytest.mark.thorough
 def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentProcess, tmp_path: Path) -> None:
     data = program(tmp_path / "p.nc", 500).read_bytes()
     sha256 = hashlib.sha256(data).hexdigest()
@@ -368,7 +370,7 @@ def test_a_token_that_others_can_read_is_refused(mill: Bench, tmp_path: Path) ->
 
 
 def test_without_a_token_the_agent_says_nothing(agent: AgentProcess) -> None:
-    bare = httpx.Client(base_url=agent.url, trust_env=False)
+    bare = httpx.Client(base_url=agent.url, trust_env=False, timeout=PATIENCE_S)
     assert bare.get("/livez").status_code == 200
     answer = bare.get("/v1/status")
     assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")

@@ -243,7 +243,7 @@ def test_other_methods_and_words_for_them(untouched: Guarded, method: str) -> No
 
 def test_the_agents_own_door_takes_no_token_of_the_server(untouched: Guarded) -> None:
     url = untouched.floor.card().url
-    view = httpx.get(f"{url}/v1/runs", headers=bearer(untouched.good))
+    view = httpx.get(f"{url}/v1/runs", headers=bearer(untouched.good), timeout=PATIENCE_S)
     assert view.status_code == 401
 
 
@@ -255,7 +255,7 @@ def test_anonymous_callers_of_this_computer(guarded: Guarded) -> None:
         rows = [dict(row) for row in connection.execute(tokens.select()).mappings()]
         connection.execute(tokens.delete())
     try:
-        with httpx.Client(base_url=guarded.floor.server.address) as client:
+        with httpx.Client(base_url=guarded.floor.server.address, timeout=PATIENCE_S) as client:
             assert client.get("/v1/jobs").status_code == 200
             assert client.get("/v1/jobs", headers={"X-Forwarded-For": "10.0.0.1"}).status_code == 401
             for method, address, content in _without_tokens(guarded):
@@ -272,7 +272,9 @@ def test_anonymous_callers_of_this_computer(guarded: Guarded) -> None:
 
 def test_with_the_right_token_the_same_requests_move_it(guarded: Guarded) -> None:
     """So all the others were refused for who sent them, not for what they were. Runs last: the mill is used up."""
-    with httpx.Client(base_url=guarded.floor.server.address, headers=bearer(guarded.good)) as client:
+    with httpx.Client(
+        base_url=guarded.floor.server.address, headers=bearer(guarded.good), timeout=PATIENCE_S
+    ) as client:
         own = {"Origin": guarded.floor.server.address, "Sec-Fetch-Site": "same-origin"}
         start = f"/v1/runs/{guarded.run['id']}:start"
         assert client.post(start, json={"operator": "Ada", "checks": CHECKS}, headers=own).status_code == 202

@@ -137,7 +137,7 @@ def test_the_first_token_ends_what_nobody_in_particular_could_do(own: ApiServer)
 
 def test_admin_makes_lists_and_revokes_tokens_within_its_own_scopes(own: ApiServer) -> None:
     _, secret = own.services.tokens.create("root", ["admin", "jobs:read"])
-    with httpx.Client(base_url=own.address, headers={"Authorization": f"Bearer {secret}"}) as admin:
+    with httpx.Client(base_url=own.address, headers={"Authorization": f"Bearer {secret}"}, timeout=PATIENCE_S) as admin:
         made = admin.post("/v1/tokens", json={"name": "reader", "scopes": ["jobs:read"], "expires_in_s": 60})
         assert made.status_code == 201 and made.headers["cache-control"] == "no-store"
         problem(admin.post("/v1/tokens", json={"name": "m", "scopes": ["machine:run"]}), 403, "scopes")
@@ -201,6 +201,7 @@ def causticmill(*arguments: str, data: Path | None = None) -> subprocess.Complet
     )
 
 
+@pytest.mark.thorough
 def test_the_commands_make_list_and_revoke(tmp_path: Path) -> None:
     data = tmp_path / "data"
     made = causticmill(

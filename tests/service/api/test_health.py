@@ -76,6 +76,7 @@ def test_a_lost_database_is_a_problem_until_it_is_back(own: ApiServer) -> None:
     assert own.submit()["state"] == "queued" and own.client.get("/readyz").status_code == 200
 
 
+@pytest.mark.thorough
 def test_a_lost_store_is_a_problem_until_it_is_back(own: ApiServer) -> None:
     objects, kept = own.services.settings.data / "objects", own.services.settings.data / "kept"
     job_id = own.submit()["id"]
@@ -105,6 +106,7 @@ def test_a_full_disk_is_told_and_nothing_is_left(own: ApiServer) -> None:
     assert own.files() == before and own.submit()["state"] == "queued"
 
 
+@pytest.mark.thorough
 def test_a_full_database_is_told_and_nothing_is_left(own: ApiServer) -> None:
     job_id, database = own.submit()["id"], own.services.database
 

@@ -12,6 +12,7 @@ import pytest
 
 from service.page.files import FOLDER
 from tests.service.api.server import ApiServer, api_server, problem
+from tests.waiting import PATIENCE_S
 
 ROOT = Path(__file__).parents[3]
 FILES = sorted(str(path.relative_to(FOLDER)) for path in FOLDER.rglob("*") if path.is_file() and path.suffix != ".pyc")
@@ -45,7 +46,10 @@ def test_every_file_is_there_for_everybody_packed_and_with_its_policy(closed: Ap
     plain = closed.client.get(f"/page/{path}", headers={"Accept-Encoding": "identity"})
     assert plain.status_code == 200 and plain.content == (FOLDER / path).read_bytes()
     assert "content-encoding" not in plain.headers and plain.headers["cache-control"] == "no-cache"
-    with httpx.Client(base_url=closed.address) as client, client.stream("GET", f"/page/{path}") as answer:
+    with (
+        httpx.Client(base_url=closed.address, timeout=PATIENCE_S) as client,
+        client.stream("GET", f"/page/{path}") as answer,
+    ):
         raw = b"".join(answer.iter_raw())
         packed = answer.headers
     if "content-encoding" in packed:

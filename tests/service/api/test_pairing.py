@@ -140,6 +140,7 @@ def test_a_right_try_costs_nothing_and_gives_the_wrong_ones_not_back(own: ApiSer
     problem(paired(own, code), 429)
 
 
+@pytest.mark.thorough
 def test_a_restart_gives_no_tries_back(tmp_path: Path) -> None:
     offer = other_than(WRONG)
     for left in (3, 1):

@@ -79,6 +79,7 @@ def test_it_says_when_it_serves_and_ends_within_seconds_when_told(tmp_path: Path
         assert client.get(f"/v1/jobs/{job['id']}").json()["state"] == "queued"
 
 
+@pytest.mark.thorough
 def test_it_waits_for_the_tables(tmp_path: Path) -> None:
     threading.Timer(1.0, migrated, [tmp_path]).start()
     with api_process(tmp_path) as (_, client):

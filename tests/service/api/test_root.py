@@ -31,7 +31,12 @@ def test_every_answer_tells_the_version(server: ApiServer, method: str, path: st
 
 
 def test_what_the_guard_and_the_wire_refuse_tells_the_version_too(server: ApiServer) -> None:
-    assert httpx.get(f"{server.address}/livez", headers={"Host": "evil"}).headers["causticmill-version"] == VERSION
+    assert (
+        httpx.get(f"{server.address}/livez", headers={"Host": "evil"}, timeout=PATIENCE_S).headers[
+            "causticmill-version"
+        ]
+        == VERSION
+    )
     with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S) as wire:
         wire.sendall(b"this is no request\r\n\r\n")
         answer = wire.makefile("rb").read().decode()

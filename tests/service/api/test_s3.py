@@ -12,6 +12,7 @@ import pytest
 
 from tests.service.api.server import ApiServer, api_server, png, sha256
 from tests.service.store.conftest import s3_address, s3_urls  # noqa: F401 - fixtures
+from tests.waiting import PATIENCE_S
 
 CONTENT = bytes(range(256)) * 4000
 
@@ -30,7 +31,7 @@ def test_a_download_is_sent_to_the_bucket_and_the_rest_is_as_ever(far: ApiServer
     address = f"/v1/jobs/{job_id}/artifacts/lens.stl"
     answer = far.client.get(address, headers={"Range": "bytes=100-"})
     assert answer.status_code == 307 and answer.headers["etag"] == f'"{sha256(CONTENT)}"'
-    fetched = httpx.get(answer.headers["location"], trust_env=False)
+    fetched = httpx.get(answer.headers["location"], trust_env=False, timeout=PATIENCE_S)
     assert fetched.content == CONTENT
     head = far.client.head(address)
     assert head.status_code == 200 and head.headers["content-length"] == str(len(CONTENT))

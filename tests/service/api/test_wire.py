@@ -49,7 +49,7 @@ def test_idle_connections_make_room_for_those_that_ask(server: ApiServer, many_f
     with contextlib.ExitStack() as stack:
         idle = [stack.enter_context(opened(server)) for _ in range(3000)]
         for _ in range(20):
-            assert httpx.get(f"{server.address}/livez").status_code == 200
+            assert httpx.get(f"{server.address}/livez", timeout=PATIENCE_S).status_code == 200
             idle += [stack.enter_context(opened(server)) for _ in range(50)]
         until(lambda: len(server.server.server_state.connections) <= 1001)
 
@@ -57,13 +57,13 @@ def test_idle_connections_make_room_for_those_that_ask(server: ApiServer, many_f
 def test_too_many_requests_at_once_are_told_so(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
     job = server.submit()["id"]
     monkeypatch.setattr(server.server.config, "limit_concurrency", 20)
-    with contextlib.ExitStack() as stack, httpx.Client(base_url=server.address) as late:
+    with contextlib.ExitStack() as stack, httpx.Client(base_url=server.address, timeout=PATIENCE_S) as late:
         for _ in range(20):
             wire = stack.enter_context(opened(server))
             wire.sendall(f"GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
             assert wire.recv(12) == b"HTTP/1.1 200"
         assert "requests" in problem(late.get("/livez"), 503)["detail"]
-    until(lambda: httpx.get(f"{server.address}/livez").status_code == 200)
+    until(lambda: httpx.get(f"{server.address}/livez", timeout=PATIENCE_S).status_code == 200)
 
 
 @pytest.mark.parametrize("before", [b"", b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n"])

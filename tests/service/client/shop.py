@@ -60,7 +60,7 @@ class Shop:
         return done.stdout.splitlines()[0]
 
     def count(self) -> int:
-        return len(httpx.get(f"{self.url}/v1/jobs?limit=200", trust_env=False).json()["jobs"])
+        return len(httpx.get(f"{self.url}/v1/jobs?limit=200", trust_env=False, timeout=PATIENCE_S).json()["jobs"])
 
 
 def run(*words: str, server: str | None = None, **environment: str) -> subprocess.CompletedProcess[str]:

@@ -29,7 +29,7 @@ def test_a_wire_that_breaks_hides_nothing(shop: Shop) -> None:
     assert wire.cuts >= 2
     assert "trying again, the job goes on" in done.stdout
     job_id = done.stdout.splitlines()[0]
-    told = httpx.get(f"{shop.url}/v1/jobs/{job_id}/events", trust_env=False).text
+    told = httpx.get(f"{shop.url}/v1/jobs/{job_id}/events", trust_env=False, timeout=PATIENCE_S).text
     begun_stages = [json.loads(data)["stage"] for data in re.findall(r"event: stage.started\ndata: (.*)", told)]
     assert stages(done.stdout) == begun_stages != []
     ended = run("jobs", "follow", job_id, server=shop.url)

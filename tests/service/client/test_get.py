@@ -9,10 +9,13 @@ import httpx
 import pytest
 
 from tests.service.client.shop import BadWire, Shop, run
+from tests.waiting import PATIENCE_S
 
 
 def listing(shop: Shop) -> dict[str, dict[str, object]]:
-    answer = httpx.get(f"{shop.url}/v1/jobs/{shop.job()}/artifacts", trust_env=False).raise_for_status()
+    answer = httpx.get(
+        f"{shop.url}/v1/jobs/{shop.job()}/artifacts", trust_env=False, timeout=PATIENCE_S
+    ).raise_for_status()
     return {item["name"]: item for item in answer.json()["artifacts"]}
 
 

@@ -21,7 +21,7 @@ def test_a_picture_becomes_files_with_one_command(shop: Shop) -> None:
     done = shop.made()
     assert done.returncode == 0, done.stderr
     job_id, *lines = done.stdout.splitlines()
-    job = httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False).json()
+    job = httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False, timeout=PATIENCE_S).json()
     assert job["spec"]["optics"]["throw_mm"] == 33
     assert job["spec"]["preset"] == "draft"
     for stage in ("image", "map", "heightfield", "pass-1", "check", "report"):
@@ -36,7 +36,7 @@ def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: 
     words = ("submit", str(shop.picture(1)), *SHARED, "--set", "passes.1.pitch_mm=0.3", "--follow", "--quiet")
     done = run(*words, server=shop.url)
     assert done.returncode == 0, done.stderr
-    events = httpx.get(f"{shop.url}/v1/jobs/{done.stdout.strip()}/events", trust_env=False).text
+    events = httpx.get(f"{shop.url}/v1/jobs/{done.stdout.strip()}/events", trust_env=False, timeout=PATIENCE_S).text
     kinds: dict[str, list[str]] = {"stage.reused": [], "stage.committed": []}
     for kind, stage in re.findall(r'^event: (\S+)\ndata: {"stage":"(\S+?)"', events, flags=re.MULTILINE):
         if kind in kinds:
@@ -118,7 +118,8 @@ def test_ctrl_c_leaves_the_job_alone(shop: Shop) -> None:
         _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert f"the job goes on; `causticmill jobs follow {job_id}`" in errors
-    assert httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False).json()["state"] in ("queued", "running")
+    job = httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False, timeout=PATIENCE_S).json()
+    assert job["state"] in ("queued", "running")
     cancelled = run("jobs", "cancel", job_id, server=shop.url)
     assert cancelled.returncode == 0
     followed = run("jobs", "follow", job_id, server=shop.url)

@@ -154,7 +154,7 @@ def await_agent(folder: Path) -> AgentCard:
         if card is None:
             return False
         with contextlib.suppress(httpx.HTTPError):
-            return httpx.get(f"{card.url}/livez", trust_env=False).status_code == 200
+            return httpx.get(f"{card.url}/livez", trust_env=False, timeout=PATIENCE_S).status_code == 200
         return False
 
     until(answers)
@@ -168,7 +168,7 @@ def shop(data: Path, bench: Bench, **settings: Any) -> Iterator[Shop]:
     """An API server on this data folder, the agent of its mill started as `serve` does."""
     with api_server(data, **settings) as server:
         start_agents(server.services.settings)
-        found = Shop(data, bench, server, httpx.Client())
+        found = Shop(data, bench, server, httpx.Client(timeout=PATIENCE_S))
         with found.client(TokenScope.JOBS_READ, TokenScope.MACHINE_RUN) as found.operator:
             await_agent(found.folder)
             found.until_idle()

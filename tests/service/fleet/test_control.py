@@ -19,7 +19,7 @@ from service.jobs.tables import controls
 from tests.service.api.server import api_server, problem
 from tests.service.fleet.shop import CHECKS, MACHINE, Shop, await_agent, kill_agents, shop
 from tests.service.mills import Bench
-from tests.waiting import until
+from tests.waiting import PATIENCE_S, until
 
 HEADER = "Causticmill-Control"
 HERE = f"/v1/machines/{MACHINE}/control"
@@ -129,6 +129,7 @@ def test_take_over_ends_the_former_holders_orders(floor: Shop) -> None:
         problem(bob.jog(5), 409, HEADER)
 
 
+@pytest.mark.thorough
 def test_control_ends_without_a_sign_and_is_kept_by_orders_and_by_asking_again(floor: Shop) -> None:
     with people(floor) as (ada, bob):
         first = ada.take()
@@ -193,14 +194,14 @@ def test_control_outlives_the_server_and_holds_for_two_of_them(tmp_path: Path, m
         with api_server(tmp_path / "data") as second:
             headers = {"Authorization": ada.http.headers["Authorization"]}
             jog = {"by_mm": [1, 0, 0], "feed_mm_per_min": 5000}
-            with httpx.Client(base_url=second.address, headers=headers) as other:
+            with httpx.Client(base_url=second.address, headers=headers, timeout=PATIENCE_S) as other:
                 assert other.post(f"{HERE}/jog", json=jog).status_code == 409
                 assert other.post(f"{HERE}/jog", json=jog, headers=ada.headers).status_code == 202
         control, secret = ada.control, ada.http.headers["Authorization"]
     with shop(tmp_path / "data", mill) as floor:
         assert holder(floor)["operator"] == "Ada"
         headers = {"Authorization": secret, HEADER: control}
-        with httpx.Client(base_url=floor.server.address, headers=headers) as again:
+        with httpx.Client(base_url=floor.server.address, headers=headers, timeout=PATIENCE_S) as again:
             assert again.post(f"{HERE}/jog", json=jog).status_code == 202
         until_x(floor, 2)
 

@@ -72,5 +72,7 @@ def _found_again(client: httpx.Client, card: AgentCard, key: str, job: str) -> N
 
 def _at_the_agent(card: AgentCard, job: str) -> list[Any]:
     token = Path(card.token_file).read_text().strip()
-    runs = httpx.get(f"{card.url}/v1/runs", headers={"Authorization": f"Bearer {token}"}, trust_env=False).json()
+    runs = httpx.get(
+        f"{card.url}/v1/runs", headers={"Authorization": f"Bearer {token}"}, trust_env=False, timeout=PATIENCE_S
+    ).json()
     return [one for one in runs["runs"] if job in one["name"]]

@@ -118,6 +118,7 @@ def test_a_run_is_seen_from_parking_to_its_end(floor: Shop) -> None:
     assert reader.logs == list(range(1, len(reader.logs) + 1))
 
 
+@pytest.mark.thorough
 def test_it_goes_on_while_the_agent_is_away(floor: Shop) -> None:
     reader = Reader()
     with floor.operator.stream("GET", f"{HERE}/events") as answer:
@@ -134,6 +135,7 @@ def test_it_goes_on_while_the_agent_is_away(floor: Shop) -> None:
         assert back["agent"]["reachable"] and back["control"]["operator"] == "Ada" and control
 
 
+@pytest.mark.thorough
 def test_a_reader_misses_nothing_over_a_servers_restart(tmp_path: Path, mill: Bench) -> None:
     reader = Reader()
     with shop(tmp_path / "data", mill) as floor:
@@ -151,7 +153,7 @@ def test_a_reader_misses_nothing_over_a_servers_restart(tmp_path: Path, mill: Be
 def test_who_may_follow(floor: Shop) -> None:
     with floor.client("jobs:write", "machine:run") as other:
         assert other.get(f"{HERE}/events").status_code == 403
-    assert httpx.get(f"{floor.server.address}{HERE}/events").status_code == 401
+    assert httpx.get(f"{floor.server.address}{HERE}/events", timeout=PATIENCE_S).status_code == 401
 
 
 def _park(floor: Shop, job: str) -> None:

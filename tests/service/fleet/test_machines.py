@@ -75,6 +75,7 @@ def test_the_card_is_there_while_the_agent_is(tmp_path: Path, mill: Bench) -> No
     assert read_card(tmp_path / "own") is None
 
 
+@pytest.mark.thorough
 def test_a_card_that_points_to_another_mills_agent_is_not_believed(floor: Shop) -> None:
     """As after a crash, when the port has been given to somebody else: nothing is sent there but the question."""
     with bench(1.0) as other, AgentProcess(floor.data / "other", other.url) as agent:

@@ -140,7 +140,7 @@ def test_to_stop_a_mill_is_never_too_much(far: tuple[Shop, Rogue], monkeypatch: 
 
 def test_the_machine_without_an_agent_is_told_of_as_such(far: tuple[Shop, Rogue]) -> None:
     floor, _ = far
-    with httpx.Client(base_url=floor.server.address, headers=floor.operator.headers) as client:
+    with httpx.Client(base_url=floor.server.address, headers=floor.operator.headers, timeout=PATIENCE_S) as client:
         problem(client.post("/v1/machines/none/control", json={"operator": "Ada"}), 404, "machine")
         problem(client.post("/v1/machines/none/control/hold"), 404, "machine")
         problem(client.get("/v1/machines/none/events"), 404, "machine")

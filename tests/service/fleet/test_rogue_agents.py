@@ -15,6 +15,7 @@ from service.jobs.tables import runs
 from tests.service.api.server import api_server, problem
 from tests.service.fleet.rogue import HANGS_S, Answer, Rogue, as_json, rogue_agent
 from tests.service.fleet.shop import Shop, own_folders
+from tests.waiting import PATIENCE_S
 
 NAME, RUN = "far", "11111111-1111-4111-8111-111111111111"
 VIEW: dict[str, Any] = {
@@ -83,6 +84,7 @@ def test_babble_is_not_believed(far: tuple[Shop, Rogue], what: str) -> None:
     assert floor.operator.get(f"/v1/runs/{RUN}/recovery").status_code in (200, 409, 502)
 
 
+@pytest.mark.thorough
 def test_an_agent_that_hangs_is_told_of_within_three_seconds(far: tuple[Shop, Rogue]) -> None:
     floor, rogue = far
     rogue.answers = lambda _method, _path: None
@@ -112,4 +114,4 @@ def test_its_events_cannot_forge_ours(far: tuple[Shop, Rogue]) -> None:
 
 def test_the_server_has_lived_through_it(far: tuple[Shop, Rogue]) -> None:
     floor, _ = far
-    assert httpx.get(f"{floor.server.address}/livez").status_code == 200
+    assert httpx.get(f"{floor.server.address}/livez", timeout=PATIENCE_S).status_code == 200

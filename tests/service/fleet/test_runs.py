@@ -104,6 +104,7 @@ def test_only_programs_of_jobs_that_go_well_may_be_run(floor: Shop, state: str) 
     assert floor.park(job, 409)["field"] == "job"
 
 
+@pytest.mark.thorough
 def test_programs_may_be_run_as_soon_as_all_are_checked(floor: Shop) -> None:
     """The job goes on with pictures of what they will make; it is not begun again under the run."""
     job = floor.job(state="running")

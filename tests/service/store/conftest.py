@@ -13,6 +13,7 @@ from moto.server import ThreadedMotoServer
 from service.settings import ServerSettings
 from service.store.opening import open_store
 from service.store.store import Store
+from tests.waiting import PATIENCE_S
 
 _BUCKET = "causticmill-tests"
 _AWS = {
@@ -44,7 +45,7 @@ def s3_urls(s3_address: str) -> Iterator[str]:
     """A fresh prefix in the bucket, each time one is asked for."""
     import httpx
 
-    httpx.put(f"{s3_address}/{_BUCKET}", trust_env=False).raise_for_status()
+    httpx.put(f"{s3_address}/{_BUCKET}", trust_env=False, timeout=PATIENCE_S).raise_for_status()
     return (f"s3://{_BUCKET}/trial-{number}" for number in itertools.count())
 
 

@@ -12,6 +12,7 @@ import pytest
 
 from service.errors import FailedError
 from service.store.store import MissingObjectError, Store
+from tests.waiting import PATIENCE_S
 
 Written = Callable[[bytes], Path]
 CONTENT = bytes(range(256)) * 5000  # 1.28 MB: more than one piece
@@ -106,7 +107,7 @@ def test_an_address_serves_the_object_itself(store: Store, written: Written) -> 
     path = store.path(SHA256)
     assert (url is None) != (path is None)
     if url is not None:
-        answer = httpx.get(url, headers={"Range": "bytes=256-511"}, trust_env=False)
+        answer = httpx.get(url, headers={"Range": "bytes=256-511"}, trust_env=False, timeout=PATIENCE_S)
         assert (answer.status_code, answer.content) == (206, CONTENT[256:512])
     if path is not None:
         assert path.read_bytes() == CONTENT

@@ -56,7 +56,7 @@ class Storm:
         for name in self.settings:
             self.start(name)
         self.database = open_database(self.first)
-        await_schema(self.database, 30)
+        await_schema(self.database, PATIENCE_S)
         self.store = open_store(self.first)
         self.book = JobBook(self.database, self.store)
         self.engine = DbosEngine(self.first)
@@ -125,7 +125,7 @@ class Storm:
             made.append(job.id)
         return made
 
-    def await_all(self, jobs: list[str], patience_s: float) -> None:
+    def await_all(self, jobs: list[str]) -> None:
         def ended() -> bool:
             self.revive()
             try:
@@ -133,7 +133,7 @@ class Storm:
             except Exception:  # the database is just being restarted
                 return False
 
-        until(ended, what="the end of all jobs", within_s=patience_s)
+        until(ended, what="the end of all jobs")
 
     def noted(self, word: str) -> list[dict[str, object]]:
         path = self.notes / "notes"

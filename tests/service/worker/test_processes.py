@@ -166,6 +166,7 @@ def test_the_nursery_has_one_thread_when_it_forks(computing: Bench) -> None:
     real.close()
 
 
+@pytest.mark.thorough
 def test_a_hundred_stages_leave_no_file_and_no_process(bench: Bench) -> None:
     bench.run("echo")
     gc.collect()  # what earlier tests left behind would go at a moment of its own

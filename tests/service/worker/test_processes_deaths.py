@@ -52,6 +52,7 @@ def test_the_stage_of_a_frozen_worker_ends_by_itself(tmp_path: Path, do: str) ->
     assert said.strip() == str(Stopped("fenced"))
 
 
+@pytest.mark.thorough
 def test_the_stage_ends_by_itself_when_the_nursery_freezes_with_the_worker(tmp_path: Path) -> None:
     worker, pids = a_worker(tmp_path, "sleep", lease_s=8.0)
     nursery = parent_of(pids[0])

@@ -22,7 +22,7 @@ def test_storm_on_sqlite(tmp_path: Path) -> None:
     storm = Storm(tmp_path, {"only": ServerSettings(data=tmp_path / "data", lease_s=LEASE_S, free_disk_mb=0)})
     jobs = storm.submit(6)
     rage(storm, seed=1, kills=10, calm_s=(0.2, 1.0), restart=None)
-    storm.await_all(jobs, 90)
+    storm.await_all(jobs)
     broken = storm.broken(jobs)
     storm.stop()
     assert broken + storm.left_over() == []
@@ -36,7 +36,7 @@ def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
         storm = Storm(tmp_path, two_workers(tmp_path, server))
         jobs = storm.submit(6)
         rage(storm, seed=2, kills=10, calm_s=(0.2, 1.0), restart=server.crash_and_restart)
-        storm.await_all(jobs, 90)
+        storm.await_all(jobs)
         broken = storm.broken(jobs)
         storm.stop()
         assert broken + storm.left_over() == []

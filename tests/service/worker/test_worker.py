@@ -97,6 +97,7 @@ def test_a_database_that_is_locked_for_long_costs_no_work(tmp_path: Path) -> Non
     storm.stop()
 
 
+@pytest.mark.thorough
 def test_on_a_full_disk_nothing_is_begun_and_the_log_says_so_once(tmp_path: Path) -> None:
     settings = ServerSettings(data=tmp_path / "data", free_disk_mb=1_000_000_000)
     storm = Storm(tmp_path, {"one": settings})
