@@ -15,7 +15,7 @@ from tests.page.jobs import answer, like, of_shop
 from tests.page.paths import Served
 from tests.page.shop import Shop
 
-_NOTE_FIRST_PICTURE = """new MutationObserver(() => {
+NOTE_FIRST_PICTURE = """new MutationObserver(() => {
     if (document.querySelector("[data-level]")) window.drawnAt ??= performance.now();
 }).observe(document, {subtree: true, childList: true, attributes: true});"""
 _FIRST_PICTURE_MS = (
@@ -78,19 +78,20 @@ class Drawn:
         return 1000 * len(times) / sum(times)
 
     def first_picture_ms(self) -> float:
-        """From the first request for its file to the first picture."""
+        """From the first request for its file to the first picture; NOTE_FIRST_PICTURE has to run before."""
         return float(self.page.evaluate(_FIRST_PICTURE_MS))
 
 
-def drawn(opened: Opened, shop: Shop, path: Path, before: str = _NOTE_FIRST_PICTURE) -> Drawn:
+def drawn(opened: Opened, shop: Shop, path: Path, before: str = "") -> Drawn:
     """The file, as a pass of the shop's job. before: a script that runs before the page's own."""
     job, files = of_shop(shop)
     job = like(job, 20)
     url = f"/v1/jobs/{job['id']}/artifacts/pass-1.path"
     file = files[0] | {"name": "pass-1.path", "sha256": "f" * 64, "bytes": path.stat().st_size, "url": url}
     page = opened("#/machines")
-    page.context.add_init_script(before)
-    page.reload()
+    if before:
+        page.context.add_init_script(before)
+        page.reload()
     found = Drawn(page, Served(path))
     found.served.on(page, url)
     answer(page, job, [file])

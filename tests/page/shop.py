@@ -6,7 +6,6 @@ import contextlib
 import json
 import re
 import sys
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from tests.service.api.server import ApiServer
 from tests.service.fleet.shop import await_agent, kill_agents
 from tests.service.host.processes import Serving, running
 from tests.service.mills import AT_ZERO, program
-from tests.waiting import PATIENCE_S, until
+from tests.waiting import PATIENCE_S, seen, until
 
 MILL = "shop"
 TIME_FACTOR = 20.0
@@ -112,13 +111,11 @@ class Shop:
         return job
 
     def _until_ended(self, job: str) -> dict[str, Any]:
-        deadline = time.monotonic() + PATIENCE_S
+        address, ended = f"/v1/jobs/{job}", ("succeeded", "failed", "cancelled")
         with self.client() as client:
-            while (now := client.get(f"/v1/jobs/{job}").json())["state"] not in ("succeeded", "failed", "cancelled"):
-                assert time.monotonic() < deadline, now
-                time.sleep(0.1)
-        found: dict[str, Any] = now
-        return found
+            found: dict[str, Any]
+            found = seen(lambda: client.get(address).json(), lambda now: now["state"] in ended, every_s=0.1)
+            return found
 
     def job(self) -> str:
         """The one small job with programs that the tests of this session share."""

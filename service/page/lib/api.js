@@ -205,7 +205,7 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, p
       credentials: "omit",
       signal: signals.length ? AbortSignal.any(signals) : undefined,
     });
-    setAway(AWAY_STATUS.has(response.status) && !isOurs(response));
+    setAway(isOfAnother(response));
     compareClocks(response);
     return response;
   } catch (error) {
@@ -215,9 +215,10 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, p
   }
 }
 
-/** Whether the server itself has refused: a proxy in front of one that is away does not do it so. */
-function isOurs(response) {
-  return response.headers.get("content-type")?.startsWith("application/problem+json") ?? false;
+/** Whether a proxy has answered for a server that is away; the server itself refuses in another form. */
+function isOfAnother(response) {
+  const ours = response.headers.get("content-type")?.startsWith("application/problem+json");
+  return AWAY_STATUS.has(response.status) && !ours;
 }
 
 /** Clocks that agree to a few seconds are taken to be the same: answers tell whole seconds, and take their time. */
@@ -265,7 +266,7 @@ async function probe(tries) {
       cache: "no-store",
       signal: AbortSignal.timeout(4000),
     });
-    if (!AWAY_STATUS.has(response.status)) return setAway(false);
+    if (!isOfAnother(response)) return setAway(false);
   } catch {
     // still away
   }

@@ -83,9 +83,9 @@ def linked(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Driver, PtyMill, i
             os.close(fd)
 
 
-def until_done(driver: Driver, most_s: float = PATIENCE_S) -> list[Event]:
+def until_done(driver: Driver) -> list[Event]:
     events: list[Event] = []
-    end_s = time.monotonic() + most_s
+    end_s = time.monotonic() + PATIENCE_S
     while not any(isinstance(event, ProgramDone | Faulted) for event in events):
         assert time.monotonic() < end_s, driver.status
         events += driver.poll(0.2)

@@ -10,13 +10,13 @@ import serial
 
 from machines.simulated import GRBL_11, SimulatedMill, serve_pty, serve_tcp
 from service.sim_mill import run_sim_mill
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, until
 
 
-def ask(port, text: bytes, until: bytes, seconds: float = PATIENCE_S) -> bytes:
+def ask(port, text: bytes, last: bytes) -> bytes:
     port.write(text)
-    words, end = b"", time.monotonic() + seconds
-    while until not in words and time.monotonic() < end:
+    words, end = b"", time.monotonic() + PATIENCE_S
+    while last not in words and time.monotonic() < end:
         words += port.read(max(1, port.in_waiting))
     return words
 
@@ -54,19 +54,14 @@ def test_a_pulled_cable_takes_the_device_away_and_brings_it_back(tmp_path):
         for connected, change in ((False, mill.unplug), (True, mill.replug)):
             with endpoint.lock:
                 change()
-            end = time.monotonic() + PATIENCE_S
-            while link.exists() != connected and time.monotonic() < end:
-                time.sleep(0.01)
-            assert link.exists() == connected
+            until(lambda: link.exists() == connected)  # noqa: B023
 
 
 def test_the_command_prints_where_to_connect_and_records_the_cut(tmp_path, capsys):
     link, record, stop = tmp_path / "mill", tmp_path / "cut.csv", threading.Event()
 
     def client():
-        end = time.monotonic() + PATIENCE_S
-        while not link.exists() and time.monotonic() < end:
-            time.sleep(0.01)
+        until(link.exists)
         with serial.serial_for_url(str(link), timeout=0.2) as port:
             time.sleep(0.2)
             ask(port, b"G1X1Y2Z-0.5F3000\nG4P0\n", b"ok\r\nok")

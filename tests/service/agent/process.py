@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
-import json
 import os
 import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import TracebackType
@@ -18,7 +16,7 @@ from typing import Any, Self
 
 import httpx
 
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, seen
 
 ROOT = Path(__file__).parents[3]
 
@@ -81,11 +79,7 @@ class AgentProcess:
 
     def until(self, good: Callable[[Any], bool]) -> Any:
         """Wait for a status; returns it."""
-        give_up = time.monotonic() + PATIENCE_S
-        while not good(status := self.status()):
-            assert time.monotonic() < give_up, json.dumps(status, indent=1)
-            time.sleep(0.02)
-        return status
+        return seen(self.status, good, every_s=0.02)
 
     def upload(self, path: Path) -> str:
         data = path.read_bytes()

@@ -20,7 +20,7 @@ from service.jobs.tokens import TokenScope
 from service.settings import ServerSettings
 from tests.service.api.server import ApiServer, api_server
 from tests.service.mills import Bench, program
-from tests.waiting import PATIENCE_S, until
+from tests.waiting import PATIENCE_S, seen, until
 
 MACHINE = "shop"
 CHECKS = ["tool", "zero", "stock", "clear"]
@@ -102,11 +102,7 @@ class Shop:
         return self.post(f"/v1/runs/{run['id']}:start", status, operator="Ada", checks=checks or run["required_checks"])
 
     def until(self, run: Any, good: Callable[[Any], bool]) -> Any:
-        limit = time.monotonic() + PATIENCE_S
-        while not good(now := self.get(f"/v1/runs/{run['id']}")):
-            assert time.monotonic() < limit, now
-            time.sleep(0.02)
-        return now
+        return seen(lambda: self.get(f"/v1/runs/{run['id']}"), good, every_s=0.02)
 
     def until_state(self, run: Any, *states: str) -> Any:
         return self.until(run, lambda now: now["state"] in states)

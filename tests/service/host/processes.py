@@ -65,8 +65,8 @@ class Serving:
     def url(self) -> str:
         return re.findall(r"http://\S+", self.out[0])[0]
 
-    def until_ready(self, within_s: float = PATIENCE_S) -> None:
-        until(lambda: self.out or self.process.poll() is not None, what="the ready line", within_s=within_s)
+    def until_ready(self) -> None:
+        until(lambda: self.out or self.process.poll() is not None, what="the ready line")
         assert self.out and "ready in" in self.out[0], self.err
 
     def child(self, module: str) -> int:
