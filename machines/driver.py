@@ -263,7 +263,7 @@ Command = (
 
 
 class Driver(Protocol):
-    """One mill on one link. All calls from one thread; only `wake` may come from another.
+    """One mill on one link. All calls from one thread; only `wake` and `urge` may come from others.
 
     `poll` reads and writes, waiting at most `timeout_s` for input, and returns what happened. A link that is lost
     comes back as `Faulted(PORT_LOST)` and state DISCONNECTED, never as an exception. Calls that are not allowed in
@@ -288,6 +288,13 @@ class Driver(Protocol):
     def poll(self, timeout_s: float) -> tuple[Event, ...]: ...
     def wake(self) -> None:
         """End a `poll` that is waiting (from any thread)."""
+        ...
+
+    def urge(self, stop: str) -> bool:
+        """Write what stops motion ("hold", "abort", "jog-cancel") to the link at once, from any thread.
+
+        False where the link has no byte for it or does not take it now. The owner's own call follows in any case.
+        """
         ...
 
     def start(self, lines: Iterator[ProgramLine]) -> None:

@@ -38,6 +38,10 @@ class Port(Protocol):
 
     def read(self, timeout_s: float) -> bytes: ...
     def write(self, data: bytes) -> None: ...
+    def write_realtime(self, data: bytes) -> bool:
+        """Write a byte now, from any thread and without waiting; False where the line does not take it."""
+        ...
+
     def wake(self) -> None: ...
     def close(self) -> None: ...
     def clock(self) -> float: ...
@@ -175,7 +179,7 @@ def _open_here(name: str) -> bool:
 
 
 class SerialPort:
-    """A Port over pyserial. One thread reads and writes; `wake` may come from any.
+    """A Port over pyserial. One thread reads and writes; `wake` and `write_realtime` may come from any.
 
     gather_s : once something has come, wait so long for more. A controller's replies come one by one, and handling
                several in one round halves the processor time; `wake` ends this wait, too
@@ -230,6 +234,15 @@ class SerialPort:
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             raise self._gone(error) from error
 
+    def write_realtime(self, data: bytes) -> bool:
+        with self._ringing:
+            if self._file < 0 or self._cord < 0:  # not a file, or closed
+                return False
+            try:
+                return os.write(self._file, data) == len(data)
+            except OSError:  # full, or gone: the owner's own write finds out
+                return False
+
     def wake(self) -> None:
         """End a read that waits, or the next one."""
         self._woken.set()
@@ -246,13 +259,14 @@ class SerialPort:
             raise self._gone(error) from error
 
     def close(self) -> None:
-        with contextlib.suppress(serial.SerialException, OSError):
-            self._line.close()
         with self._ringing:
             if self._cord >= 0:
                 os.close(self._bell)
                 os.close(self._cord)
                 self._bell = self._cord = -1
+            self._file = -1
+        with contextlib.suppress(serial.SerialException, OSError):
+            self._line.close()
 
     def _gone(self, error: Exception) -> PortLostError:
         self.close()

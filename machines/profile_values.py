@@ -10,6 +10,7 @@ from typing import Any
 DIALECTS = ("grbl", "grblhal", "fluidnc", "linuxcnc", "fanuc", "okuma", "roland-nc", "rml-1")
 DRIVERS = ("grbl", "roland-serial", "roland-usb", "drip", "none")
 FLOWS = ("none", "rtscts", "xonxoff")
+SPINDLE = ("turns", "stops", "unknown")
 
 
 class BadValueError(ValueError):
@@ -33,6 +34,10 @@ class Rules:
 
     def __init__(self, rules: Mapping[str, Rule]) -> None:
         self._rules = dict(rules)
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        return tuple(self._rules)
 
     def checked(self, key: str, value: object, prefix: str) -> Any:
         rule = self._rules.get(key)
@@ -143,3 +148,4 @@ LINK_VALUES = Rules(
         "port": text(400),
     }
 )
+SPINDLE_VALUES = Rules({"on_hold": one_of(*SPINDLE), "on_lost_link": one_of(*SPINDLE)})

@@ -16,15 +16,27 @@ from pathlib import Path
 from typing import Any
 
 from machines.errors import MachineError
-from machines.profile_values import DIALECTS, DRIVERS, FLOWS, LINK_VALUES, PROFILE_VALUES, BadValueError
+from machines.profile_values import (
+    DIALECTS,
+    DRIVERS,
+    FLOWS,
+    LINK_VALUES,
+    PROFILE_VALUES,
+    SPINDLE,
+    SPINDLE_VALUES,
+    BadValueError,
+    Rules,
+)
 
 __all__ = [
     "DIALECTS",
     "DRIVERS",
     "FLOWS",
+    "SPINDLE",
     "LinkSettings",
     "MachineProfile",
     "ProfileError",
+    "SpindleSettings",
     "UnknownProfileError",
     "load_profile",
     "profile_names",
@@ -84,6 +96,38 @@ class LinkSettings:
         return self.baud / self.bits_per_byte
 
 
+_ON_HOLD = {
+    "turns": "the spindle keeps turning in a hold, however long it lasts, with the tool where it stands",
+    "stops": "the spindle stops in a hold and starts again before the program goes on",
+    "unknown": "what the spindle does in a hold is not known for this mill: look before you leave it held",
+}
+_ON_LOST_LINK = {
+    "turns": "when this computer or its cable is gone, the mill carries out what it holds, then stands with the "
+    "spindle turning until somebody comes (see docs/spindle.md for a watchdog)",
+    "stops": "when this computer or its cable is gone, something at the mill itself stops the spindle (as its profile "
+    "says; try it without a tool)",
+    "unknown": "what the spindle does when this computer or its cable is gone is not known for this mill: do not leave "
+    "it alone",
+}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpindleSettings:
+    """What becomes of the spindle while nobody cuts, each one of SPINDLE. Nothing here stops or starts it.
+
+    on_hold      : while a program is held
+    on_lost_link : when the computer, or the cable to it, is gone in the middle of a program
+    """
+
+    on_hold: str = "unknown"
+    on_lost_link: str = "unknown"
+
+    @property
+    def sentences(self) -> tuple[str, str]:
+        """The same for a person: in a hold, without a link."""
+        return _ON_HOLD[self.on_hold], _ON_LOST_LINK[self.on_lost_link]
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MachineProfile:
     """One mill. Triples are X, Y, Z.
@@ -102,6 +146,7 @@ class MachineProfile:
     whole_steps            : heights are written in whole steps, where the light suffers least from it
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
+    spindle                : what becomes of the spindle in a hold, and without a link
     homing                 : has switches and a homing cycle, so that a lost position can be found again
     description            : what it is, in words
     """
@@ -118,6 +163,7 @@ class MachineProfile:
     spindle_rpm: tuple[float, float]
     safe_z_mm: float
     link: LinkSettings = LinkSettings()
+    spindle: SpindleSettings = SpindleSettings()
     homing: bool = False
     z_noise_mm: float = 0.0005
     whole_steps: bool = False
@@ -158,12 +204,12 @@ def load_profile(name: str, folders: Sequence[Path] | None = None) -> MachinePro
         raise UnknownProfileError(name, tuple(sources))
     file = sources[name]
     values = _values(name, sources, ())
-    link = LinkSettings(**values.pop("link", {}))
+    link, spindle = LinkSettings(**values.pop("link")), SpindleSettings(**values.pop("spindle"))
     required = {field.name for field in dataclass_fields(MachineProfile) if field.default is MISSING}
     missing = sorted(required - set(values))
     if missing:
         raise ProfileError(file, f'{", ".join(missing)}: missing; give them, or start from a profile: extends = "grbl"')
-    profile = MachineProfile(**values, link=link)
+    profile = MachineProfile(**values, link=link, spindle=spindle)
     if profile.safe_z_mm >= profile.travel_mm[2]:
         raise ProfileError(file, f"safe_z_mm = {profile.safe_z_mm:g}: allowed: less than the travel in Z, "
                                  f"{profile.travel_mm[2]:g} mm")  # fmt: skip
@@ -175,16 +221,13 @@ def _values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> di
     file = sources[name]
     raw = _read(file)
     try:
-        link = raw.pop("link", {})
-        if not isinstance(link, dict):
-            raise BadValueError("link", link, "a table: [link] and below it driver, baud, port ...")
-        own_link = {key: LINK_VALUES.checked(key, value, "link.") for key, value in link.items()}
+        tables = {name: _table(name, raw.pop(name, {}), rules) for name, rules in _TABLES.items()}
         extends = raw.pop("extends", None)
         own = {key: PROFILE_VALUES.checked(key, value, "") for key, value in raw.items()}
         if own.setdefault("name", name) != name:
             raise BadValueError("name", own["name"], f"the name of the file, '{name}'")
         if extends is None:
-            return own | {"link": own_link}
+            return own | tables
         _require_base(name, extends, sources, trail)
     except BadValueError as error:
         raise ProfileError(file, str(error)) from None
@@ -192,7 +235,16 @@ def _values(name: str, sources: Mapping[str, str], trail: tuple[str, ...]) -> di
         base = _values(extends, sources, (*trail, name))
     except ProfileError as error:
         raise ProfileError(file, f"extends '{extends}', which cannot be used: {error}") from None
-    return base | own | {"link": base["link"] | own_link}
+    return base | own | {name: base[name] | table for name, table in tables.items()}
+
+
+_TABLES = {"link": LINK_VALUES, "spindle": SPINDLE_VALUES}
+
+
+def _table(name: str, values: object, rules: Rules) -> dict[str, Any]:
+    if not isinstance(values, dict):
+        raise BadValueError(name, values, f"a table: [{name}] and below it {', '.join(rules.keys)}")
+    return {key: rules.checked(key, value, f"{name}.") for key, value in values.items()}
 
 
 def _require_base(name: str, extends: object, sources: Mapping[str, str], trail: tuple[str, ...]) -> None:

@@ -16,6 +16,8 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
+from service.private import make_private
+
 ESTIMATES, JOBS = "estimates", "jobs"  # tasks of `ready_mark`
 
 _KEPT = 3  # states of the sources
@@ -32,7 +34,7 @@ def use_current_kernels() -> None:
         return
     folder = _folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_private(folder)  # what others could write here would run as ours
         folder.touch()
         states = sorted(folder.parent.glob("kernels-*"), key=lambda path: path.stat().st_mtime)
         for old in states[:-_KEPT]:

@@ -77,6 +77,8 @@ def _in_full(profile: MachineProfile, source: str) -> list[str]:
         "planner": f"{profile.planner_blocks} blocks, junction deviation {profile.junction_deviation_mm:g} mm, "
         f"{profile.lines_per_s:g} lines/s",
         "spindle": f"{profile.spindle_rpm[0]:g} to {profile.spindle_rpm[1]:g} rpm",
+        "in a hold": profile.spindle.sentences[0],
+        "link lost": profile.spindle.sentences[1],
         "safe height": f"{profile.safe_z_mm:g} mm above the stock",
         "homing": "yes" if profile.homing else "no: after a lost position the work zero is set anew by hand",
         "link": _link(profile),

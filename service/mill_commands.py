@@ -13,6 +13,7 @@ from typing import Annotated
 import typer
 
 from service.errors import FailedError, InputError
+from service.process_priority import go_first
 
 _DEFAULT_MACHINE = "grbl"
 
@@ -42,6 +43,9 @@ def mill(
     token_file: Annotated[
         Path | None, typer.Option("--token-file", metavar="FILE", help="Token that callers must show.")
     ] = None,
+    behind_proxy: Annotated[
+        bool, typer.Option("--behind-proxy", help="A proxy with TLS stands in front; needed for any other --host.")
+    ] = False,
 ) -> None:
     """The agent of one mill: owns its port, keeps program and journal, and is told what to do over HTTP."""
     with _machine_errors():
@@ -58,6 +62,7 @@ def mill(
             bind_port=bind_port,
             data=data,
             token_file=token_file,
+            behind_proxy=behind_proxy,
         )
         run_agent(settings, profile)
 
@@ -91,6 +96,7 @@ def stream(
             position_confirmed=confirm_position,
             dry_run=dry_run,
         )
+        go_first()
         stream_program(order)
 
 

@@ -26,6 +26,7 @@ from machines.grbl.settings import ControllerSettings
 from machines.profiles import MachineProfile
 from service.child_path import python_path
 from service.errors import sentence_of_os_error
+from service.private import make_private
 
 _ROOT = Path(__file__).parents[1]
 _CHUNK_BYTES = 1 << 20
@@ -59,7 +60,7 @@ def preflight(
     limits = limits_of(profile, settings)
     path = path.absolute()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_private(folder)
         stat = path.stat()
         if not path.is_file():
             raise PreflightError(f"{path}: not a file")

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from service.kernel_cache import use_current_kernels
+from service.process_priority import give_way
 
 if TYPE_CHECKING:
     from machines.gcode.limits import MillLimits
@@ -28,7 +29,7 @@ def main() -> int:
     """Carry out one request; the exit code is 0 whenever an answer was given."""
     request = json.load(sys.stdin)
     use_current_kernels()
-    os.nice(5)  # the stream of another program goes first
+    give_way()  # the stream of another program goes first
     from machines.errors import ProgramRefusedError
     from machines.gcode.limits import MillLimits
 
@@ -101,6 +102,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         path_length_mm=totals[tally.PATH_MM],
         time_s=model.seconds,
         ends=ends,
+        mist_line=events[tally.MIST][0] if events[tally.MIST][1] else 0,
         assumed=rules.assumed(events),
         warnings=tuple(warnings),
         index=scan.index,

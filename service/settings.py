@@ -23,6 +23,7 @@ class ServerSettings(BaseSettings):
 
     data              : folder of database, artifacts, scratch, agents and locks of this computer
     database_url      : postgresql://...; None: a SQLite file in `data`
+    upgrade_to        : the version to which tables of PostgreSQL that hold jobs may be upgraded: a copy of them is kept
     store_url         : file:///folder, s3://bucket/prefix; None: the folder `objects` in `data`
     store_is_shared   : the person's word that a file:// store is the same folder on every host of the farm
     anonymous         : what a caller on this computer without a token may do, as long as no token has ever been made
@@ -48,6 +49,7 @@ class ServerSettings(BaseSettings):
 
     data: Path = Path("causticmill-data")
     database_url: str | None = None
+    upgrade_to: str | None = None
     store_url: str | None = None
     store_is_shared: bool = False
     host: str = "127.0.0.1"

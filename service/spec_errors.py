@@ -15,20 +15,25 @@ from service.spec import JobSpec
 
 Place = tuple[int | str, ...]
 _MODEL_RULES = {"value_error", "assertion_error"}
+MOST_PROBLEMS = 50  # each costs a search for the key that was meant, and nobody reads more
+_KEY_CHARS = 60
 
 
 def as_spec_error(error: ValidationError) -> SpecError:
-    """One (key, sentence) pair for each thing pydantic found, in the order of the spec."""
-    details = error.errors(include_url=False)
+    """One (key, sentence) pair for each thing pydantic found, in the order of the spec, of the first 50."""
+    details = error.errors(include_url=False, include_context=False)
+    count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
     told = [detail for detail in details if detail["loc"] not in inner]  # a list of bad rows is "too short" as well
     problems = [(dotted(detail["loc"]), _sentence(detail)) for detail in told]
+    if count > MOST_PROBLEMS:
+        problems.append(("spec", f"{count - MOST_PROBLEMS} more problems like these"))
     return SpecError(list(dict.fromkeys(problems)))
 
 
 def unknown_key(key: str, known: Sequence[str]) -> str:
     """What to say about a key nobody knows: the nearest known one, or all of them."""
-    near = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    near = difflib.get_close_matches(key[:_KEY_CHARS], known, n=1, cutoff=0.6)
     if near:
         return f"there is no such key; did you mean '{near[0]}'?"
     return f"there is no such key; known here: {', '.join(known)}"
@@ -36,7 +41,7 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
 
 def dotted(place: Place) -> str:
     """('passes', 0, 'pitch_mm') -> 'passes.0.pitch_mm'."""
-    return ".".join(map(str, place)) or "spec"
+    return ".".join(str(step)[:_KEY_CHARS] for step in place) or "spec"
 
 
 def allowed_at(place: Place) -> str:

@@ -128,6 +128,9 @@ class OneWayDriver:
     def wake(self) -> None:
         self._port.wake()
 
+    def urge(self, stop: str) -> bool:
+        return False  # a one-way link has no byte that stops: the owner stops feeding
+
     def start(self, lines: Iterator[ProgramLine]) -> None:
         if self._status.state is not MillState.IDLE:
             raise NotAllowedError(f"a program can start only when the link is idle, it is {self._status.state.value}")

@@ -96,6 +96,9 @@ class SimulatedControl:
             if at_s >= end_s and not (self._words and self._words[0][0] <= self.now_s):
                 return b""
 
+    def write_realtime(self, data: bytes) -> bool:
+        return False
+
     def wake(self) -> None:
         self._woken = True
 

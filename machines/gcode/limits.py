@@ -69,6 +69,19 @@ def _usable(triple: Triple | None) -> Triple | None:
     return triple if triple is not None and min(triple) > 0 else None
 
 
+def _reach_mm(settings: ControllerSettings, travel_mm: Triple, axis: int) -> tuple[float, float]:
+    """Least and greatest machine coordinate of an axis."""
+    to_low_end = int(settings.number(23) or 0) >> axis & 1
+    return (0.0, travel_mm[axis]) if "Z" in settings.options and to_low_end else (-travel_mm[axis], 0.0)
+
+
+def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
+    """Highest machine Z; None where it is not known."""
+    if settings is None or settings.travel_mm is None:
+        return None
+    return _reach_mm(settings, settings.travel_mm, 2)[1]
+
+
 def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:
     """Where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
 
@@ -79,8 +92,6 @@ def placement_problems(program: Preflight, settings: ControllerSettings) -> tupl
     travel, offsets = settings.travel_mm, settings.offsets
     if travel is None or not offsets or not (settings.homing or settings.soft_limits):
         return ()
-    forced = "Z" in settings.options
-    to_low_end = int(settings.number(23) or 0)
     problems = []
     for frame, bounds in program.bounds_by_frame.items():
         if frame != "machine" and frame not in offsets:
@@ -92,10 +103,10 @@ def placement_problems(program: Preflight, settings: ControllerSettings) -> tupl
             shift = 0.0
             if frame != "machine":
                 shift = sum(offsets[key][axis] for key in (frame, "G92", "TLO") if key in offsets)
-            low, high = (0.0, travel[axis]) if forced and (to_low_end >> axis) & 1 else (-travel[axis], 0.0)
+            low, high = _reach_mm(settings, travel, axis)
             if least + shift < low - 1e-6 or most + shift > high + 1e-6:
                 problems.append(
                     f"{name} would go from {least + shift:.3f} to {most + shift:.3f} mm in machine coordinates "
-                    f"({frame}); the machine reaches {low:g} to {high:g}: set the work zero elsewhere"
+                    f"({frame}); the machine reaches {low:g} to {high:g}"
                 )
     return tuple(problems)

@@ -35,6 +35,7 @@ class Preflight:
     spindle_rpm       : lowest and highest speed while the spindle turns; None if it never does
     time_s            : estimate for the mill's kinematics and link, without operator stops
     ends              : M2 or M30 was found
+    mist_line         : the first line with M7, 0 if there is none: not every controller is built with it
     assumed           : modes relied on without being said, e.g. ("G21", "G90"): check against $G before a start
     """
 
@@ -51,6 +52,7 @@ class Preflight:
     path_length_mm: float
     time_s: float
     ends: bool
+    mist_line: int = 0
     assumed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     index: ProgramIndex
@@ -70,6 +72,7 @@ class Preflight:
             "path_length_mm": self.path_length_mm,
             "time_s": self.time_s,
             "ends": self.ends,
+            "mist_line": self.mist_line,
             "assumed": list(self.assumed),
             "warnings": list(self.warnings),
             "index": self.index.to_dict(),

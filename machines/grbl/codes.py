@@ -72,6 +72,8 @@ ALARMS: dict[int, str] = {
 CRITICAL_ALARMS = frozenset({1, 2, 10})
 # After these machine coordinates mean nothing any more (reference/machines.md, 7.2).
 POSITION_LOST_ALARMS = frozenset({1, 3, 6, 7, 8, 9, 10, 15, 16, 17})
+# These leave the spindle as it was; with every other the firmware has stopped it.
+SPINDLE_ON_ALARMS = frozenset({4, 5, 11, 12, 13})
 
 
 def error_words(number: int) -> str:

@@ -10,6 +10,8 @@ from machines.grbl.session import GrblOptions, GrblSession
 from machines.grbl.settings import ControllerSettings
 from machines.port import Port
 
+FEED_HOLD, JOG_CANCEL = b"!", b"\x85"
+
 
 class GrblDriver:
     """machines.driver.Driver around one port. Its time is the port's clock."""
@@ -38,6 +40,11 @@ class GrblDriver:
     @property
     def settings(self) -> ControllerSettings:
         return self._session.settings
+
+    @property
+    def offers_reset(self) -> bool:
+        """Nothing answers, and a `Reset` would be tried: GRBL hears nothing else after ALARM:1 and ALARM:2."""
+        return self._session.offers_reset
 
     def connect(self) -> None:
         self.failure = None
@@ -81,6 +88,15 @@ class GrblDriver:
     def wake(self) -> None:
         self._port.wake()
 
+    def urge(self, stop: str) -> bool:
+        """A realtime byte may stand anywhere in the stream, in the middle of a line too.
+
+        An abort of a mill that stands idle needs none: '!' would leave it in Hold.
+        """
+        if stop == "abort" and self._session.is_quiet:
+            return True
+        return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
+
     def start(self, lines: Iterator[ProgramLine]) -> None:
         self._session.start(lines, self._port.clock())
 
@@ -89,14 +105,16 @@ class GrblDriver:
         self._urgent()
 
     def resume(self) -> None:
+        """The byte leaves now: none waits in which a stop could overtake it."""
         self._session.resume(self._port.clock())
+        self._urgent()
 
     def abort(self) -> None:
         self._session.abort(self._port.clock())
         self._urgent()
 
     def _urgent(self) -> None:
-        """What stops the mill is written now, not at the next poll."""
+        """What is for now is written now, not at the next poll."""
         try:
             data = self._session.output(self._port.clock())
             if data:

@@ -17,7 +17,7 @@ class SessionFollowing(SessionStopping):
 
     def _running_on(self, now_s: float) -> None:
         """The mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
-        if self._hold_seen:
+        if self._hold_seen and now_s > self._hold_at_s + HOLD_AGAIN_S:
             self._hold_wanted = self._paused = False
         elif now_s > self._hold_at_s + HOLD_AGAIN_S:
             self._hold_again(now_s)

@@ -5,6 +5,11 @@ from __future__ import annotations
 from machines.grbl.replies import Empty, Garbled, Reply
 
 PLAIN = bytes(range(0x20, 0x7F)) + b"\t\r\n"
+# Said where nothing answers any more, or not yet; a person then may send a reset.
+SILENT = (
+    "nothing answers '?'. After a limit alarm a controller hears nothing but a reset, and while it homes it does not "
+    "answer either: look at the mill; where it stands, send a reset"
+)
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
 
 
@@ -31,6 +36,11 @@ class Hail:
         self._rest = rest
 
     @property
+    def speaks(self) -> bool:
+        """Something has come that is no report: another device, another baud rate."""
+        return bool(self._bytes or self._rest) and not self.recognised and not self.banner
+
+    @property
     def words(self) -> str:
         if self.banner:
             return "the controller has started, asking for its state"
@@ -43,7 +53,8 @@ class Hail:
         if not heard:
             return (
                 "nothing answers '?': is the mill switched on, is this its port, and is the baud rate right "
-                "(GRBL: 115200)?"
+                "(GRBL: 115200)? After a limit alarm (ALARM:1, ALARM:2) a controller hears nothing but a reset: look "
+                "at the mill, then send one"
             )
         if noise > NOISE_SHARE * heard:
             return "answers with noise, not text: wrong baud rate? (GRBL: 115200)"

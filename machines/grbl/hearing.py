@@ -7,17 +7,17 @@ from machines.driver import (
     FaultCause,
     Faulted,
     Notice,
-    Restarted,
-    Stopped,
 )
-from machines.grbl import echo, overrides, replies
+from machines.grbl import echo, overrides, replies, resetting
 from machines.grbl.codes import CRITICAL_ALARMS, POSITION_LOST_ALARMS, alarm_words, error_words
 from machines.grbl.errands import identify
 from machines.grbl.following import SessionFollowing
 from machines.grbl.hail import Hail
+from machines.grbl.resetting import ResetSequence
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase, stands
+from machines.grbl.streaming import Stream
 
 
 class SessionHearing(SessionFollowing):
@@ -40,7 +40,7 @@ class SessionHearing(SessionFollowing):
         elif isinstance(reply, replies.Echo):
             self._echoed(reply.text, now_s)
         elif isinstance(reply, replies.Message):
-            self._events.append(Notice(f"controller: {reply.text}"))
+            self._told(reply.text, now_s)
         elif isinstance(reply, replies.Push | replies.Setting):
             if self._errand is not None:
                 self._errand.heard(reply)
@@ -51,34 +51,47 @@ class SessionHearing(SessionFollowing):
         """Before the handshake only a status report, an alarm or a banner means anything."""
         self._hail.heard(reply, line)
         if isinstance(reply, replies.Message):
-            self._events.append(Notice(f"controller: {reply.text}"))
+            self._told(reply.text, now_s)
         elif isinstance(reply, replies.AlarmReply):
-            self.view.alarmed(reply.number)
-            if reply.number in CRITICAL_ALARMS:
-                self._events.append(Notice(alarm_words(reply.number)))
+            self._alarmed(reply.number, now_s)
         elif isinstance(reply, replies.Status):
+            self._patience.report_came()
+            self._offers_reset = False
             self.view.take(reply, now_s)
             self._hail.recognised = True
+            self._tell_restart()
             if self._abort_wanted:
                 self.abort(now_s)
             elif self._hold_wanted and not stands(reply):
-                self._urgent[:0] = b"!"  # asked for while the link was away
+                self._put_hold()  # asked for while the link was away
             elif reply.state in ("Idle", "Alarm", "Check"):
                 self._move(Phase.IDENTIFYING, now_s)
-                self._errand = ErrandRunner(identify(self._banner), None, self._write, now_s)
+                self._errand = ErrandRunner(identify(self._banner), None, self._write, self._patience.spent_s)
+
+    def _told(self, words: str, now_s: float) -> None:
+        """A message: for the operator, and perhaps that nothing but a reset is heard."""
+        self._events.append(Notice(f"controller: {words}"))
+        if words != resetting.MESSAGE:
+            return
+        if self._reset is not None and self._reset.repeats:
+            self._reset.message_came(now_s)
+        elif self.phase is Phase.HAILING:  # its ALARM: line came before our time
+            self._begin_reset(ResetSequence.after_critical_alarm(now_s), now_s)
+            self._told(words, now_s)
 
     def _write(self, text: bytes) -> None:
         self._text += text
 
     def _answered(self, error: int, now_s: float) -> None:
         if self._errand is not None:
-            if self._errand.answered(error, now_s):
+            if self._errand.answered(error, self._patience.spent_s):
                 self._after_errand(now_s)
             return
         stream = self._stream
         if stream is None or self.phase is not Phase.STREAMING:
-            return  # answers to lines of a stream that is dead already
-        self._sign_at_s = now_s
+            self._answered_late(stream, error)
+            return
+        self._sign_heard_s = self._patience.heard_s
         self._idle_reports = self._standing_reports = 0
         words = error_words(error) if error else "ok"
         if not stream.window.used:
@@ -95,6 +108,16 @@ class SessionHearing(SessionFollowing):
                 block.number,
                 now_s,
             )
+        else:
+            stream.answered()
+
+    def _answered_late(self, stream: Stream | None, error: int) -> None:
+        """An answer to a line of a stream that is dead already, or of a command that a hold has ended."""
+        self._held_line = ""
+        if stream is None or not self._late_answers or not stream.window.used:
+            return
+        if error or self._echoes:
+            self._late_answers = False
         else:
             stream.answered()
 
@@ -128,9 +151,9 @@ class SessionHearing(SessionFollowing):
             self._fault(FaultCause.ALARM, words, self._stream.first_line if self._stream else 0, now_s)
         else:
             self._events.append(Notice(words))
-        if number in CRITICAL_ALARMS and self.phase is not Phase.CLEARING:
-            # Stands already and hears nothing but a reset; what it holds must not survive.
-            self._clear(now_s)
+        if number in CRITICAL_ALARMS:
+            # Stands already and will hear nothing but a new reset; what it holds must not survive.
+            self._begin_reset(ResetSequence.after_critical_alarm(now_s), now_s)
 
     def _garbled(self, raw: bytes, now_s: float) -> None:
         if self.phase is Phase.STREAMING:
@@ -146,9 +169,11 @@ class SessionHearing(SessionFollowing):
 
     def _restarted(self, banner: str, now_s: float) -> None:
         """A banner: a new epoch. Everything the controller held is gone."""
-        ours = self.phase is Phase.CLEARING
+        self._tell_restart()
+        ours, report = self.phase is Phase.CLEARING, self.view.report
         checked_off = not ours and now_s < self._banner_due_s
-        kept = (ours and self.view.alarm not in POSITION_LOST_ALARMS) or checked_off
+        sure = self._reset is not None and self._reset.ours and (report is None or report.state != "Sleep")
+        kept = (ours and sure and self.view.alarm not in POSITION_LOST_ALARMS) or checked_off
         self._banner_due_s = 0.0
         was_streaming, line = self.phase is Phase.STREAMING, self._stream.first_line if self._stream else 0
         known = self.controller
@@ -157,10 +182,11 @@ class SessionHearing(SessionFollowing):
         self._urgent.clear()
         self._text.clear()
         self._echoes = False
-        self._hold_wanted = self._paused = self._abort_wanted = False
+        self._hold_wanted = self._paused = self._abort_wanted = self._late_answers = False
+        self._held_line = ""
         self._steer = None
         self.view.new_epoch(position_kept=kept)
-        stopping = self.phase is Phase.STOPPING
+        self._restart = banner, ours or self.phase is Phase.STOPPING
         self._end_errand("" if checked_off else "the controller restarted")
         self._end_stream()
         self._hail = Hail(recognised=bool(known))
@@ -169,28 +195,34 @@ class SessionHearing(SessionFollowing):
         if was_streaming:
             words = f"the controller restarted by itself ('{banner}'): reset button, power or a reset line"
             self._events.append(Faulted(FaultCause.RESET, words, line, now_s))
-        self._events.append(Restarted(banner))
-        if ours or stopping:
-            self._events.append(Stopped(position_kept=kept))
 
     def _reported(self, report: replies.Status, now_s: float) -> None:
         view = self.view
+        self._patience.report_came()
+        self._offers_reset = self._silence_told = False
         if view.take(report, now_s):
-            self._sign_at_s = now_s
+            self._sign_heard_s = self._patience.heard_s
+        if self._stream is not None:
+            self._stream.count.reported(now_s)
         if report.state not in ("Idle", "Check"):
             self._standing_reports = 0
         else:
             self._standing_reports += 1
             if self._standing_reports == 1:
-                self._standing_at_s = now_s
+                self._standing_heard_s = self._patience.heard_s
         if self._errand is not None:
-            self._errand.reported(idle=report.state in ("Idle", "Check"), machine_mm=view.machine_mm, now_s=now_s)
+            idle = report.state in ("Idle", "Check")
+            self._errand.reported(idle=idle, machine_mm=view.machine_mm, now_s=self._patience.spent_s)
             self._after_errand(now_s)
         if self._steer is not None:
             self._steer_override(report, now_s)
+        self._hold_reports += 1
         if report.state in ("Hold", "Door", "Sleep", "Tool"):
-            self._paused = self._hold_seen = True
-            self._sign_at_s = now_s  # waiting for a person is not a stall
+            self._paused = True
+            self._hold_seen = self._hold_reports > 0
+            self._sign_heard_s = self._patience.heard_s  # waiting for a person is not a stall
+            if self.phase is Phase.IDENTIFYING:
+                self._hail_again(now_s)  # no line is read now
         elif report.state == "Run" and self._hold_wanted and self.phase is Phase.STREAMING:
             self._running_on(now_s)
         elif report.state in ("Run", "Idle") and self._paused and not self._hold_wanted:

@@ -16,8 +16,10 @@ from machines.driver import (
 from machines.gcode.interpreter import Interpreter
 from machines.grbl import replies
 from machines.grbl.codes import alarm_words
-from machines.grbl.hail import Hail
+from machines.grbl.hail import SILENT, Hail
 from machines.grbl.pacing import Pacer
+from machines.grbl.patience import Patience
+from machines.grbl.resetting import ResetSequence
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase, detail_words, mill_state, stands
@@ -71,18 +73,24 @@ class SessionKnown:
         self._modes = ""  # [GC:] words, or what the last program has left
         self._hold_wanted = self._abort_wanted = False
         self._hold_seen = False  # the mill has reported standing since the last hold
+        self._hold_reports = 0  # reports since then: the first may have been made before it
+        self._held_line = ""  # of an errand that a hold has ended: the controller may still carry it out
+        self._reset: ResetSequence | None = None  # under way, in CLEARING
+        self._offers_reset = False  # nothing answers, and a person may send a reset
+        self._restart: tuple[str, bool] | None = None  # banner that waits for its first report, and: it ends a stop
+        self._late_answers = False  # of a stream that is being stopped: they still count
         self._paused = False  # no new lines: held, door, or told so
         self._banner_due_s = 0.0  # until then a banner is the answer to $C
         self._steer: tuple[Override, float] | None = None
         self._steer_reports = 0
-        # _sign_at_s: the last answer, new position, proven step or hold: something goes on
-        # _looked_at_s, _patient_from_s: the last look at the clock, and the end of our own last absence
-        self._looked_at_s = self._patient_from_s = 0.0
-        self._sign_at_s = self._phase_at_s = self._hold_at_s = self._poll_at_s = self._watch_at_s = 0.0
+        self._patience = Patience()
+        self._phase_spent_s = 0.0  # of our own time, when the phase began
+        self._silence_told = False
+        self._sign_heard_s = 0.0  # of the link's time: the last answer, new position, proven step or hold
+        self._phase_at_s = self._hold_at_s = self._poll_at_s = self._watch_at_s = 0.0
         self._idle_reports = 0
-        self._count_at_s = 0.0  # when lines and answers are counted against each other next
         self._standing_reports = 0  # Idle in a row, with no answer between
-        self._standing_at_s = 0.0  # when the first of them came
+        self._standing_heard_s = 0.0  # of the link's time, when the first of them came
         self._stop_reports = 0
 
     # ------------------------------------------------------------------ what is known
@@ -90,6 +98,11 @@ class SessionKnown:
     @property
     def settings(self) -> ControllerSettings:
         return self.view.settings
+
+    @property
+    def offers_reset(self) -> bool:
+        """Nothing answers: it may be a controller after a limit alarm, and a person may send it a reset (`Reset`)."""
+        return self._offers_reset
 
     @property
     def window_bytes(self) -> int:
@@ -145,7 +158,7 @@ class SessionKnown:
             work_mm=view.work_mm,
             work_offset_mm=view.work_offset_mm,
             feed_mm_per_min=view.feed_mm_per_min,
-            spindle_rpm=report.spindle if report else None,
+            spindle_rpm=(0.0 if view.spindle_stopped else report.spindle) if report else None,
             spindle_on=view.spindle_on,
             overrides=view.overrides,
             pins=report.pins if report else "",
@@ -158,8 +171,11 @@ class SessionKnown:
     def _detail(self, state: MillState) -> str:
         if self.phase is Phase.CLOSED:
             return self.failure
+        if self._offers_reset:
+            return SILENT
         if self.view.alarm:
-            return alarm_words(self.view.alarm)
+            waits = "; waits for the controller to take a reset" if self._reset is not None else ""
+            return alarm_words(self.view.alarm) + waits
         if state is MillState.CONNECTING:
             return self._hail.words if self.phase is Phase.HAILING else "reading version and settings"
         if self.phase in (Phase.STOPPING, Phase.CLEARING):
@@ -184,7 +200,8 @@ class SessionKnown:
             f"({self.planner_blocks} in the planner, {segments} segments, 1 to spare)",
             stop="feed hold '!' at once, before everything else; reset only from standstill",
             position=f"status report, {1.0 / self.options.run_poll_s:g} per second while a program runs",
-            tried_on="the simulated mill of this project; modelled on measurements of GRBL 1.1h and a grblHAL",
+            tried_on="GRBL 1.1h compiled for a host with UART pacing, and the simulated mill of this project, which is "
+            "modelled on it and on measurements of a grblHAL; FluidNC only as a simulation",
         )
 
     @property
@@ -215,6 +232,11 @@ class SessionKnown:
         if self.phase is not Phase.STREAMING:
             return f"while a program runs: {what}"
         return what if self._corridor else ""
+
+    def _exact_mm(self) -> float:
+        """How far a report of a mill that stands at a point may be from that point: a step and the last digit."""
+        steps = self.settings.step_mm or (0.01, 0.01, 0.01)
+        return 1.7321 * self.view.report_step_mm + 0.5 * sum(step * step for step in steps) ** 0.5
 
     def _corridor_mm(self) -> float:
         """How far a reported position may be off: the option, and what rounding, steps and chords add."""

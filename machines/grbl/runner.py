@@ -29,6 +29,11 @@ class ErrandRunner:
         self._advance(None, now_s)
 
     @property
+    def asked(self) -> str:
+        """The line whose answer is awaited; "" if none is."""
+        return self.waiting.text.decode("ascii") if isinstance(self.waiting, Ask) else ""
+
+    @property
     def ended(self) -> bool:
         return self.waiting is None
 

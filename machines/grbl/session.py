@@ -33,19 +33,21 @@ from machines.errors import MachineError, NotAllowedError, ProgramRefusedError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.grbl import overrides, stall
+from machines.grbl.counting import AnswerCount
 from machines.grbl.errands import errand_for
 from machines.grbl.hail import Hail
 from machines.grbl.known import GrblOptions
 from machines.grbl.permits import check_command
+from machines.grbl.resetting import ResetSequence
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.states import Phase, detail_words
-from machines.grbl.stopping import BUSY_S
+from machines.grbl.stopping import BUSY_S, TOOL_DONE
 from machines.grbl.streaming import Stream
 from machines.grbl.tracking import SEGMENTS, Tracker
-from machines.grbl.watching import COUNT_EVERY_S, SessionWatching
+from machines.grbl.watching import SessionWatching
 
 HAIL_S, WATCH_S = 0.25, 0.05
-TOOL_DONE = b"\xa3"
+RESUME_POLL_S = 0.05
 
 
 class GrblSession(SessionWatching):
@@ -59,6 +61,8 @@ class GrblSession(SessionWatching):
         self._urgent.clear()
         self._text.clear()
         self.view.new_epoch(position_kept=False)
+        self.view.judge_place()
+        self.view.spindle_on = None  # no banner has stopped it: whoever was here before may have left it on
         self.failure, self._banner, self._echoes = "", "", False
         self._hail = Hail()
         self._move(Phase.HAILING, now_s)
@@ -94,7 +98,7 @@ class GrblSession(SessionWatching):
                 and not self._echoes
             ):
                 stream.answered()
-                self._sign_at_s = now_s
+                self._sign_heard_s = self._patience.heard_s
                 self._idle_reports = self._standing_reports = 0
             else:
                 self._line(line, now_s)
@@ -104,8 +108,17 @@ class GrblSession(SessionWatching):
 
     def tick(self, now_s: float) -> None:
         """Time has passed."""
-        if now_s >= self._poll_at_s and self.phase is not Phase.CLOSED:
+        phase, stream = self.phase, self._stream
+        if self._reset is not None:
+            self._urgent += self._reset.take(now_s)
+        asks = False
+        if stream is not None and stream.count.closed:
+            if not stream.window.used:
+                stream.count.emptied(now_s)
+            asks = stream.count.asks(now_s, self._patience.unanswered)
+        if (asks or now_s >= self._poll_at_s) and phase is not Phase.CLOSED:
             self._urgent += b"?"
+            self._patience.unanswered += 1
             self._poll_at_s = now_s + self._poll_every_s()
         if now_s >= self._watch_at_s:
             self._watch_at_s = now_s + WATCH_S
@@ -148,7 +161,8 @@ class GrblSession(SessionWatching):
             self._fault(FaultCause.PROGRAM_CHANGED, str(error), 0, now_s)
             return b""
         if idle and data:
-            self._sign_at_s = now_s  # the wait for an answer begins
+            self._sign_heard_s = self._patience.heard_s  # the wait for an answer begins
+            self._standing_reports = 0
         return data
 
     @property
@@ -158,6 +172,10 @@ class GrblSession(SessionWatching):
             return inf
         due_s = self._poll_at_s if self._poll_at_s < self._watch_at_s else self._watch_at_s
         stream = self._stream
+        if self._reset is not None and self._reset.due_s < due_s:
+            due_s = self._reset.due_s
+        if stream is not None and stream.count.poll_at_s < due_s:
+            due_s = stream.count.poll_at_s
         if stream is not None and stream.wants_wire and self.phase is Phase.STREAMING and not self._paused:
             return min(due_s, self._pacer.refill_at_s)
         return due_s
@@ -189,6 +207,11 @@ class GrblSession(SessionWatching):
         if self.phase is not Phase.READY or state not in (MillState.IDLE, MillState.CHECK):
             raise NotAllowedError(f"start: the mill is {state.value}, it must be idle")
         settings, view = self.settings, self.view
+        if settings.laser_mode:
+            raise NotAllowedError(
+                "start: laser mode is on ($32=1): the spindle would stop wherever the mill stands, and the next cut go "
+                "with a dead one; send '$32=0' to mill"
+            )
         self._tolerance_mm = self._corridor_mm()
         modes = self._modes.split()
         self._interpreter = Interpreter(
@@ -205,11 +228,16 @@ class GrblSession(SessionWatching):
             segments=SEGMENTS[settings.firmware],
             least_block_mm=1.7321 * max(settings.step_mm or (0.01,)),  # then some axis makes a step
         )
-        self._stream = Stream(lines, capacity=self.window_bytes, interpret=self._interpreter.take, tracker=tracker)
+        self._stream = Stream(
+            lines,
+            capacity=self.window_bytes,
+            interpret=self._interpreter.take,
+            tracker=tracker,
+            count=AnswerCount(now_s),
+        )
         self._corridor = False
-        self._sign_at_s = now_s
-        self._count_at_s = now_s + COUNT_EVERY_S
-        self._paused = self._hold_wanted = False
+        self._sign_heard_s = self._patience.heard_s
+        self._paused = self._hold_wanted = self._late_answers = False
         self._move(Phase.STREAMING, now_s)
 
     def resume(self, now_s: float) -> None:
@@ -220,16 +248,23 @@ class GrblSession(SessionWatching):
         assert report is not None
         if report.state == "Door" and report.sub:
             raise NotAllowedError(f"resume: {detail_words(report)}")
+        if self._held_line:
+            raise NotAllowedError(
+                f"resume: '{self._held_line}' was ended by the hold and is not taken up again; send a reset (from "
+                "standstill the position is kept), then give the command anew"
+            )
         self._hold_wanted = self._abort_wanted = False
-        self._sign_at_s = now_s
+        self._sign_heard_s = self._patience.heard_s
         if report.state == "Check":
             self._paused = False
             return
-        self._urgent += (TOOL_DONE if report.state == "Tool" else b"") + b"~"
-        self._poll_at_s = now_s + 0.05
+        self._urgent += (TOOL_DONE if report.state == "Tool" else b"") + (b"" if b"~" in self._urgent else b"~")
+        self._poll_at_s = min(self._poll_at_s, now_s + RESUME_POLL_S)  # nobody who presses often postpones it
 
     def command(self, command: Command, now_s: float) -> None:
-        check_command(command, self.state, self.phase, self.settings)
+        if isinstance(command, JogCancel):
+            self._drop_motion()
+        check_command(command, self.state, self.phase, self.settings, silent=self._offers_reset)
         if isinstance(command, TrustPosition):
             self.view.vouch("XYZ")
             self._events.append(CommandDone(command))
@@ -244,16 +279,20 @@ class GrblSession(SessionWatching):
             self._poll_at_s = now_s
         elif isinstance(command, Reset):
             self._events.append(CommandDone(command))
-            self._clear(now_s)
+            if self._offers_reset:
+                self._begin_reset(ResetSequence.by_a_person(now_s), now_s)
+            else:
+                self._clear(now_s)
         elif isinstance(command, CheckMode) and command.on == (self.state is MillState.CHECK):
             self._events.append(CommandDone(command))
         else:
             errand = errand_for(command, self.settings)
             assert errand is not None
+            self._hold_wanted = self._paused = False
             self._move(Phase.ERRAND, now_s)
             if isinstance(command, CheckMode) and not command.on:
                 self._banner_due_s = now_s + stall.BANNER_S
-            self._errand = ErrandRunner(errand, command, self._write, now_s)
+            self._errand = ErrandRunner(errand, command, self._write, self._patience.spent_s)
             self._after_errand(now_s)
 
 

@@ -101,6 +101,16 @@ class ControllerSettings:
         """$22."""
         return self._flag(22)
 
+    @property
+    def laser_mode(self) -> bool | None:
+        """$32."""
+        return self._flag(32)
+
+    @property
+    def option_letters(self) -> str | None:
+        """Letters of [OPT:]; None where the controller does not tell."""
+        return self.options.partition(",")[0] if self.options else None
+
     def to_dict(self) -> dict[str, Any]:
         return {
             "values": {str(number): value for number, value in sorted(self.values.items())},

@@ -1,13 +1,15 @@
 """How long a healthy mill may be silent. Law: on a healthy link no program is ever stopped by these rules.
 
 Three signs, from quick to slow, each enough by itself:
-- no answer to '?' for REPORT_SILENCE_S: the controller or the link is dead, whatever it was doing;
+- no answer to '?' for REPORT_SILENCE_S of our own time: the controller or the link is dead, whatever it was doing;
 - Idle with lines unanswered for IDLE_S: nothing moves, so nothing is left that an answer could wait for but a dwell or
   a spindle: a line or a reply was lost, or the stepper ran dry;
 - no answer, no new position and no step proven for longer than everything still under way can take at worst.
 
-The clock of the last two starts anew with every answer, every change of a reported position and every hold, so that
-the worst case need not be close: it is there for motion that looks like standing (a circle in one poll).
+Time is that of patience.py: only such in which we, and for the last two the link, could have heard. Nothing is lost by
+patience: a mill that gets no lines runs dry and waits. The clock of the last two starts anew with every answer, every
+change of a reported position and every hold, so that the worst case need not be close: it is there for motion that
+looks like standing (a circle in one poll).
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ from machines.grbl.tracking import Move
 
 MARGIN_S = 2.0  # scheduling, USB adapters, networks
 SLACK = 1.5  # jerk-limited motion (grblHAL) takes up to half as long again; ceramic resonators are 0.5 % off
-REPORT_SILENCE_S = 2.0  # ten polls without a report while reports are due
+# Replies wait in drivers, networks and starved processes for longer than one thinks; a dead link is told of after 3 s.
+REPORT_SILENCE_S = 30.0
+READY_SILENCE_S = 3.0
 IDLE_S, IDLE_REPORTS = 2.0, 5  # Idle is believed so long and so often in a row
 BANNER_S = 5.0  # reset to banner: 0.1 s on an Uno, 2 s on an ESP32 that brings up its network
 HOLD_S = 8.0  # hold to standstill: rate / acceleration, 5000 mm/min at 20 mm/s2 is 4 s

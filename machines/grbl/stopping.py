@@ -9,14 +9,22 @@ from machines.driver import (
     Faulted,
     MillState,
     Notice,
+    Restarted,
     Stopped,
 )
 from machines.grbl import replies, stall
+from machines.grbl.hail import Hail
 from machines.grbl.known import SessionKnown
+from machines.grbl.resetting import ResetSequence
+from machines.grbl.runner import ErrandRunner
 from machines.grbl.states import Phase, may_move, stands
 
 BUSY_S = 0.05  # between status requests while the mill is being stopped
 HOLD_AGAIN_S = 0.4
+TOOL_DONE = b"\xa3"
+STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion
+HELD = "a hold came before it had ended: it is not taken up again"
+NOT_SENT = "a stop came before it was sent"
 
 
 class SessionStopping(SessionKnown):
@@ -27,14 +35,21 @@ class SessionStopping(SessionKnown):
             raise AssertionError(f"no way from {self.phase.value} to {phase.value}")
         self.phase = phase
         self._phase_at_s = now_s
+        self._phase_spent_s = self._patience.spent_s
+        self._patience.begin()
         self._poll_at_s = self._watch_at_s = now_s
         self._stop_reports = self._idle_reports = 0
+        self._offers_reset = self._silence_told = False
+        if phase is not Phase.CLEARING:
+            self._reset = None
 
     def _close(self, words: str, now_s: float, event: Event | None) -> None:
         self.failure = words
         self._urgent.clear()
         self._text.clear()
         self._hold_wanted = self._paused = False
+        self._held_line = ""
+        self._tell_restart()
         self.view.position_lost()
         self._move(Phase.CLOSED, now_s)
         if event is not None:
@@ -44,27 +59,60 @@ class SessionStopping(SessionKnown):
         """The stream is dead from here on, and '!' goes out before anything else."""
         if self.phase is not Phase.STREAMING:
             return
-        self._urgent[:0] = b"!"
+        self._put_hold()
         self._events.append(Faulted(cause, words, line, now_s))
         self._stop(now_s)
+
+    def _put_hold(self) -> None:
+        """'!' before everything that waits to be written; what could start motion again is dropped."""
+        self._urgent = bytearray(b"!" + self._urgent.translate(None, STARTING))
+
+    def _drop_motion(self) -> None:
+        """Nothing that is not written yet may start motion after a stop: no resume, no line of a command."""
+        self._urgent = self._urgent.translate(None, STARTING)
+        if self._text and self._errand is not None and self._errand.command is not None:
+            self._text.clear()
+            self._give_up_errand(NOT_SENT)
+
+    def _give_up_errand(self, words: str) -> None:
+        self._end_errand(words)
+        if self.phase is Phase.ERRAND:
+            self._move(Phase.READY, self._phase_at_s)
 
     def _stop(self, now_s: float) -> None:
         self._text.clear()
         self._steer = None
+        self._reset = None
         self._hold_at_s = now_s
         self._move(Phase.STOPPING, now_s)
 
     def _hold_again(self, now_s: float) -> None:
-        self._urgent += b"!"
+        self._put_hold()
         self._hold_at_s = now_s
 
     def _clear(self, now_s: float) -> None:
         """Reset at standstill: planner and receive buffer are emptied, the position is kept."""
+        self._begin_reset(ResetSequence.at_standstill(now_s), now_s)
+
+    def _begin_reset(self, reset: ResetSequence, now_s: float) -> None:
         self._end_stream()
         self._text.clear()
-        self._urgent = bytearray(b"!\x18" if b"!" in self._urgent else b"\x18")
-        self._move(Phase.CLEARING, now_s)
+        self._urgent = bytearray((b"!" if b"!" in self._urgent else b"") + reset.take(now_s))
+        if self.phase is not Phase.CLEARING:
+            self._move(Phase.CLEARING, now_s)
+        self._reset = reset
+        self._phase_at_s = now_s
         self._poll_at_s = now_s + BUSY_S
+
+    def _tell_restart(self) -> None:
+        """Restarted, and Stopped if it ends a stop: told with the verdict on the position."""
+        if self._restart is None:
+            return
+        (banner, stops), self._restart = self._restart, None
+        kept = self.view.judge_place()
+        self._events.append(Restarted(banner))
+        if stops:
+            self._events.append(Stopped(position_kept=kept))
 
     def _end_stream(self) -> None:
         if self._stream is not None:
@@ -112,22 +160,41 @@ class SessionStopping(SessionKnown):
         if report.state == "Idle" and self._stop_reports < needed and not now_s < self._hold_at_s + HOLD_AGAIN_S:
             self._hold_again(now_s)
         if self._stop_reports >= needed:
+            if stream is not None and self.view.work_mm is not None and report.state in ("Idle", "Hold"):
+                stream.tracker.stands_at(self.view.work_mm, exact_mm=self._exact_mm())
             self._clear(now_s)
 
     def hold(self, now_s: float) -> None:
-        if self.phase is Phase.CLOSED or (self.phase is Phase.HAILING and self.view.report is None):
-            self._hold_wanted = True  # carried out with the first report
-            return
-        if self.phase is Phase.CLEARING:
-            return
+        """Stop motion. What is not written yet is dropped; a command is ended; a program waits for a resume."""
+        self._drop_motion()
+        phase = self.phase
+        self._hold_wanted = phase is not Phase.CLEARING
+        if phase in (Phase.CLOSED, Phase.CLEARING):
+            return  # carried out with the first report; or on the way to a reset, which leaves nothing to hold
         if self.state is MillState.HOMING:
             self._reset_homing(now_s)
             return
-        self._urgent[:0] = b"!"
-        self._paused = self._hold_wanted = True
+        self._put_hold()
+        if self._errand is not None:
+            self._hold_errand(self._errand, now_s)
+        self._paused = True
         self._hold_seen = False
-        self._hold_at_s = now_s
-        self._poll_at_s = now_s
+        self._hold_reports = -self._patience.unanswered
+        self._hold_at_s = self._poll_at_s = now_s
+
+    def _hold_errand(self, errand: ErrandRunner, now_s: float) -> None:
+        """A held controller reads no line: a command ends here, the handshake begins anew when the mill is let go."""
+        if self.phase is Phase.IDENTIFYING:
+            self._hail_again(now_s)
+        else:
+            self._held_line = errand.asked
+            self._give_up_errand(HELD)
+
+    def _hail_again(self, now_s: float) -> None:
+        self._end_errand("held")
+        self._text.clear()
+        self._hail = Hail(recognised=True)
+        self._move(Phase.HAILING, now_s)
 
     def _reset_homing(self, now_s: float) -> None:
         """A homing cycle obeys no hold; its position means nothing yet, so a reset loses nothing."""
@@ -135,10 +202,24 @@ class SessionStopping(SessionKnown):
         self.view.position_lost()
         self._clear(now_s)
 
+    @property
+    def is_quiet(self) -> bool:
+        """Nothing moves, and nothing that was sent can make it move."""
+        report = self.view.report
+        at_rest = self.phase in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING) and report is not None
+        return at_rest and report is not None and report.state in ("Idle", "Alarm")
+
     def abort(self, now_s: float) -> None:
+        self._drop_motion()
         phase, report = self.phase, self.view.report
-        if phase is Phase.CLOSED or (phase is Phase.HAILING and report is None):
+        if phase is Phase.CLOSED:
             self._abort_wanted = True
+            return
+        if phase is Phase.HAILING and report is None:
+            self._abort_wanted = True
+            self._put_hold()  # a mill that is not heard may hear
+            if self._offers_reset:
+                self._begin_reset(ResetSequence.by_a_person(now_s), now_s)
             return
         self._abort_wanted = False
         if phase in (Phase.STOPPING, Phase.CLEARING):
@@ -146,10 +227,10 @@ class SessionStopping(SessionKnown):
         if self.state is MillState.HOMING:
             self._reset_homing(now_s)
             return
-        quiet = phase in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING) and report is not None
-        if quiet and report is not None and report.state in ("Idle", "Alarm"):
+        if self.is_quiet:
             self._events.append(Stopped(position_kept=self.view.trusted))
             return
         self._end_errand("aborted")
-        self._urgent[:0] = b"!"
+        self._put_hold()
+        self._late_answers = True
         self._stop(now_s)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from machines.driver import ProgramLine, StreamProgress
 from machines.errors import MachineError, ProgramChangedError
 from machines.gcode.step import Step
+from machines.grbl.counting import AnswerCount
 from machines.grbl.tracking import Tracker
 from machines.grbl.window import SendWindow
 
@@ -19,7 +20,13 @@ class Stream:
     """Lines on their way. `fill` gives bytes to write now; they are counted the moment they are given."""
 
     def __init__(
-        self, lines: Iterator[ProgramLine], *, capacity: int, interpret: Callable[[bytes], Step], tracker: Tracker
+        self,
+        lines: Iterator[ProgramLine],
+        *,
+        capacity: int,
+        interpret: Callable[[bytes], Step],
+        tracker: Tracker,
+        count: AnswerCount,
     ) -> None:
         self._lines = lines
         self._interpret = interpret
@@ -33,13 +40,13 @@ class Stream:
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.echoed = False  # the oldest line under way has been echoed
         self.agreed_line = 0  # as many answers had come as lines, when this one was answered
-        self.counting = False  # no new lines until every line is answered: shows whether as many answers came as lines
+        self.count = count
 
     def fill(self, budget: int) -> bytes:
         """At most `budget` bytes to write now. Raises MachineError where the program cannot go on."""
         out = self._rest
         window = self.window
-        while len(out) < budget and not self._alone and not self.counting:
+        while len(out) < budget and not self._alone and not self.count.closed:
             following = self._next
             if following is None:
                 following = self._read()
@@ -93,7 +100,6 @@ class Stream:
         self._alone = False
         self.echoed = False
         if not self.window.used:
-            self.counting = False
             self.agreed_line = self.answered_line
         return flight
 

@@ -231,6 +231,31 @@ class Tracker:
             return Sight(Place.ON_PATH, number, away_mm)
         return Sight(Place.UNANSWERED, number, away_mm)
 
+    def stands_at(self, position_mm: Triple, *, exact_mm: float) -> None:
+        """The mill stands and will not go on: exactly at the end of one answered line, and on no other, it has cut it.
+
+        Nothing is concluded where another step under way, but for the one that begins there, comes near that place.
+        """
+        if self._distrusted:
+            return
+        steps = self._steps
+        ends = [
+            index
+            for index in range(self._answered)
+            if steps[index][1].moves and None not in steps[index][1].end_mm
+            and _apart_mm(position_mm, steps[index][1].end_mm) <= exact_mm
+        ]  # fmt: skip
+        if len(ends) != 1:
+            return
+        (found,) = ends
+        behind = next((k for k in range(found + 1, len(steps)) if steps[k][1].moves), None)
+        if behind is not None and _apart_mm(position_mm, steps[behind][1].end_mm) <= self._tolerance_mm:
+            return  # that one may just as well have come back
+        others = [step for index, (_, step) in enumerate(steps) if index not in (found, behind)]
+        others += [step for _, step in islice(reversed(self._recent), BEHIND)]
+        if not any(step.moves and step.distance_mm(position_mm) <= self._tolerance_mm for step in others):
+            self._drop(found + 1)
+
     def _nearest_before(self, position_mm: Triple) -> Sight | None:
         """The nearest of the last steps already executed; None if none moved."""
         found: Sight | None = None

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from machines.driver import Triple
-from machines.grbl.codes import POSITION_LOST_ALARMS
+from machines.grbl.codes import POSITION_LOST_ALARMS, SPINDLE_ON_ALARMS
 from machines.grbl.replies import Status
 from machines.grbl.settings import MM_PER_INCH, ControllerSettings
+from machines.grbl.states import stands
 
 _AXES = frozenset("XYZ")
 
@@ -24,7 +25,10 @@ class MachineView:
         self.overrides = (100, 100, 100)
         self.override_reports = 0  # reports with Ov so far
         self.spindle_on: bool | None = None
+        self.spindle_stopped = False  # by an alarm; no report has shown it since
         self._vouched: set[str] = set()
+        self._stood_mm: Triple | None = None  # where the mill stood before the last banner
+        self._kept_by_reset = False  # that banner answers a reset of ours
 
     @property
     def trusted(self) -> bool:
@@ -37,24 +41,51 @@ class MachineView:
         self._vouched.clear()
 
     def new_epoch(self, *, position_kept: bool) -> None:
+        """A banner came. position_kept: it answers a reset of ours, sent to a mill that stands."""
+        report = self.report
+        sure = report is not None and stands(report) and report.state != "Sleep"
+        self._stood_mm = self.machine_mm if sure and self.alarm not in POSITION_LOST_ALARMS else None
+        self._kept_by_reset = position_kept
         self.report = None
         self.alarm = 0
         self.work_offset = None
         self.overrides = (100, 100, 100)
         self.spindle_on = False
-        if not position_kept:
+        self.spindle_stopped = False
+        if not position_kept and self._stood_mm is None:
             self.position_lost()
+
+    def judge_place(self) -> bool:
+        """With the first report after a banner: whether machine coordinates still mean what they meant.
+
+        The same place as before, not zero, proves it: a controller that lost its power counts from 0,0,0. Another place
+        disproves it, whoever sent the reset.
+        """
+        before, now = self._stood_mm, self.machine_mm
+        step = self.settings.step_mm or (0.01, 0.01, 0.01)
+        kept = self._kept_by_reset
+        if before is not None and now is not None:
+            least = self.report_step_mm
+            same = all(abs(a - b) <= s + least for a, b, s in zip(before, now, step, strict=True))
+            kept = same and (kept or any(abs(a) > s + least for a, s in zip(now, step, strict=True)))
+        self._stood_mm = None
+        if not kept:
+            self.position_lost()
+        return kept
 
     def alarmed(self, number: int) -> None:
         self.alarm = number
         if number in POSITION_LOST_ALARMS:
             self.position_lost()
+        if number not in SPINDLE_ON_ALARMS:
+            self.spindle_on, self.spindle_stopped = False, True
 
     def take(self, report: Status, now_s: float) -> bool:
         """A report has come; says whether it shows another place than the one before."""
         before = self.report
         moved = before is None or (before.machine, before.work) != (report.machine, report.work)
         self.report, self.report_at_s = report, now_s
+        self.spindle_stopped = False
         self.reports += 1
         if report.state != "Alarm":
             self.alarm = 0

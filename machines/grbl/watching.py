@@ -7,12 +7,11 @@ from machines.grbl import stall
 from machines.grbl.hail import Hail
 from machines.grbl.hearing import SessionHearing, shown
 from machines.grbl.states import Phase
-from machines.grbl.streaming import Flight, Stream
+from machines.grbl.streaming import Flight
 
-COUNT_EVERY_S, COUNT_RETRY_S = 10.0, 1.0
-ABSENT_S = 0.5  # longer than this between two looks, and it was we who slept: a suspended or starved computer
-# Motion that the planner must hold while the last answers come and the next lines go: on a serial line, on a network.
-COUNT_COVER_S, COUNT_COVER_NETWORK_S = 0.1, 0.5
+OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
+TELL_S = 3.0  # silence while a program runs, that the operator is told of
+PERSON_S = 10.0  # patience with a controller that a person has sent resets to
 
 
 class SessionWatching(SessionHearing):
@@ -20,35 +19,50 @@ class SessionWatching(SessionHearing):
 
     def _watch(self, now_s: float) -> None:
         """What time alone shows."""
-        if now_s > self._looked_at_s + ABSENT_S:
-            self._patient_from_s = now_s  # the answers may lie in the port, unread
-        self._looked_at_s = now_s
+        self._patience.look(now_s)
         phase = self.phase
+        silent = phase in (Phase.HAILING, Phase.STOPPING) and self._patience.silent_s >= OFFER_S
+        self._offers_reset = silent and not (phase is Phase.HAILING and self._hail.speaks)
         if phase is Phase.HAILING:
             self._watch_hail(now_s)
         elif self._errand is not None:
-            self._errand.watch(now_s)
+            self._errand.watch(self._patience.spent_s)
             self._after_errand(now_s)
         elif phase is Phase.STREAMING:
             self._watch_stream(now_s)
         elif phase is Phase.STOPPING:
             self._watch_stop(now_s)
         elif phase is Phase.CLEARING:
-            if now_s > self._phase_at_s + stall.BANNER_S:
-                self._events.append(Notice("no banner after the reset: asking again whether the mill stands"))
-                self._urgent += b"!"
-                self._hold_at_s = now_s
-                self._move(Phase.STOPPING, now_s)
+            self._watch_reset(now_s)
         elif phase is Phase.READY:
-            silent_s = now_s - max(self.view.report_at_s, self._phase_at_s)
-            if silent_s > stall.REPORT_SILENCE_S + 1.0:
+            silent_s = self._patience.silent_s
+            if silent_s > stall.READY_SILENCE_S:
                 self._events.append(Notice(f"no answer to '?' for {silent_s:.0f} s"))
                 self.view.report = None
                 self._hail = Hail(recognised=True)
                 self._move(Phase.HAILING, now_s)
 
+    def _watch_reset(self, now_s: float) -> None:
+        reset = self._reset
+        assert reset is not None
+        waited_s = self._patience.spent_s - self._phase_spent_s
+        if not reset.repeats:
+            if waited_s > stall.BANNER_S:
+                self._events.append(Notice("no banner after the reset: asking again whether the mill stands"))
+                self._put_hold()
+                self._hold_at_s = now_s
+                self._move(Phase.STOPPING, now_s)
+        elif not reset.ours and waited_s > PERSON_S:
+            words = f"nothing answers, not even {reset.sent} resets: mill off, another port, or another baud rate"
+            self._close(words, now_s, Faulted(FaultCause.DEVICE, words, 0, now_s))
+        elif waited_s > stall.BANNER_S and not self._silence_told:
+            self._silence_told = True
+            words = "no answer to {} resets after the alarm: is an emergency stop pressed, is the mill without power?"
+            self._events.append(Notice(words.format(reset.sent)))
+
     def _watch_hail(self, now_s: float) -> None:
-        if self._hail.recognised or now_s < self._phase_at_s + self.options.identify_s:
+        waited_s = self._patience.spent_s - self._phase_spent_s
+        if self._hail.recognised or waited_s < self.options.identify_s:
             return
         self._end_errand("not connected")
         words = self._hail.verdict()
@@ -57,17 +71,28 @@ class SessionWatching(SessionHearing):
     def _watch_stream(self, now_s: float) -> None:
         stream = self._stream
         assert stream is not None
-        silent_s = now_s - max(self.view.report_at_s, self._phase_at_s, self._patient_from_s)
+        silent_s = self._patience.silent_s
         first = stream.first
-        if silent_s > stall.REPORT_SILENCE_S and not (first is not None and first[1].writes_settings):
+        if silent_s > stall.REPORT_SILENCE_S:
+            self._late_answers = True
             self._fault(FaultCause.STALL, f"no answer to '?' for {silent_s:.1f} s", stream.first_line, now_s)
             return
-        if now_s >= self._count_at_s and not self._paused:
-            self._count(stream, now_s)
-        waited_s = now_s - max(self._sign_at_s, self._patient_from_s)
+        if silent_s > TELL_S and not self._silence_told:
+            self._silence_told = True
+            self._events.append(
+                Notice(
+                    f"no answer to '?' for {silent_s:.0f} s: where the mill is, is not known; hold and stop are "
+                    f"written all the same; after {stall.REPORT_SILENCE_S:.0f} s the run is interrupted"
+                )
+            )
+        if not self._paused and not stream.exhausted and now_s >= stream.count.due_s:
+            covered_s = stream.tracker.last_sent_s(self.planner_blocks - 2, self.view.overrides[0])
+            stream.count.consider(covered_s, now_s, paced=self._pacer.paced)
+        heard_s = self._patience.heard_s
+        waited_s = heard_s - self._sign_heard_s
         if self._paused or waited_s < stall.MARGIN_S or not (stream.window.used or stream.drained):
             return
-        standing = self._standing_reports >= stall.IDLE_REPORTS and now_s > self._standing_at_s + stall.IDLE_S
+        standing = self._standing_reports >= stall.IDLE_REPORTS and heard_s > self._standing_heard_s + stall.IDLE_S
         allowed_s = stall.longest_wait_s(
             first[1] if first is not None else None,
             stream.tracker.unproven_answered,
@@ -80,20 +105,6 @@ class SessionWatching(SessionHearing):
             if standing and first is not None:
                 words += f" after line {stream.agreed_line} (if a line, it was not cut: look at the part from there on)"
             self._fault(FaultCause.STALL, words, stream.first_line, now_s)
-
-    def _count(self, stream: Stream, now_s: float) -> None:
-        """Let the controller answer everything before more is sent, where its planner holds motion for long enough.
-
-        A lost reply, or two lines that became one, would else show at the end of the program only: here the answers
-        stay one short, and the mill stands Idle with a line unanswered.
-        """
-        covered_s = stream.tracker.last_sent_s(self.planner_blocks - 2, self.view.overrides[0])
-        needed_s = COUNT_COVER_S if self._pacer.paced else COUNT_COVER_NETWORK_S
-        if stream.exhausted or stream.counting or covered_s < needed_s:
-            self._count_at_s = now_s + COUNT_RETRY_S
-        else:
-            stream.counting = bool(stream.window.used)
-            self._count_at_s = now_s + COUNT_EVERY_S
 
     @staticmethod
     def _stall_words(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> str:

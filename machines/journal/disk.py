@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 import threading
@@ -42,15 +43,24 @@ class Syncer(Protocol):
         ...
 
     def written(self) -> None: ...
-    def sync(self) -> None: ...
-    def close(self) -> None: ...
+    def sync(self) -> None:
+        """Wait until everything written is safe, or `failure` says why not."""
+        ...
+
+    def hasten(self) -> None:
+        """Have everything written made safe soon, without waiting for it."""
+        ...
+
+    def let_go(self) -> None:
+        """Make the file safe and close it, without waiting where that can take time."""
+        ...
 
 
 class RealFile:
     """Unbuffered: what was written survives the end of the process at once."""
 
     def __init__(self, path: Path) -> None:
-        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o644)
+        self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_APPEND | os.O_CLOEXEC, 0o600)
 
     def write(self, data: bytes) -> None:
         done = os.write(self._descriptor, data)
@@ -68,7 +78,7 @@ class RealFile:
 
 class RealDisk:
     def make_folder(self, path: Path) -> None:
-        path.mkdir(parents=True, exist_ok=True)
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
         self.sync_folder(path.parent)
 
     def create(self, path: Path) -> File:
@@ -120,8 +130,13 @@ class InlineSyncer:
         except OSError as error:
             self._failure = f"not safe on disk: {os_words(error)}"
 
-    def close(self) -> None:
+    def hasten(self) -> None:
         self.sync()
+
+    def let_go(self) -> None:
+        self.sync()
+        if self._file is not None:
+            self._file.close()
         self._file = None
 
 
@@ -133,6 +148,7 @@ class ThreadSyncer:
         self._patience_s = patience_s
         self._lock = threading.Condition()
         self._file: File | None = None
+        self._left: list[File] = []  # let go, to be made safe and closed
         self._when_safe: Callable[[], None] | None = None
         self._written = self._safe = 0  # counts of writes
         self._waiting_since_s: float | None = None
@@ -173,14 +189,18 @@ class ThreadSyncer:
                 self._failure = f"the disk has not finished an fsync for {self._patience_s:g} s"
             assert file is self._file  # one thread writes and syncs; only the waiting is shared
 
-    def close(self) -> None:
-        if self._thread is not None and not self._failure:
-            self.sync()
+    def hasten(self) -> None:
         with self._lock:
-            self._file, thread, self._thread = None, self._thread, None
+            self._urgent = True
             self._lock.notify_all()
-        if thread is not None:
-            thread.join(self._patience_s)
+
+    def let_go(self) -> None:
+        """The thread does what is left: whoever stops a mill must not wait for a disk."""
+        with self._lock:
+            if self._file is not None:
+                self._left.append(self._file)
+            self._file = self._thread = None
+            self._lock.notify_all()
 
     def _run(self) -> None:
         while (work := self._next()) is not None:
@@ -199,6 +219,12 @@ class ThreadSyncer:
                     self._safe = max(self._safe, reached)
                     self._waiting_since_s = None if self._written == self._safe else time.monotonic()
                 self._lock.notify_all()
+        with self._lock:
+            left = self._left.pop(0) if self._left else None
+        if left is not None:
+            with contextlib.suppress(OSError):  # of no use to anybody: the reader will see what is there
+                left.sync()
+            left.close()
 
     def _next(self) -> tuple[File, Callable[[], None] | None, int] | None:
         """What to sync next: at once where somebody waits for it, else a while after it was written."""

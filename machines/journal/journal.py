@@ -148,16 +148,20 @@ class Journal:
         if self.failure:
             raise JournalError(self._failure)
 
+    def hasten(self) -> None:
+        """Have everything appended made safe soon, without waiting: `failure` tells if it could not be."""
+        if self._file is not None and not self.failure:
+            self._syncer.hasten()
+
     def repair(self) -> None:
         """After a failure: begin a new file with the whole state. JournalError if the disk still refuses."""
         if self.failure:
             self._rotate()
 
     def close(self) -> None:
-        """Write out and let go; an error here is of no use to anybody, the reader will see what is there."""
+        """Let go of the file; it is made safe behind us."""
         if self._file is not None:
-            self._syncer.close()
-            self._file.close()
+            self._syncer.let_go()
             self._file = None
 
     def _rotate(self) -> None:

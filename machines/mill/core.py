@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import hashlib
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from machines.driver import Driver, MillStatus, Triple
+from machines.driver import Command, Driver, MillStatus, Triple
 from machines.errors import NotAllowedError
 from machines.journal.journal import Journal
 from machines.mill.files import FolderLock, RunFolders, left_alone
 from machines.mill.link import MillLink
 from machines.mill.log import MillLog
+from machines.mill.orders import NOBODY, Caller, OrderGate, Permit
 from machines.mill.run import Run
 from machines.mill.standing import OWNER_LOST, Standstill
 from machines.mill.view import MillSnapshot
@@ -37,6 +39,7 @@ class MillCore:
         reentry: Reentry | None = None,
         open_journal: Callable[[Path], Journal] = Journal,
         pause: Callable[[float], object] | None = None,
+        orders: OrderGate | None = None,
     ) -> None:
         self.name = name
         self._clock = clock
@@ -46,6 +49,10 @@ class MillCore:
         self._log = MillLog(wall_clock)
         self._say = self._log.say
         self._link = MillLink(connect, clock, pause, self._say)
+        self.orders = orders or OrderGate(wall_clock=wall_clock)
+        self._permit: Permit | None = None  # of the order that is being carried out
+        self._caller = NOBODY
+        self._commander: tuple[Command, Caller] | None = None  # the last command, and whose it was
         self._look_at_s = float("-inf")
         self._hold_asked = False
         self._abort_asked = False
@@ -93,6 +100,21 @@ class MillCore:
     def wake(self) -> None:
         """End a waiting `step` (from any thread)."""
         self._link.wake()
+
+    def urge(self, stop: str) -> bool:
+        """Write the byte that stops motion to the link at once, from any thread; whether there is one and it left."""
+        driver = self._link.driver
+        return driver is not None and driver.urge(stop)
+
+    def _extend_permit(self) -> None:
+        """The order was begun in time; what it asks of the controller first may take a while."""
+        if self._permit is not None:
+            self._permit.extend()
+
+    def _require_permit(self) -> None:
+        """The last look before something leaves: is the order still for now? OrderRefusedError."""
+        if self._permit is not None:
+            self._permit.require()
 
     # ------------------------------------------------------------------ runs
 
@@ -159,6 +181,13 @@ class MillCore:
 
     # ------------------------------------------------------------------ the snapshot
 
+    def _setup_digest(self) -> str:
+        """Digest of what a start rests on, to tell whether a person has seen the mill as it is."""
+        status = self.status
+        offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
+        rests_on = (offset, self._zeroed, self._homed, status.position_trusted, status.epoch, self._needs())
+        return hashlib.sha256(repr(rests_on).encode()).hexdigest()[:16]
+
     def _publish(self) -> None:
         """A new snapshot, if anything in it differs."""
         driver, before = self._driver, self._snapshot
@@ -178,6 +207,9 @@ class MillCore:
             needs=self._needs(),
             zeroed=self._zeroed,
             homed=self._homed,
+            setup=self._setup_digest(),
+            stops=self.orders.stops,
+            lease=self.orders.get_lease(),
             events=self._log.after(before.events),
         )
         if snapshot != before:

@@ -21,6 +21,7 @@ from machines.driver import (
 from machines.errors import JournalError
 from machines.mill.command_words import command_words
 from machines.mill.following import MillFollowing
+from machines.mill.orders import NOBODY
 from machines.mill.run import Run
 from machines.mill.standing import LINK_LOST
 from machines.runs import RunState
@@ -80,7 +81,7 @@ class MillEvents(MillFollowing):
                 self._change(run, RunState.INTERRUPTED, words, self._driver.status, self._driver.progress,
                              cause=event.cause.value, fault_line=event.line,
                              adrift=LINK_LOST if going_on else "")  # fmt: skip
-                run.journal.sync()
+                run.journal.hasten()
         finally:
             if lost or self.status.state is MillState.DISCONNECTED:
                 if self._abort_asked:
@@ -102,7 +103,7 @@ class MillEvents(MillFollowing):
         self._hold_asked = self._recovering = False
         if state is RunState.FINISHED:
             self._driven = None
-        run.journal.sync()
+        run.journal.hasten()
         run.let_go()
 
     def _stopped(self, event: Stopped) -> None:
@@ -130,7 +131,9 @@ class MillEvents(MillFollowing):
     def _commanded(self, event: CommandDone) -> None:
         command = event.command
         words = command_words(event, from_mm=self._jog_from_mm, at_mm=self.status.machine_mm)
-        self._say("command", words, event.answer)
+        given = self._commander
+        caller = given[1] if given is not None and given[0] is command else NOBODY
+        self._say("command", words, event.answer, caller)
         if event.failure:
             return
         if isinstance(command, ReadSettings):

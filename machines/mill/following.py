@@ -132,7 +132,7 @@ class MillFollowing(MillCore):
         if line is not None and line > run.executed_line:
             self._say("run", f"{run.view.name}: the mill went on to the end of line {line} before it stood still")
             ashore(run, executed_line=line, stood_mm=place_mm)
-            run.journal.sync()
+            run.journal.hasten()
         else:
             ashore(run)
         self._rest(run)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from machines.mill.orders import NOBODY, Caller
 from machines.mill.view import LogEntry
 
-LOG_ENTRIES = 100
+LOG_ENTRIES = 200
 
 
 class MillLog:
@@ -18,9 +19,10 @@ class MillLog:
         self._entries: deque[LogEntry] = deque(maxlen=LOG_ENTRIES)
         self.count = 0
 
-    def say(self, kind: str, words: str, answer: dict[str, object] | None = None) -> None:
+    def say(self, kind: str, words: str, answer: dict[str, object] | None = None, caller: Caller = NOBODY) -> None:
         self.count += 1
-        self._entries.append(LogEntry(self.count, round(self._wall(), 3), kind, words, dict(answer or {})))
+        at_s = round(self._wall(), 3)
+        self._entries.append(LogEntry(self.count, at_s, kind, words, dict(answer or {}), caller.name, caller.origin))
 
     def after(self, known: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
         """All entries; the very tuple that is known already where nothing was added."""

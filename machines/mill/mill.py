@@ -10,14 +10,20 @@ mill_events (what a driver reports), mill_starting (start and recover); here are
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeVar
+
 from machines.driver import Command, Jog, JogCancel, MillState, Override, ReadSettings
 from machines.errors import JournalError, MachineError, NotAllowedError
+from machines.mill.orders import NOBODY, Caller, Stop
 from machines.mill.run import Run
 from machines.mill.starting import MillStarting
 from machines.mill.view import LogEntry, MillSnapshot
 from machines.runs import RunState
 
 __all__ = ["LogEntry", "Mill", "MillSnapshot"]
+
+T = TypeVar("T")
 
 _MOVES = frozenset({MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING})
 _QUIET = frozenset({MillState.IDLE, MillState.ALARM, MillState.CHECK, MillState.SLEEP})
@@ -26,6 +32,39 @@ _MOVES_NOTHING = (ReadSettings, Override, JogCancel)
 
 class Mill(MillStarting):
     """One mill and the folder its runs live in."""
+
+    def carry_out(self, doing: str, act: Callable[[Mill], T], caller: Caller, *, needs_lease: bool = False) -> T:
+        """Carry out an order under the caller's grant; the log says whose it was and what came of it.
+
+        The grant is looked at now, and again when nothing but the wire is left. OrderRefusedError, or that of `act`.
+        """
+        try:
+            self._permit = self.orders.redeem(caller.grant, doing, needs_lease=needs_lease)
+            self._caller = caller
+            answer = act(self)
+        except MachineError as error:
+            self._say("order", f"{doing}: refused: {error}", caller=caller)
+            self._publish()
+            raise
+        finally:
+            self._permit, self._caller = None, NOBODY
+        self._say("order", f"{doing}: taken", caller=caller)
+        self._publish()
+        return answer
+
+    def carry_out_stop(self, stop: Stop, caller: Caller) -> None:
+        """Hold, abort or end a jog, whoever asks; the log says who."""
+        self._say("order", stop.value, caller=caller)
+        {Stop.HOLD: self.hold, Stop.ABORT: self.abort, Stop.JOG_CANCEL: self.cancel_jog}[stop]()
+
+    def publish(self) -> None:
+        """Renew the snapshot."""
+        self._publish()
+
+    def cancel_jog(self) -> None:
+        """End a jog, keeping the position. Nothing to do without a link."""
+        if self._driver is not None and not self._link.away:
+            self.command(JogCancel())
 
     def hold(self) -> None:
         """Stop motion, keeping the position. Always taken: without a link it is carried out when the link is back."""
@@ -54,6 +93,7 @@ class Mill(MillStarting):
             run.journal.repair()
             run.journal.append("resume", wall_s=round(self._wall(), 3))
             self._journal_words = ""
+        self._require_permit()
         driver.resume()
         self._hold_asked = False
         self._look()
@@ -95,7 +135,9 @@ class Mill(MillStarting):
             except JournalError as error:
                 raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
         stood_mm = driver.status.machine_mm
+        self._require_permit()
         driver.command(command)
+        self._commander = (command, self._caller)
         if isinstance(command, Jog):
             self._jog_from_mm = stood_mm
         self._look()

@@ -12,10 +12,13 @@ from typing import Any
 
 from machines.driver import CommandDone, Driver, MillState, ReadSettings, TrustPosition
 from machines.errors import JournalError, MachineError, NotAllowedError, ProgramChangedError
+from machines.gcode.limits import top_of_travel_mm
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
+from machines.grbl.options import missing_option
 from machines.grbl.settings import ControllerSettings
 from machines.mill.events import MillEvents
+from machines.mill.orders import OrderRefusedError, Refusal
 from machines.mill.placement import Placement, program_placement, way_in_placement
 from machines.mill.run import Run
 from machines.mill.standing import STILL_S
@@ -42,7 +45,7 @@ class MillStarting(MillEvents):
         }  # fmt: skip
         run = self._run_on_disk(run_id, {"id": run_id, "state": RunState.PARKED.value})
         run.write("parked", **record)
-        run.journal.sync()
+        run.journal.hasten()
         run.facts, run.reader = program, ProgramReader(path, program.index)
         self._runs[run_id] = run
         if self._active is None or not self._active.live:
@@ -54,21 +57,31 @@ class MillStarting(MillEvents):
         self._publish()
         return run.view
 
-    def start(self, run_id: str, confirmation: Confirmation) -> None:
-        """Stream a parked run from its first line."""
+    def start(self, run_id: str, confirmation: Confirmation, *, setup: str | None = None) -> None:
+        """Stream a parked run from its first line.
+
+        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError where it is another by now
+        """
         run = self._run(run_id)
         if run.state is not RunState.PARKED:
             way = "recover it" if run.state in RECOVERABLE else "load the program again"
             raise NotAllowedError(f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}")
         confirmation.demand(START_CHECKS, "start")
+        self._extend_permit()
         driver = self._ready_driver("start")
         facts, reader = run.load(self._folders, lambda facts: self._reader(run, facts))
         _check_file(run, facts)
         answer = self._asked()
+        if setup is not None and setup != self._setup_digest():
+            raise OrderRefusedError(Refusal.SETUP, "start: the zero or the position has changed since it was looked at")
         _check_modes(facts, answer)
+        settings = _told(driver)
+        if settings is not None and (words := missing_option(settings, mist_line=facts.mist_line)):
+            raise NotAllowedError(f"start: {words}")
         placement = program_placement(facts, reader, _told(driver), driver.status)
         if placement.certain and placement.problems:
-            raise NotAllowedError(f"start: {'; '.join(placement.problems)}")
+            words = "; ".join(placement.problems)
+            raise NotAllowedError(f"start: {words}: home the mill if it counts wrongly, or set the work zero elsewhere")
         self._vouch(driver)
         baseline = self._baseline(run, confirmation, answer, placement)
         baseline |= {"started_s": round(self._wall(), 3), "executed_line": 0}
@@ -82,10 +95,16 @@ class MillStarting(MillEvents):
         self._rest(run)
         return plan
 
-    def recover(self, run_id: str, confirmation: Confirmation) -> None:
-        """Go on with an interrupted run, as the plan of this moment says."""
+    def recover(self, run_id: str, confirmation: Confirmation, *, plan_seen: str | None = None) -> None:
+        """Go on with an interrupted run, as the plan of this moment says.
+
+        plan_seen : digest of the plan that the person has read; OrderRefusedError where it is another by now
+        """
         run = self._run(run_id)
+        self._extend_permit()
         plan, answer, placement = self._planned(run)
+        if plan_seen is not None and plan_seen != plan.digest:
+            raise OrderRefusedError(Refusal.PLAN, "recover: the plan is another by now; read it again")
         confirmation.demand(RECOVER_CHECKS, "recover")
         if plan.refusals:
             raise NotAllowedError(f"recover: {'; '.join(plan.refusals)}")
@@ -111,6 +130,8 @@ class MillStarting(MillEvents):
         facts, reader = run.load(self._folders, lambda facts: self._reader(run, facts))
         self._await_place(run)
         answer = self._asked()
+        settings = _told(self._driver) if answer else None
+        by_its_count = self._homed or (settings is not None and bool(settings.soft_limits))
         present = Present(
             status=self.status,
             offsets=answer.get("offsets") if answer else None,
@@ -118,8 +139,8 @@ class MillStarting(MillEvents):
             restarted=bool(run.record.get("restarted")),
             vouched_axes=str(run.record.get("zeroed", "")),
             homed=self._homed,
+            top_mm=top_of_travel_mm(settings) if by_its_count else None,
         )
-        settings = _told(self._driver) if answer else None
 
         def placed(blocks: tuple[str, ...]) -> Placement:
             """The rest of the program is held against the travel as a whole: what is cut already did fit there."""
@@ -130,7 +151,7 @@ class MillStarting(MillEvents):
         plan, placement = plan_recovery(run.record, facts, reader, present, self._reentry), Placement()
         if plan.blocks:
             placement = placed(plan.blocks)
-            plan = plan.with_place(placement.problems, refused=placement.certain)
+            plan = plan.with_place(placement.problems, refused=placement.certain and by_its_count)
         return plan, answer, placement
 
     def _await_place(self, run: Run) -> None:
@@ -151,6 +172,7 @@ class MillStarting(MillEvents):
             run.move(state, "", **baseline)
             run.journal.sync()
             run.begin_stream()
+            self._require_permit()
             start()
         except MachineError:
             run.take_back(before)
@@ -221,7 +243,13 @@ class MillStarting(MillEvents):
         answer: dict[str, Any] | None = None
         ended = False
         # The work position comes with the offset, and that only with every tenth report or so.
-        while self._clock() < until_s and self._driver is driver and not (ended and driver.status.work_mm is not None):
+        stops = self.orders.stops
+        while (
+            self._clock() < until_s
+            and self._driver is driver
+            and self.orders.stops == stops
+            and not (ended and driver.status.work_mm is not None)
+        ):
             for event in driver.poll(0.05):
                 self._on(event)
                 if isinstance(event, CommandDone) and event.command == wanted:

@@ -7,12 +7,15 @@ reading one takes no lock.
 from __future__ import annotations
 
 import threading
+import time
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from concurrent.futures import Future
+from typing import Any, TypeVar
 
 from machines.errors import MachineError, NotAllowedError
 from machines.mill.mill import Mill, MillSnapshot
+from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
 
 T = TypeVar("T")
 
@@ -20,57 +23,16 @@ _POLL_S = 0.25
 _CALL_S = 60.0
 
 
-class _Call(Generic[T]):
-    """One call on its way to the owner thread, and its answer on the way back.
-
-    Whoever waited in vain was told that nothing came of it, so a call that has not begun by then never begins: a start
-    must not come true a minute later, when nobody stands at the mill.
-    """
-
-    def __init__(self, function: Callable[[Mill], T]) -> None:
-        self._function = function
-        self._done = threading.Event()
-        self._lock = threading.Lock()
-        self._begun = self._given_up = False
-        self._value: T | None = None
-        self._error: BaseException | None = None
-
-    def carry_out(self, mill: Mill) -> None:
-        with self._lock:
-            if self._given_up:
-                return
-            self._begun = True
-        try:
-            self._value = self._function(mill)
-        except BaseException as error:
-            self._error = error
-        self._done.set()
-
-    def refuse(self, error: BaseException) -> None:
-        self._error = error
-        self._done.set()
-
-    def answer(self, timeout_s: float) -> T:
-        if not self._done.wait(timeout_s):
-            with self._lock:
-                self._given_up = not self._begun
-            fate = "it was taken back" if self._given_up else "it is under way and may still be carried out"
-            raise MachineError(
-                f"the mill's thread gave no answer within {timeout_s:g} s, {fate}; use the mill's own stop button"
-            )
-        if self._error is not None:
-            raise self._error
-        return self._value  # type: ignore[return-value]
-
-
 class MillThread:
     """Runs `mill.step` until stopped."""
 
     def __init__(self, mill: Mill) -> None:
         self._mill = mill
-        self._calls: deque[_Call] = deque()
+        self._stops: deque[tuple[Future[Any], Callable[[Mill], Any]]] = deque()
+        self._calls: deque[tuple[Future[Any], Callable[[Mill], Any]]] = deque()
         self._snapshot = mill.snapshot
         self._changed = threading.Condition()
+        self.turned_s = time.monotonic()  # when the owner thread looked for calls last
         self._ending = False
         self._ended = False
         self._failure: BaseException | None = None
@@ -78,6 +40,10 @@ class MillThread:
 
     def start(self) -> None:
         self._thread.start()
+
+    @property
+    def orders(self) -> OrderGate:
+        return self._mill.orders
 
     @property
     def snapshot(self) -> MillSnapshot:
@@ -90,17 +56,46 @@ class MillThread:
         return self._snapshot
 
     def call(self, function: Callable[[Mill], T], timeout_s: float = _CALL_S) -> T:
-        """Carry out `function` on the owner thread; its result or its exception comes back."""
+        """Carry out `function` on the owner thread; its result or its exception comes back.
+
+        Whoever waited in vain is told that nothing came of it, so a call that has not begun by then never begins.
+        """
         if threading.current_thread() is self._thread:
             return function(self._mill)
-        call = _Call(function)
+        future = self.submit(function)
+        try:
+            return future.result(timeout_s)
+        except TimeoutError:
+            if future.done():
+                raise  # the function's own
+            raise no_answer(timeout_s, taken_back=future.cancel()) from None
+
+    def submit(self, function: Callable[[Mill], T]) -> Future[T]:
+        """Have `function` carried out on the owner thread; never waits. `cancel` takes back what has not begun."""
+        return self._put(self._calls, function)
+
+    def halt(self, stop: Stop, caller: Caller = NOBODY) -> tuple[bool, Future[None]]:
+        """Stop the mill; never waits. Whether a byte that stops it has left, and the owner thread's own part of it.
+
+        The stop is counted first, so that no older order is carried out any more; then the byte leaves for the mill,
+        whatever the owner thread is doing; its own part comes before all other calls.
+        """
+        self._mill.orders.count_stop()
+        written = self._mill.urge(stop.value)
+        return written, self._put(self._stops, lambda mill: mill.carry_out_stop(stop, caller))
+
+    def _is_running(self) -> bool:
+        return not self._ended and self._thread.is_alive()
+
+    def _put(self, queue: deque[tuple[Future[Any], Callable[[Mill], Any]]], function: Callable[[Mill], T]) -> Future[T]:
+        future: Future[T] = Future()
         with self._changed:
-            if self._ended or not self._thread.is_alive():
+            if not self._is_running():
                 why = f": {self._failure}" if self._failure is not None else ""
                 raise NotAllowedError(f"the mill's thread is not running{why}; start the agent again")
-            self._calls.append(call)
+            queue.append((future, function))
         self._mill.wake()
-        return call.answer(timeout_s)
+        return future
 
     def stop(self, *, detach: bool = False) -> None:
         """End the thread and let go of the mill. Refused while it moves, unless `detach` says that it may go on."""
@@ -118,6 +113,7 @@ class MillThread:
     def _run(self) -> None:
         try:
             while not self._ending:
+                self.turned_s = time.monotonic()
                 self._mill.step(_POLL_S)
                 self._carry_out_calls()
                 self._publish()
@@ -128,10 +124,17 @@ class MillThread:
             self._finish()
 
     def _carry_out_calls(self) -> None:
-        while self._calls and not self._ending:
-            call = self._calls.popleft()
-            call.carry_out(self._mill)
-            self._publish()
+        while (self._stops or self._calls) and not self._ending:
+            future, function = self._stops.popleft() if self._stops else self._calls.popleft()
+            if future.set_running_or_notify_cancel():
+                try:
+                    value = function(self._mill)
+                except BaseException as error:
+                    self._publish()
+                    future.set_exception(error)
+                else:
+                    self._publish()  # whoever gets the answer finds the snapshot that goes with it
+                    future.set_result(value)
 
     def _publish(self) -> None:
         snapshot = self._mill.snapshot
@@ -147,9 +150,19 @@ class MillThread:
             with self._changed:
                 self._ended = True
                 self._snapshot = self._mill.snapshot
-                left = list(self._calls)
+                left = [*self._stops, *self._calls]
+                self._stops.clear()
                 self._calls.clear()
                 self._changed.notify_all()
             why = f" ({self._failure})" if self._failure is not None else ""
-            for call in left:
-                call.refuse(NotAllowedError(f"the mill's thread has ended{why}; start the agent again"))
+            for future, _ in left:
+                if future.set_running_or_notify_cancel():
+                    future.set_exception(NotAllowedError(f"the mill's thread has ended{why}; start the agent again"))
+
+
+def no_answer(timeout_s: float, *, taken_back: bool) -> MachineError:
+    """The error for a caller whose time is over."""
+    fate = "it was taken back" if taken_back else "it is under way and may still be carried out"
+    return MachineError(
+        f"the mill's thread gave no answer within {timeout_s:g} s, {fate}; use the mill's own stop button"
+    )

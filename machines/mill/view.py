@@ -8,6 +8,7 @@ from typing import Any
 
 from machines.driver import DriverFacts, MillState, MillStatus, StreamProgress
 from machines.grbl.settings import ControllerSettings
+from machines.mill.orders import Lease
 from machines.runs import RunView
 
 
@@ -17,13 +18,16 @@ class LogEntry:
 
     number: int
     at_s: float
-    kind: str  # "state" "run" "fault" "notice" "command" "link" "journal"
+    kind: str  # "state" "run" "fault" "notice" "order" "command" "link" "journal"
     words: str
     answer: dict[str, Any] = dataclasses.field(default_factory=dict)  # of a command
+    by: str = ""  # whose order it was, and where that came from
+    origin: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         plain = {"number": self.number, "at_s": self.at_s, "kind": self.kind, "words": self.words}
-        return plain | ({"answer": self.answer} if self.answer else {})
+        said = {"answer": self.answer, "by": self.by, "from": self.origin}
+        return plain | {name: value for name, value in said.items() if value}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -38,6 +42,9 @@ class MillSnapshot:
     needs    : what a person has to do before the next start, in words
     zeroed   : axes whose work zero was set on this link, as far as the position is still trusted
     homed    : a homing cycle was carried out on this link, and the position was not lost since
+    setup    : digest of what a start rests on: the zero and whether it can be trusted
+    stops    : how often the mill was stopped by an order since its owner was started
+    lease    : who has control
     events   : the latest, oldest first
     """
 
@@ -55,6 +62,9 @@ class MillSnapshot:
     needs: tuple[str, ...] = ()
     zeroed: str = ""
     homed: bool = False
+    setup: str = ""
+    stops: int = 0
+    lease: Lease | None = None
     events: tuple[LogEntry, ...] = ()
 
     @property
@@ -76,6 +86,9 @@ class MillSnapshot:
             "needs": list(self.needs),
             "zeroed": self.zeroed,
             "homed": self.homed,
+            "setup": self.setup,
+            "stops": self.stops,
+            "control": None if self.lease is None else self.lease.as_dict(),
             "events": [entry.as_dict() for entry in self.events],
         }
 

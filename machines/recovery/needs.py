@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from machines.driver import MillState
+from machines.driver import MillState, MillStatus
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan import Need, Present
 
@@ -13,27 +13,36 @@ _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59")
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
 
 
+_MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
+
+
+def standing_needs(status: MillStatus) -> Iterator[Need]:
+    """What keeps a mill from taking any program: at most one need."""
+    state = status.state
+    if state in (MillState.DISCONNECTED, MillState.CONNECTING):
+        yield Need("connect", f"the mill is {state.value}: connect it; it does not move by that")
+    elif state is MillState.ALARM:
+        yield Need(
+            "unlock",
+            f"the mill is locked ({status.detail or 'alarm'}): home it, which finds its position, or unlock it",
+        )
+    elif state in _MOVES:
+        yield Need("wait", f"the mill is {state.value}: wait until it has carried that out, or hold it")
+    elif state is not MillState.IDLE:
+        yield Need("stand still", f"the mill is {state.value} and may hold unfinished blocks: reset it, "
+                                  "which clears them and, from standstill, keeps the position")  # fmt: skip
+
+
 def first_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     status = present.status
+    yield from standing_needs(status)
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
-        yield Need("connect", f"the mill is {status.state.value}: connect it; it does not move by that")
         return
-    if status.state is MillState.ALARM:
-        yield Need(
-            "unlock", f"the mill is locked ({status.detail or 'alarm'}): home it, or unlock it and set the zero anew"
-        )
-    elif status.state in (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING):
-        yield Need(
-            "stand still", f"the mill is {status.state.value}: wait until it has carried out what it holds, or hold it"
-        )
-    elif status.state is not MillState.IDLE:
-        yield Need("stand still", f"the mill is {status.state.value} and may hold unfinished blocks: reset it, "
-                                  "which clears them and, from standstill, keeps the position")  # fmt: skip
-    elif status.work_mm is None:
+    if status.state is MillState.IDLE and status.work_mm is None:
         yield Need("connect", "the mill has not reported its position yet: wait a second")
     if (words := position_doubt(record, present)) != "":
-        yield Need("position", f"{words}: home the mill, or touch off and set the work zero of X, Y, Z anew, or, if "
-                               "you know that it is right, say so (trust position)")  # fmt: skip
+        yield Need("position", f"{words}: home the mill, or touch off again at the same points of the part (zero of "
+                               "X, Y, Z), or, if you know that it is right, say so (trust position)")  # fmt: skip
 
 
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
@@ -92,7 +101,7 @@ def offsets_compared(
     if not moving:
         return tuple(words), ()
     need = Need("zero", f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
-                        "G43.1), or set the work zero anew")  # fmt: skip
+                        "G43.1), or touch off again at the same points of the part")  # fmt: skip
     return tuple(words), (need,)
 
 

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from machines.driver import MillStatus, ProgramLine, Triple
 from machines.gcode.program import ProgramReader
+
+_NOT_THERE = (
+    "The part was begun within the travel, so its position or its work zero is not what it was: home the mill and put "
+    "the same zero back. Where only the height at which the tool travels is too high, lower safe_z_mm in the profile. "
+    "Do not move the work zero: the rest would be cut beside what is cut already"
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -26,7 +34,7 @@ class Reentry:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What must be done first. `code`: "connect", "stand still", "unlock", "position" or "zero"."""
+    """What must be done first. `code`: "connect", "wait", "stand still", "unlock", "position" or "zero"."""
 
     code: str
     words: str
@@ -39,6 +47,7 @@ class Present:
     restarted : a restart of the controller was seen since the run stopped
     vouched_axes : axes of which a person has set the work zero anew since the run stopped
     homed : machine coordinates are those of a homing cycle
+    top_mm : highest machine Z that can be reached; None where that is not certain
     """
 
     status: MillStatus
@@ -47,6 +56,7 @@ class Present:
     restarted: bool = False
     vouched_axes: str = ""
     homed: bool = False
+    top_mm: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +91,15 @@ class RecoveryPlan:
     def recut_lines(self) -> int:
         return max(0, self.resume_line - self.overlap_line)
 
+    @property
+    def digest(self) -> str:
+        """Tell one plan from another: a person's word is for the plan that they have read."""
+        return hashlib.sha256(json.dumps(self._members(), sort_keys=True).encode()).hexdigest()[:16]
+
     def as_dict(self) -> dict[str, Any]:
+        return self._members() | {"plan": self.digest}
+
+    def _members(self) -> dict[str, Any]:
         return {
             "run": self.run_id,
             "executed_line": self.executed_line,
@@ -99,12 +117,18 @@ class RecoveryPlan:
         }
 
     def with_place(self, problems: tuple[str, ...], *, refused: bool) -> RecoveryPlan:
-        """With what leaves the travel: refused where machine coordinates are certain, else told."""
+        """With what leaves the travel: refused where machine coordinates are certain, else told.
+
+        They are not certain while anything has to be done first: a mill that must be homed counts from anywhere.
+        """
         if not problems:
             return self
-        words = tuple(f"{'REFUSED' if refused else 'not certain to fit'}: {problem}" for problem in problems)
-        refusals = (*self.refusals, *problems) if refused else self.refusals
-        return replace(self, refusals=refusals, words=(*self.words, *words))
+        if refused and not self.needs:
+            refusals = tuple(f"{problem}. {_NOT_THERE}" for problem in problems)
+            words = tuple(f"REFUSED: {refusal}" for refusal in refusals)
+            return replace(self, refusals=(*self.refusals, *refusals), words=(*self.words, *words))
+        words = tuple(f"by the position it counts from now, which is not certain: {problem}" for problem in problems)
+        return replace(self, words=(*self.words, *words))
 
     def lines(self, reader: ProgramReader) -> Iterator[ProgramLine]:
         """All that is sent: the way in (as lines 0), then the program from the overlap line on."""

@@ -18,7 +18,7 @@ from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
 from machines.recovery.plan import Need, Present, RecoveryPlan, Reentry
-from machines.recovery.way import height_mm, unreadable, way_in
+from machines.recovery.way import height_mm, travel_height_mm, unreadable, way_in
 
 __all__ = ["Need", "Present", "RecoveryPlan", "Reentry", "plan_recovery"]
 
@@ -46,7 +46,7 @@ def plan_recovery(
     needs = (*first_needs(record, present), *zero_needs) if tells else ()
     blocks: tuple[str, ...] = ()
     if entry is not None and tells and (tool_z_mm := height_mm(present, entry.state.wcs)) is not None:
-        blocks = way_in(entry, tool_z_mm, facts, reentry)
+        blocks = way_in(entry, tool_z_mm, facts, travel_height_mm(present, entry.state.wcs, facts, reentry), reentry)
         refusals.extend(unreadable(blocks))
     plan = RecoveryPlan(
         run_id=str(record.get("id", "")),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from math import floor
 
 from machines.errors import MachineError
 from machines.gcode.interpreter import Interpreter
@@ -14,17 +15,36 @@ from machines.recovery.plan import Present, Reentry
 
 def height_mm(present: Present, wcs: str) -> float | None:
     """Z of the tool in the frame the program is entered in, which need not be the one the controller is in now."""
-    status, offsets = present.status, present.offsets
-    if status.machine_mm is None or offsets is None or wcs not in offsets:
+    status, zero_mm = present.status, _zero_mm(present, wcs)
+    if status.machine_mm is None or zero_mm is None:
         return status.work_mm[2] if status.work_mm is not None else None
-    return status.machine_mm[2] - sum(offsets[name][2] for name in (wcs, "G92", "TLO") if name in offsets)
+    return status.machine_mm[2] - zero_mm
 
 
-def way_in(entry: EntryPoint, tool_z_mm: float, facts: Preflight, reentry: Reentry) -> tuple[str, ...]:
+def _zero_mm(present: Present, wcs: str) -> float | None:
+    """Machine Z of the work zero."""
+    offsets = present.offsets
+    if offsets is None or wcs not in offsets:
+        return None
+    return sum(offsets[name][2] for name in (wcs, "G92", "TLO") if name in offsets)
+
+
+def travel_height_mm(present: Present, wcs: str, facts: Preflight, reentry: Reentry) -> float:
+    """Work Z at which the tool goes across: the safe height, or as high as the program goes, where that is higher.
+
+    Where the mill does not reach the safe height: as high as it gets, which is not below the program's own height.
+    """
+    highest = facts.bounds_mm.most_mm[2] if facts.bounds_mm is not None else None
+    wanted_mm = max(reentry.safe_z_mm, highest if highest is not None else reentry.safe_z_mm)
+    zero_mm = _zero_mm(present, wcs)
+    if present.top_mm is None or zero_mm is None or highest is None:
+        return wanted_mm
+    return max(min(wanted_mm, floor(1000.0 * (present.top_mm - zero_mm)) / 1000.0), highest)
+
+
+def way_in(entry: EntryPoint, tool_z_mm: float, facts: Preflight, safe_mm: float, reentry: Reentry) -> tuple[str, ...]:
     """From where the tool stands to the entry point. Always up before across, always across before down."""
     state = entry.state
-    highest = facts.bounds_mm.most_mm[2] if facts.bounds_mm is not None else None
-    safe_mm = max(reentry.safe_z_mm, highest if highest is not None else reentry.safe_z_mm)
     blocks = [f"G21 G90 G94 G17 {state.wcs}"]
     turns = state.spindle != "M5" and entry.position_mm is not None
     if turns:

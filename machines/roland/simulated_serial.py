@@ -77,6 +77,9 @@ class SimulatedSerialMill:
         data, self._replies = self._replies, b""
         return data
 
+    def write_realtime(self, data: bytes) -> bool:
+        return False
+
     def wake(self) -> None:
         self._woken = True
 

@@ -126,6 +126,9 @@ class RolandUsbDriver:
         if self._device is not None:
             self._device.wake()
 
+    def urge(self, stop: str) -> bool:
+        return False  # nothing over this link is known to pause a job
+
     def start(self, lines: Iterator[ProgramLine]) -> None:
         device = self._device
         if device is None or self._status.state is not MillState.IDLE:

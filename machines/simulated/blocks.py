@@ -172,8 +172,9 @@ def _probe(fw: Firmware, move: Move) -> Task:
     here, there = fw.interpreter.position[2] + fw.shift[2], move.target[2] + fw.shift[2]
     touching = surface is not None and here < surface - 1e-9
     if touching == towards:
-        fw.raise_alarm(4)
         fw.probe_found = False
+        fw.raise_alarm(4)
+        yield 0.0
         return
     end, found = move.target, False
     if surface is not None and (here - surface) * (there - surface) <= 0.0 and here != there:
@@ -187,4 +188,5 @@ def _probe(fw: Firmware, move: Move) -> Task:
     fw.probed = fw.interpreter.position if found else ZERO
     if strict and not found:
         fw.raise_alarm(5)
+        yield 0.0
     fw.say(f"[PRB:{reports.xyz(fw, fw.probed)}:{int(found)}]")

@@ -78,6 +78,8 @@ class Firmware:
         self.after_task: Callable[[], None] | None = None
         self.held = False
         self.critical = False
+        self.alarm, self.alarm_until_s = 0, inf  # being said, and until when nothing else is done
+        self.reset_pending = False
         self.jog_cancel = False
         self.soft_limit = False
         self.door_restoring = False
@@ -119,11 +121,11 @@ class Firmware:
         return (x + sx, y + sy, z + sz)
 
     def suspended(self) -> bool:
-        return self.critical or self.state in _SUSPENDED
+        return self.critical or self.alarm != 0 or self.state in _SUSPENDED
 
     def busy(self) -> bool:
         """No line is read now."""
-        return self.task is not None or self.critical or self.state in _SUSPENDED
+        return self.task is not None or self.suspended()
 
     # -- one line --------------------------------------------------------------------------------------------------
     def line_received(self, raw: bytes) -> None:
@@ -214,6 +216,8 @@ class Firmware:
 
     def go_on(self) -> None:
         """Let the waiting task go on as far as it can."""
+        if self.alarm and self.now_s >= self.alarm_until_s:
+            self.end_alarm()
         while self.task is not None and not self.suspended():
             waiting = self.waiting
             if waiting is ROOM:
@@ -235,7 +239,9 @@ class Firmware:
                     then()
 
     def wake_s(self) -> float:
-        """When the waiting task wants to go on by the clock."""
+        """When the waiting task wants to go on by the clock, or an alarm has been said."""
+        if self.alarm:
+            return self.alarm_until_s
         if self.task is None or not isinstance(self.waiting, float) or self.suspended():
             return inf
         return self.waiting
@@ -309,6 +315,7 @@ class Firmware:
     overrides_changed = suspending.overrides_changed
 
     raise_alarm = resets.raise_alarm
+    end_alarm = resets.end_alarm
     cut_off = resets.cut_off
     reset = resets.reset
     restart = resets.restart

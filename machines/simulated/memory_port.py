@@ -53,6 +53,12 @@ class MemoryPort:
         self._check()
         self.mill.receive(self._noise(data) if self._garbage else data)
 
+    def write_realtime(self, data: bytes) -> bool:
+        if self._closed or self.mill.cable != self._cable or not self.mill.connected:
+            return False
+        self.write(data)
+        return True
+
     def wake(self) -> None:
         self._woken.set()
 

@@ -115,7 +115,7 @@ class SimulatedMill:
             kind = 0
             if self._main_s < t:
                 t, kind = self._main_s, 1
-            if fw.task is not None and (wake := fw.wake_s()) < t:
+            if (fw.task is not None or fw.alarm) and (wake := fw.wake_s()) < t:
                 t, kind = wake, 2
             if serial.realtime and serial.realtime[0][0] < t:
                 t, kind = serial.realtime[0][0], 3
@@ -249,7 +249,7 @@ class SimulatedMill:
             fw.pressed.discard("D")
         elif button == "reset":
             fw.reset()
-        elif fw.critical:
+        elif fw.critical or fw.alarm:
             return
         elif button == "hold":
             fw.hold()
@@ -257,7 +257,8 @@ class SimulatedMill:
             fw.resume()
         elif button == "door":
             fw.open_door()
-        elif button == "limit" and fw.settings[21]:
+        elif button == "limit" and fw.settings[21] and fw.state not in ("Alarm", "Home"):
+            fw.task = None
             fw.cut_off(1)
         self._look_for_line()
 

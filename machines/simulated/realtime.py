@@ -17,6 +17,8 @@ _SPINDLE = {0x9A: 10, 0x9B: -10, 0x9C: 1, 0x9D: -1}
 def realtime_command(fw: Firmware, byte: int) -> None:
     if byte == RESET:
         fw.reset()
+    elif fw.alarm:
+        fw.status_pending |= byte == STATUS
     elif fw.critical:
         # ALARM:1 and ALARM:2 wait in a loop that looks for nothing but a reset; grblHAL still reports.
         if byte == STATUS and fw.traits.reports_when_critical:

@@ -101,5 +101,6 @@ def parser_state(fw: Firmware) -> str:
 
 def build_info(fw: Firmware) -> list[str]:
     t = fw.traits
-    letters = t.option_letters + ("L" if t.line_numbers and "L" not in t.option_letters else "")
+    asked = (("N", t.line_numbers), ("M", t.mist))
+    letters = t.option_letters + "".join(a for a, built_in in asked if built_in and a not in t.option_letters)
     return [*t.version, f"[OPT:{letters},{t.planner_blocks},{t.rx_advertised}]"]

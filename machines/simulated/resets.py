@@ -2,26 +2,53 @@
 
 from __future__ import annotations
 
+from math import inf
 from typing import TYPE_CHECKING
 
 from machines.simulated.homing import homing_moves
 from machines.simulated.recording import CutSegment
-from machines.simulated.waiting import Task
+from machines.simulated.waiting import NEVER, Task
 from machines.simulated.words import GcodeError
 
 if TYPE_CHECKING:
     from machines.simulated.firmware import Firmware
 
 
+CRITICAL, PROBING = (1, 2), (4, 5)
+
+
 def raise_alarm(fw: Firmware, code: int) -> None:
+    """Say it and stand still for half a second: whatever is asked for meanwhile is only noted.
+
+    A probe's alarm leaves the spindle on; all others have come with a reset of the firmware's own, which stops it.
+    """
     fw.state = "Alarm"
     fw.say(f"ALARM:{code}")
-    if code in (1, 2):
-        fw.spindle = "M5"
-        fw.interpreter.coolant.clear()
-        fw.critical = True
+    fw.alarm, fw.alarm_until_s = code, fw.now_s + fw.traits.alarm_delay_s
+    fw.reset_pending = fw.status_pending = False
+    if code not in PROBING:
+        stop_spindle(fw)
         fw.stepper.clear()
+
+
+def stop_spindle(fw: Firmware) -> None:
+    fw.spindle = "M5"
+    fw.interpreter.coolant.clear()
+
+
+def end_alarm(fw: Firmware) -> None:
+    """The half second is over: 1 and 2 forget a reset asked for meanwhile and wait for a new one, the rest go on."""
+    code, fw.alarm, fw.alarm_until_s = fw.alarm, 0, inf
+    if code in CRITICAL:
+        fw.critical, fw.reset_pending = True, False
         fw.say("[MSG:Reset to continue]")
+    elif code not in PROBING or fw.reset_pending:
+        fw.restart(locked=True)
+    else:
+        if fw.status_pending:
+            fw.status_pending = False
+            fw.say(fw.report.text(fw))
+        fw.go_on()
 
 
 def cut_off(fw: Firmware, code: int) -> None:
@@ -40,14 +67,17 @@ def cut_off(fw: Firmware, code: int) -> None:
 
 
 def reset(fw: Firmware) -> None:
-    """Ctrl-X or the reset button."""
-    if fw.state == "Home":
+    """Ctrl-X or the reset button: in motion ALARM:6 or ALARM:3, and the banner when that has been said."""
+    stop_spindle(fw)
+    if fw.alarm:
+        fw.reset_pending = True
+    elif fw.state == "Home":
         fw.task = None
         fw.cut_off(6)
     elif fw.stepper.moving:
         fw.cut_off(3)
-    locked = fw.state in ("Alarm", "Sleep")
-    fw.restart(locked=locked)
+    else:
+        fw.restart(locked=fw.state in ("Alarm", "Sleep"))
 
 
 def restart(fw: Firmware, *, locked: bool) -> None:
@@ -97,11 +127,14 @@ def home(fw: Firmware) -> Task:
         at, last = there, point
         x, y, z = fw.stepper.where(fw.now_s)
         fw.shift = (at[0] - x, at[1] - y, at[2] - z)
+        if fw.traits.homing_alarm:
+            fw.cut_off(fw.traits.homing_alarm)
+            yield NEVER
     fw.shift = tuple(-o for o in fw.traits.power_up_machine_mm)  # type: ignore[assignment]
     fw.stepper.place(*last)
     fw.interpreter.position = last
     fw.position_lost = False
-    fw.state = "Idle"
     if fw.status_pending:
         fw.status_pending = False
         fw.say(fw.report.text(fw))
+    fw.state = "Idle"

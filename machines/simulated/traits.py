@@ -34,6 +34,9 @@ class Traits:
     damaged_eeprom         : the first start answers error:7 before its banner and restores defaults
     eeprom_write_s         : how long a `$x=` shuts the receiver; work offsets take three times that
     resets_on_open         : DTR pulse at opening restarts it, as an Arduino does
+    mist                   : built with M7 ($I tells it by the letter M); stock 1.1 is not
+    alarm_delay_s          : how long the program stands still behind each ALARM: line
+    homing_alarm           : a homing cycle ends in this alarm (8, 9 or 10) after its first search; 0: it does not
     reports_when_critical  : `?` is answered in an alarm that waits for a reset (1.1: no)
     idle_with_blocks_at    : after this many executed blocks the stepper runs dry once and it stands Idle with blocks
     percent_allowed        : a line "%" is taken (grblHAL, FluidNC)
@@ -58,12 +61,14 @@ class Traits:
     crlf_answered_twice: bool = True
     echo: bool = False
     line_numbers: bool = False
-    mist: bool = True
+    mist: bool = False
     homing: bool | None = None
     damaged_eeprom: bool = False
     eeprom_write_s: float = 0.015
     boot_s: float = 0.5
     resets_on_open: bool = False
+    alarm_delay_s: float = 0.5
+    homing_alarm: int = 0
     reports_when_critical: bool = False
     idle_with_blocks_at: int | None = None
     percent_allowed: bool = False
@@ -100,6 +105,8 @@ GRBLHAL = replace(
     lines_per_s=10000.0,
     crlf_answered_twice=False,
     eeprom_write_s=0.0,
+    mist=True,
+    alarm_delay_s=0.1,
     reports_when_critical=True,
     percent_allowed=True,
 )

@@ -1,6 +1,7 @@
 """From the event loop to the mill's own thread and back.
 
-Holds and aborts have threads of their own: they never queue behind a pre-flight or a slow question.
+Nothing here has a queue or a pool that could be full: a call waits as a future, a stop is counted and written to the
+port before this coroutine waits for anything. Only what is slow and not the mill's has threads.
 """
 
 from __future__ import annotations
@@ -8,16 +9,19 @@ from __future__ import annotations
 import asyncio
 import time
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any, TypeVar
 
-from machines.errors import NotAllowedError
 from machines.mill.mill import Mill
-from machines.mill.thread import MillThread
+from machines.mill.orders import CARRY_OUT_S, GRANT_S, Caller, OrderGate, Stop
+from machines.mill.thread import MillThread, no_answer
 from machines.mill.view import MillSnapshot
 
 T = TypeVar("T")
-_FRESH_S = 4.0
+_CALL_S = 60.0
+_STOP_S = 2.0
+_ORDER_S = GRANT_S + 1.0
+START_S = CARRY_OUT_S + 30.0  # beyond the grant only the journal is waited for
 
 
 class MillAccess:
@@ -25,38 +29,63 @@ class MillAccess:
 
     def __init__(self, thread: MillThread) -> None:
         self._thread = thread
-        self._urgent = ThreadPoolExecutor(4, thread_name_prefix="urgent")
-        self._calls = ThreadPoolExecutor(8, thread_name_prefix="call")
+        self._workers = ThreadPoolExecutor(4, thread_name_prefix="work")
 
     @property
     def snapshot(self) -> MillSnapshot:
         return self._thread.snapshot
 
+    @property
+    def orders(self) -> OrderGate:
+        return self._thread.orders
+
     def status(self) -> dict[str, Any]:
         return self._thread.snapshot.as_dict()
 
+    def is_alive(self) -> bool:
+        return self._thread.turned_s > time.monotonic() - _CALL_S
+
     async def call(self, function: Callable[[Mill], T]) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._calls, self._thread.call, function)
+        """Have something done that moves nothing."""
+        return await _await_answer(self._thread.submit(function), _CALL_S)
 
-    async def order(self, function: Callable[[Mill], T]) -> T:
-        """A call that is for now: one that could not begin within 4 s never does, and its caller is told so."""
-        latest_s = time.monotonic() + _FRESH_S
+    async def order(
+        self,
+        doing: str,
+        act: Callable[[Mill], T],
+        caller: Caller,
+        *,
+        needs_lease: bool = False,
+        within_s: float = _ORDER_S,
+    ) -> T:
+        """Have an order carried out under its grant, or refused."""
+        return await _await_answer(
+            self._thread.submit(lambda mill: mill.carry_out(doing, act, caller, needs_lease=needs_lease)), within_s
+        )
 
-        def fresh() -> T:
-            left_s = latest_s - time.monotonic()
-            if left_s <= 0:
-                raise NotAllowedError("the agent was busy for too long: the order was taken back, nothing was sent")
-            return self._thread.call(function, left_s)
-
-        return await asyncio.get_running_loop().run_in_executor(self._calls, fresh)
-
-    async def urgent(self, function: Callable[[Mill], T]) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._urgent, self._thread.call, function)
+    async def halt(self, stop: Stop, caller: Caller) -> None:
+        """Stop the mill. Where its thread is busy with a disk, the byte that has left is answer enough."""
+        written, future = self._thread.halt(stop, caller)
+        try:
+            await _await_answer(future, _STOP_S, keep=True)
+        except TimeoutError:
+            if not written:
+                raise no_answer(_STOP_S, taken_back=False) from None
 
     async def work(self, function: Callable[[], T]) -> T:
-        """Something slow that is not the mill's, such as a pre-flight."""
-        return await asyncio.get_running_loop().run_in_executor(self._calls, function)
+        """Have something slow done that is not the mill's, such as a pre-flight."""
+        return await asyncio.get_running_loop().run_in_executor(self._workers, function)
 
     def close(self) -> None:
-        self._urgent.shutdown(wait=False, cancel_futures=True)
-        self._calls.shutdown(wait=False, cancel_futures=True)
+        self._workers.shutdown(wait=False, cancel_futures=True)
+
+
+async def _await_answer(future: Future[T], within_s: float, *, keep: bool = False) -> T:
+    """Wait for the mill's thread. A call that has not begun by then is taken back, unless `keep`: then TimeoutError."""
+    waiting = asyncio.wrap_future(future)
+    done, _ = await asyncio.wait({waiting}, timeout=within_s)
+    if done:
+        return waiting.result()
+    if keep:
+        raise TimeoutError
+    raise no_answer(within_s, taken_back=future.cancel())

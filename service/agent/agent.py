@@ -8,6 +8,7 @@ from pathlib import Path
 from machines.gcode.preflight import Preflight
 from machines.profiles import MachineProfile
 from service.agent.access import MillAccess
+from service.agent.audit import AuditLog
 from service.agent.keys import ClientKeys
 from service.agent.programs import ProgramStore
 from service.agent.settings import AgentSettings
@@ -25,6 +26,7 @@ class Agent:
     hub: Hub
     connector: Connector
     keys: ClientKeys
+    audit: AuditLog
 
     def preflight(self, program: Path) -> Preflight:
         """Read a program whole, held against this mill's own settings. Slow: not for the event loop's thread."""

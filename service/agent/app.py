@@ -14,6 +14,7 @@ from service.agent.agent import Agent
 from service.agent.auth import Guard
 from service.agent.routes_control import ControlRoutes
 from service.agent.routes_mill import MillRoutes
+from service.agent.routes_orders import OrderRoutes
 from service.agent.routes_programs import ProgramRoutes
 from service.agent.routes_runs import RunRoutes
 from service.web.problems import Problem, on_error, on_http_error
@@ -21,7 +22,8 @@ from service.web.problems import Problem, on_error, on_http_error
 
 def make_app(agent: Agent) -> Starlette:
     async def livez(_request: Request) -> Response:
-        await agent.access.urgent(lambda _: None)  # the mill's thread still answers, or this is a problem
+        if not agent.access.is_alive():
+            raise Problem(503, "the mill's thread does not answer; use the mill's own stop button")
         return JSONResponse({"alive": True, "machine": agent.settings.machine})
 
     routes = [
@@ -30,6 +32,7 @@ def make_app(agent: Agent) -> Starlette:
         *ProgramRoutes(agent).routes(),
         *RunRoutes(agent).routes(),
         *ControlRoutes(agent).routes(),
+        *OrderRoutes(agent).routes(),
     ]
     guard = Middleware(Guard, token=agent.settings.token, hosts=frozenset({agent.settings.host.lower()}))
     handlers = dict.fromkeys((Problem, MachineError, OSError), on_error)

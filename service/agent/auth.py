@@ -10,6 +10,7 @@ from pathlib import Path
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.private import keep_private
 from service.web.hosts import is_own_host, own_names
 from service.web.problems import Problem, problem_response
 
@@ -36,9 +37,8 @@ def read_token(path: Path) -> str:
 
 def made_token(folder: Path) -> tuple[str, Path]:
     """The token of this data folder, made on first use and readable by its owner only."""
-    path = folder / TOKEN_FILE
+    path = keep_private(folder) / TOKEN_FILE
     try:
-        folder.mkdir(parents=True, exist_ok=True)
         if not path.exists():
             descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(descriptor, "w", encoding="ascii") as file:

@@ -40,8 +40,8 @@ class Fields:
             raise Problem(422, f"{name} is {_shown(value)}; allowed: {low:g} to {high:g}", field=name)
         return float(value)
 
-    def flag(self, name: str) -> bool:
-        value = self._take(name, None)
+    def flag(self, name: str, default: bool | None = None) -> bool:
+        value = self._take(name, default)
         if not isinstance(value, bool):
             raise Problem(422, f"{name} is {_shown(value)}; allowed: true, false", field=name)
         return value

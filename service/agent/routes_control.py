@@ -1,4 +1,4 @@
-"""/v1/control: what an operator can ask of the mill beside a run. Hold and abort are taken at any time."""
+"""/v1/control: what an operator can ask of the mill beside a run. Stops are taken at any time."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from machines.driver import (
     Command,
     Home,
     Jog,
-    JogCancel,
     Override,
     ProbeZ,
     ReadSettings,
@@ -23,15 +22,18 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
+from machines.mill.console_lines import describe_effect
 from machines.mill.mill import Mill
+from machines.mill.orders import Stop
 from service.agent.agent import Agent
 from service.agent.bodies import Fields, fields_of
+from service.agent.callers import read_caller
 from service.web.problems import Problem
 
 _MOST_MM = 5000.0
 _AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
 _RANGES = {"feed": (10, 200), "rapid": (25, 100), "spindle": (10, 200)}
-_URGENT: dict[str, Callable[[Mill], None]] = {"hold": Mill.hold, "abort": Mill.abort}
+_STOPS = frozenset(Stop)
 
 
 class ControlRoutes:
@@ -43,20 +45,21 @@ class ControlRoutes:
 
     async def control(self, request: Request) -> Response:
         what = request.path_params["what"]
-        if (urgent := _URGENT.get(what)) is not None:  # before the body is looked at: nothing in it could matter
-            await self._agent.access.urgent(urgent)
+        access, caller = self._agent.access, read_caller(request)
+        if what in _STOPS:  # before the body is looked at: nothing in it could matter
+            await access.halt(Stop(what), caller)
             return self._accepted()
         if what not in _COMMANDS and what != "resume":
-            allowed = ", ".join(sorted([*_URGENT, *_COMMANDS, "resume"]))
+            allowed = ", ".join(sorted([*_STOPS, *_COMMANDS, "resume"]))
             raise Problem(404, f"no control '{what}'; allowed: {allowed}")
         fields = await fields_of(request)
         if what == "resume":
             fields.done()
-            await self._agent.access.order(Mill.resume)
+            await access.order("resume", Mill.resume, caller, needs_lease=True)
             return self._accepted()
         command = _COMMANDS[what](fields)
         fields.done()
-        await self._agent.access.order(lambda mill: mill.command(command))
+        await access.order(what, lambda mill: mill.command(command), caller, needs_lease=True)
         return self._accepted()
 
     def _accepted(self) -> Response:
@@ -90,6 +93,10 @@ def _block(fields: Fields) -> Command:
     text = fields.text("text", longest=255)
     if not text.isascii() or not text.isprintable() or any(character in text for character in "?!~"):
         raise Problem(422, "text must be one line of plain G-code, without ? ! ~", field="text")
+    if not fields.flag("confirm", False) and (effect := describe_effect(text)):
+        effect = f"'{text.strip()}' {effect}"
+        words = f'{effect}. To send it all the same, send it again with "confirm": true'
+        raise Problem(409, words, field="confirm", more={"code": "confirm", "effect": effect})
     return SendBlock(text)
 
 
@@ -98,7 +105,6 @@ _COMMANDS: dict[str, Callable[[Fields], Command]] = {
     "unlock": lambda fields: Unlock(),
     "home": lambda fields: Home(),
     "jog": _jog,
-    "jog-cancel": lambda fields: JogCancel(),
     "probe": _probe,
     "zero": lambda fields: SetZero(fields.text("axes", "XYZ", allowed=_AXES)),
     "trust-position": lambda fields: TrustPosition(),

@@ -12,9 +12,12 @@ from starlette.routing import Route
 
 from machines.gcode.preflight import Preflight
 from machines.mill.mill import Mill
+from machines.mill.orders import Stop
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from service.agent.access import START_S
 from service.agent.agent import Agent
-from service.agent.bodies import fields_of
+from service.agent.bodies import Fields, fields_of
+from service.agent.callers import read_caller
 from service.web.problems import Problem
 
 
@@ -29,9 +32,9 @@ class RunRoutes:
             Route("/v1/runs", self.parked, methods=["POST"]),
             Route("/v1/runs/{run}:start", self.started, methods=["POST"]),
             Route("/v1/runs/{run}:recover", self.recovered, methods=["POST"]),
-            Route("/v1/runs/{run}:hold", self.told(Mill.hold, urgent=True), methods=["POST"]),
-            Route("/v1/runs/{run}:abort", self.told(Mill.abort, urgent=True), methods=["POST"]),
-            Route("/v1/runs/{run}:resume", self.told(Mill.resume), methods=["POST"]),
+            Route("/v1/runs/{run}:hold", self.halt(Stop.HOLD), methods=["POST"]),
+            Route("/v1/runs/{run}:abort", self.halt(Stop.ABORT), methods=["POST"]),
+            Route("/v1/runs/{run}:resume", self.resumed, methods=["POST"]),
             Route("/v1/runs/{run}/recovery", self.recovery, methods=["GET"]),
             Route("/v1/runs/{run}", self.shown, methods=["GET"]),
         ]
@@ -55,7 +58,7 @@ class RunRoutes:
             facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
             run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
             if key:
-                self._agent.keys.remember(key, run.id)
+                await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
         return _parked(run, status=201)
 
     def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
@@ -72,13 +75,22 @@ class RunRoutes:
         return run
 
     async def started(self, request: Request) -> Response:
-        run, said = self._run(request), await _confirmation(request, START_CHECKS)
-        await self._agent.access.call(lambda mill: mill.start(run.id, said))
+        run, fields = self._run(request), await fields_of(request)
+        said = _read_confirmation(fields, START_CHECKS)
+        setup = fields.text("setup", longest=100) if fields.has("setup") else None
+        fields.done()
+        await self._agent.access.order(
+            "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
+        )
         return self._now(request)
 
     async def recovered(self, request: Request) -> Response:
-        run, said = self._run(request), await _confirmation(request, RECOVER_CHECKS)
-        await self._agent.access.call(lambda mill: mill.recover(run.id, said))
+        run, fields = self._run(request), await fields_of(request)
+        said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
+        fields.done()
+        await self._agent.access.order(
+            "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
+        )
         return self._now(request)
 
     async def recovery(self, request: Request) -> Response:
@@ -86,21 +98,35 @@ class RunRoutes:
         plan = await self._agent.access.call(lambda mill: mill.plan_recovery(run.id))
         return JSONResponse(plan.as_dict())
 
-    def told(self, function: Callable[[Mill], None], *, urgent: bool = False) -> Callable[..., object]:
-        """A control of the live run. Of another run it would be an order to the wrong one: refused."""
+    async def resumed(self, request: Request) -> Response:
+        self._require_present(run := self._run(request))
+        await self._agent.access.order(f"resume {run.name}", Mill.resume, read_caller(request))
+        return self._now(request)
+
+    def halt(self, stop: Stop) -> Callable[..., object]:
+        """A stop of the live run. For another run it is refused, but it is counted all the same: no order that was
+        given before it, such as this run's start, is carried out any more.
+        """
 
         async def endpoint(request: Request) -> Response:
+            access = self._agent.access
             run = self._run(request)
-            live = self._agent.access.snapshot.run
-            if live is None or live.id != run.id:
-                raise Problem(
-                    409, f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself"
-                )
-            call = self._agent.access.urgent if urgent else self._agent.access.call
-            await call(function)
+            if access.snapshot.run is not None and access.snapshot.run.id == run.id:
+                await access.halt(stop, read_caller(request))
+            else:
+                access.orders.count_stop()
+                self._require_present(run)
             return self._now(request)
 
         return endpoint
+
+    def _require_present(self, run: RunView) -> None:
+        """Problem 409 where the mill is about another run: this would be an order to the wrong one."""
+        present = self._agent.access.snapshot.run
+        if present is None or present.id != run.id:
+            raise Problem(
+                409, f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself"
+            )
 
     def _now(self, request: Request) -> Response:
         return JSONResponse(self._run(request).as_dict(), status_code=202)
@@ -109,9 +135,11 @@ class RunRoutes:
         return self._agent.access.snapshot.runs
 
     def _run(self, request: Request) -> RunView:
+        """By our own id, or by the key that the job server gave it."""
         wanted = request.path_params["run"]
+        own = self._agent.keys.run_of(wanted) or wanted
         for run in self._runs():
-            if run.id == wanted:
+            if run.id == own:
                 return run
         raise Problem(404, f"no run '{wanted}' here; GET /v1/runs lists them", field="run")
 
@@ -120,8 +148,5 @@ def _parked(run: RunView, *, status: int) -> Response:
     return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
 
 
-async def _confirmation(request: Request, allowed: frozenset[str]) -> Confirmation:
-    fields = await fields_of(request)
-    said = Confirmation(operator=fields.text("operator", longest=100), checks=fields.texts("checks", allowed))
-    fields.done()
-    return said
+def _read_confirmation(fields: Fields, allowed: frozenset[str]) -> Confirmation:
+    return Confirmation(operator=fields.text("operator", longest=100), checks=fields.texts("checks", allowed))

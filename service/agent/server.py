@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import logging
 import signal
 import socket
 import sys
@@ -20,6 +21,7 @@ import uvicorn
 from machines.driver import MillState
 from machines.errors import PortError
 from machines.mill.mill import Mill
+from machines.mill.orders import Caller, Stop
 from machines.mill.thread import MillThread
 from machines.profiles import MachineProfile
 from machines.recovery.planning import Reentry
@@ -27,6 +29,7 @@ from machines.runs import RunState
 from service.agent.access import MillAccess
 from service.agent.agent import Agent
 from service.agent.app import make_app
+from service.agent.audit import AuditLog
 from service.agent.card import announced
 from service.agent.keys import ClientKeys
 from service.agent.programs import ProgramStore
@@ -35,17 +38,24 @@ from service.agent.sse import Hub
 from service.agent.watch import Watch
 from service.errors import InputError, printable
 from service.mill_link import Connector
+from service.process_priority import go_first
+from service.web.http import HEADER_BYTES, ProblemProtocol, allow_open_files
 
 _STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _MOVING = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 _GOING = (RunState.RUNNING, RunState.RECOVERING, RunState.HOLDING, RunState.STOPPING)
 _STANDSTILL_S = 10.0
 _DRAIN_S = 2
+_CONNECTIONS = 200
+_FILES = 1024
 
 
 def run_agent(settings: AgentSettings, profile: MachineProfile) -> None:
     """Serve until told to stop."""
+    go_first()
     with contextlib.ExitStack() as stack:
+        allow_open_files(_FILES)
+        logging.getLogger("uvicorn.error").setLevel(logging.ERROR)  # a warning for each bad request could fill a disk
         listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
         connector = Connector(profile, settings.port_url)
         reentry = Reentry(safe_z_mm=profile.safe_z_mm)
@@ -95,6 +105,7 @@ async def _serve(
 ) -> None:
     access = MillAccess(thread)
     hub = Hub(ring=settings.ring_events, readers=settings.subscribers)
+    audit = AuditLog(settings.folder / "orders")
     store = ProgramStore(settings.folder / "programs", max_bytes=settings.max_program_bytes)
     agent = Agent(
         settings=settings,
@@ -104,11 +115,16 @@ async def _serve(
         hub=hub,
         connector=connector,
         keys=ClientKeys(settings.folder / "client-keys.json"),
+        audit=audit,
     )
-    watch = Watch(thread, asyncio.get_running_loop(), hub)
+    watch = Watch(thread, asyncio.get_running_loop(), hub, audit)
     server = _Server(
         uvicorn.Config(
             make_app(agent),
+            http=ProblemProtocol,
+            ws="none",
+            limit_concurrency=_CONNECTIONS,
+            h11_max_incomplete_event_size=HEADER_BYTES,
             log_config=None,
             log_level="warning",
             access_log=False,
@@ -134,6 +150,7 @@ async def _serve(
     finally:
         watch.stop()
         access.close()
+        audit.close()
 
 
 class _Server(uvicorn.Server):
@@ -165,7 +182,7 @@ async def _stand_still(access: MillAccess, again: asyncio.Event) -> None:
     if not _moves(access):
         return
     print("stopping: feed hold", file=sys.stderr, flush=True)
-    await access.urgent(Mill.hold)
+    await access.halt(Stop.HOLD, Caller(name="the agent, told to stop"))
     with contextlib.suppress(TimeoutError):
         async with asyncio.timeout(_STANDSTILL_S):
             while _moves(access) and not again.is_set():

@@ -12,6 +12,7 @@ from pathlib import Path
 from machines.port import stable_name
 from service.agent.auth import TOKEN_FILE, made_token, read_token
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.private import keep_private
 from service.web.hosts import is_loopback
 
 DEFAULT_PORT = 8765
@@ -60,15 +61,6 @@ def port_slug(url: str) -> str:
     return re.sub(r"[^A-Za-z0-9.]+", "-", url).strip("-.") or "port"
 
 
-def usable_folder(folder: Path) -> Path:
-    """The folder, made if need be; one line where it cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
-    return folder
-
-
 @contextlib.contextmanager
 def usable(folder: Path) -> Iterator[None]:
     """What the disk refuses when the folder is taken into use, as one line that names the folder."""
@@ -76,6 +68,20 @@ def usable(folder: Path) -> Iterator[None]:
         yield
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing=f"cannot use the data folder {folder}")) from None
+
+
+def _refuse_foreign_bind(host: str, token_file: Path | None, *, behind_proxy: bool) -> None:
+    """InputError where the agent would be reachable from elsewhere without TLS, or with a token nobody else knows."""
+    if is_loopback(host):
+        return
+    where = f"--host {host} can be reached from other computers"
+    if not behind_proxy:
+        raise InputError(
+            f"{where}, and token and orders would go over the wire in the clear; allowed: 127.0.0.1, or a proxy with "
+            "TLS in front and --behind-proxy"
+        )
+    if token_file is None:
+        raise InputError(f"{where}, whose callers need the token; allowed: with --token-file FILE")
 
 
 def agent_settings(
@@ -87,15 +93,13 @@ def agent_settings(
     bind_port: int,
     data: Path | None,
     token_file: Path | None,
+    behind_proxy: bool = False,
 ) -> AgentSettings:
     """Check and complete what the command line gave. A token always guards the mill: without a file one is made."""
-    if not is_loopback(host) and token_file is None:
-        raise InputError(
-            f"--host {host} can be reached from other machines; allowed: 127.0.0.1, or any address with --token-file"
-        )
+    _refuse_foreign_bind(host, token_file, behind_proxy=behind_proxy)
     if not 0 <= bind_port <= 65535:
         raise InputError(f"--bind-port {bind_port}; allowed: 0 (any free one) to 65535")
-    folder = usable_folder(data or mill_folder(machine, own_port=own_port, port_url=port_url))
+    folder = keep_private(data or mill_folder(machine, own_port=own_port, port_url=port_url))
     token, path = (read_token(token_file), None) if token_file is not None else made_token(folder)
     return AgentSettings(
         machine=machine,

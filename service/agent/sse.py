@@ -138,7 +138,7 @@ class EventStream:
         ]
         await send({"type": "http.response.start", "status": 200, "headers": headers})
         await sent(send, b"retry: 1000\n\n" + b"".join(map(self._hub.text, first)))
-        while not reader.dropped:
+        while not (reader.dropped and reader.queue.empty()):
             try:
                 message = await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)
             except TimeoutError:

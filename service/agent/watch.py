@@ -7,6 +7,7 @@ import threading
 
 from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
+from service.agent.audit import AuditLog
 from service.agent.sse import Hub
 
 _WAIT_S = 1.0
@@ -16,10 +17,11 @@ _LEAST_GAP_S = 0.2
 class Watch:
     """A thread that waits for changes and hands snapshots to the event loop, which tells the readers."""
 
-    def __init__(self, thread: MillThread, loop: asyncio.AbstractEventLoop, hub: Hub) -> None:
+    def __init__(self, thread: MillThread, loop: asyncio.AbstractEventLoop, hub: Hub, audit: AuditLog) -> None:
         self._thread = thread
         self._loop = loop
         self._hub = hub
+        self._audit = audit
         self._last_event = 0
         self._ended = threading.Event()
         self._watcher = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -49,6 +51,7 @@ class Watch:
             if entry.number > self._last_event:
                 self._last_event = entry.number
                 self._hub.event(entry.as_dict())
+                self._audit.note(entry)
         self._hub.status(status_of(snapshot))
 
 

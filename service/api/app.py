@@ -25,13 +25,14 @@ from service.api import (
     routes_page,
     routes_root,
     routes_runs,
+    routes_stops,
     routes_submit,
     routes_tokens,
     routes_who,
 )
 from service.api.answers import with_problems
 from service.api.body import SmallBodies
-from service.api.guard import Guard
+from service.api.guard import STOPS, Guard
 from service.api.metrics import Measured
 from service.api.patience import Patient
 from service.api.problems import install_problems
@@ -63,6 +64,7 @@ _ROUTERS = (
     routes_machines,
     routes_control,
     routes_runs,
+    routes_stops,
     routes_health,
     routes_who,
     routes_root,
@@ -100,11 +102,13 @@ def make_app(services: Services) -> FastAPI:
 @asynccontextmanager
 async def _life(services: Services) -> AsyncIterator[None]:
     """Runs are looked at as long as the server serves; then streams and links to the mills' agents end."""
-    watching = asyncio.create_task(services.fleet.watch(), name="fleet watch")
+    behind = (services.fleet.watch(), services.stop_access.keep_fresh())
+    tasks = [asyncio.create_task(work) for work in behind]
     yield
     services.feed.close()
-    watching.cancel()
-    await asyncio.gather(watching, return_exceptions=True)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
     await services.fleet.aclose()
 
 
@@ -114,4 +118,7 @@ def _document(app: FastAPI) -> dict[str, Any]:
             title=app.title, version=app.version, description=app.description, routes=app.routes, tags=app.openapi_tags
         )
         app.openapi_schema = with_problems(document)
+        for path, item in document["paths"].items():
+            if path.endswith(STOPS):  # the token is optional: at the server's own computer none is needed
+                item["post"]["security"].append({})
     return app.openapi_schema

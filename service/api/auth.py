@@ -14,6 +14,7 @@ from fastapi import Depends, Request, Security
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from starlette.types import Scope
 
+from machines.mill.orders import suspend_aware_clock_s
 from service.errors import InputError
 from service.jobs.tokens import TokenBook, TokenScope
 from service.settings import ServerSettings
@@ -24,6 +25,7 @@ JOBS_READ, JOBS_WRITE = TokenScope.JOBS_READ, TokenScope.JOBS_WRITE
 MACHINE_RUN, ADMIN = TokenScope.MACHINE_RUN, TokenScope.ADMIN
 
 _KEY, _OPEN_KEY = "causticmill.principal", "causticmill.open"
+_ARRIVED_KEY, _AT_SERVER_KEY, _STOP_KEY = "causticmill.arrived_s", "causticmill.at_server", "causticmill.stop"
 _bearer = HTTPBearer(auto_error=False, bearerFormat="cm_...", description="A token of `causticmill token create`.")
 
 
@@ -36,6 +38,7 @@ class Principal:
     anonymous: bool = False
     id: str = ""
     paired: bool = False
+    expires_at: float | None = None
 
 
 ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}), anonymous=True, id="anonymous")
@@ -61,6 +64,20 @@ def require(*scopes: TokenScope) -> Callable[..., Awaitable[Principal]]:
     return dependency
 
 
+def require_stop() -> Callable[..., Awaitable[None]]:
+    """A dependency for what stops a mill: the guard has decided who may (service/api/stop_access.py)."""
+
+    async def dependency(
+        request: Request, _shown: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+    ) -> None:
+        if not request.scope.get(_STOP_KEY):
+            await require(MACHINE_RUN)(request, None)
+
+    dependency.required_scopes = frozenset({str(MACHINE_RUN)})  # type: ignore[attr-defined]
+    return dependency
+
+
+Stopper = Annotated[None, Depends(require_stop())]
 Reader = Annotated[Principal, Depends(require(JOBS_READ))]
 Writer = Annotated[Principal, Depends(require(JOBS_WRITE))]
 Operator = Annotated[Principal, Depends(require(MACHINE_RUN))]
@@ -84,6 +101,23 @@ def open_here(request: Request) -> bool:
 
 def note_open(scope: Scope) -> None:
     scope[_OPEN_KEY] = True
+
+
+def note_stopper(scope: Scope) -> None:
+    scope[_STOP_KEY] = True
+
+
+def note_arrival(scope: Scope, *, at_server: bool) -> None:
+    """When the request came, by a clock that runs in suspend, and whether from this very computer."""
+    scope[_ARRIVED_KEY], scope[_AT_SERVER_KEY] = suspend_aware_clock_s(), at_server
+
+
+def arrival_s(scope: Scope) -> float:
+    return float(scope[_ARRIVED_KEY])
+
+
+def is_at_server(scope: Scope) -> bool:
+    return bool(scope.get(_AT_SERVER_KEY))
 
 
 def not_authorised(words: str = "a token is needed: Authorization: Bearer cm_...") -> Problem:

@@ -65,6 +65,7 @@ RECOVERY_EXAMPLE: dict[str, Any] = {
     "overlap_line": 8640,
     "recut_lines": 15,
     "position_mm": [12.4, 7.02, 5.0],
+    "plan": "3b1f0c5de2a94c77",
     "blocks": ["G21 G90 G17 G54", "M3 S18000", "G0 Z5.000", "G0 X12.400 Y7.020", "G1 Z-1.20000 F300"],
     "ready": False,
     "refusals": ["the position is not trusted: home the mill, or confirm it"],
@@ -86,6 +87,7 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "spindle_rpm": [0.0, 24000.0],
         "safe_z_mm": 5.0,
         "homing": True,
+        "spindle": {"on_hold": "turns", "on_lost_link": "turns", "words": ["...", "..."]},
     },
     "agent": {"reachable": True, "words": ""},
     "mill": {
@@ -104,6 +106,8 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "problem": "",
         "needs": [],
         "latched": "",
+        "zeroed": "XYZ",
+        "setup": "9a0b4cf07d1e2c33",
     },
     "run": {
         "id": _RUN_ID,
@@ -127,6 +131,20 @@ MACHINE_EXAMPLE: dict[str, Any] = {
     },
 }
 MACHINES_EXAMPLE: dict[str, Any] = {"machines": [MACHINE_EXAMPLE], "problems": []}
+ORDERS_EXAMPLE: dict[str, Any] = {
+    "orders": [
+        {
+            "number": 412,
+            "at_s": 1763712000.1,
+            "kind": "order",
+            "words": "jog: taken",
+            "by": "Ada",
+            "from": "192.168.1.20",
+        }
+    ],
+    "next": None,
+}
+GRANT_EXAMPLE: dict[str, Any] = {"grant": "x" * 24, "valid_s": 3.0, "stops": 7}
 TOKEN_EXAMPLE: dict[str, Any] = {
     "id": "3f2a9c01d4e8",
     "name": "shop-floor",
@@ -155,6 +173,7 @@ WHOAMI_EXAMPLE: dict[str, Any] = {
     "scopes": ["jobs:read", "jobs:write", "machine:run"],
     "anonymous": False,
     "paired": True,
+    "expires_at": "2026-11-22T08:00:00.000Z",
 }
 PAIRING_EXAMPLE: dict[str, Any] = {
     "token": "cm_" + "x" * 43,

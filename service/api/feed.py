@@ -20,13 +20,12 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.api.times import iso_time
 from service.jobs.book import JobBook
-from service.jobs.events import BATCH
+from service.jobs.events import BATCH, MOST_NEWS
 from service.jobs.records import Event, News, Progress
 
 _POLL_S = 0.25
 _AFTER_ERROR_S = 2.0
 _QUEUE = 12 * BATCH  # more than one poll brings at most
-_MOST_NEWS = 10 * BATCH  # of one poll; more comes with the next
 _log = structlog.get_logger("api")
 
 
@@ -106,7 +105,7 @@ class Feed:
                 _log.warning("feed", error=str(error)[:200])
                 wait_s = _AFTER_ERROR_S
             else:
-                whole = len(found.events) < _MOST_NEWS
+                whole = len(found.events) < MOST_NEWS
                 self._hand_out(asked, found, whole=whole)
                 wait_s = self._poll_s if whole else 0.0
             with contextlib.suppress(TimeoutError):
@@ -144,15 +143,19 @@ class Feed:
             self._give(follower, Message(f"event: progress\ndata: {json.dumps(data)}\n\n".encode()))
 
     def _give(self, follower: Follower, message: Message) -> None:
+        if follower not in self._followers:
+            return
         if follower.queue.full():
             self._drop(follower)
-        elif follower in self._followers:
+        else:
             follower.queue.put_nowait(message)
 
     def _drop(self, follower: Follower) -> None:
         self._followers.discard(follower)
         if follower.queue.full():
-            follower.queue.get_nowait()  # what it misses it asks for when it comes back
+            # All of it: what is sent must have no gap, as a client that comes back asks for what follows the last.
+            while not follower.queue.empty():
+                follower.queue.get_nowait()
         follower.queue.put_nowait(None)
 
 

@@ -34,6 +34,7 @@ _OVERHEAD_BYTES = 100_000  # boundaries, headers and the small parts
 _SMALL = {"spec": SPEC_BYTES, "priority": 40}
 _PARTS = 8
 _LOOK_BYTES = 4_000_000
+_CONTENT_TYPE_CHARS = 300
 
 
 @dataclass(slots=True, kw_only=True)
@@ -176,7 +177,10 @@ class _Reader:
 
 
 def _boundary(request: Request) -> bytes:
-    kind, options = _options(request.headers.get("content-type", "").encode("latin-1"))
+    header = request.headers.get("content-type", "")
+    if len(header) > _CONTENT_TYPE_CHARS:  # the parser's time grows with its square
+        raise Problem(400, f"the Content-Type is longer than {_CONTENT_TYPE_CHARS} characters", field="Content-Type")
+    kind, options = _options(header.encode("latin-1"))
     if kind != b"multipart/form-data":
         raise Problem(415, "the Content-Type must be multipart/form-data", field="Content-Type")
     boundary = options.get(b"boundary", b"")

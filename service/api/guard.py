@@ -17,10 +17,20 @@ from urllib.parse import urlsplit
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from service.api.auth import ANONYMOUS, MACHINE_RUN, Principal, not_authorised, note_open, note_principal
+from service.api.auth import (
+    ANONYMOUS,
+    Principal,
+    is_at_server,
+    not_authorised,
+    note_arrival,
+    note_open,
+    note_principal,
+    note_stopper,
+)
 from service.api.limits import Limiter
 from service.api.services import Services
 from service.api.whence import is_here
+from service.jobs.pairing import TOKEN_LIFE_S
 from service.jobs.tokens import Token
 from service.web.hosts import is_own_host, own_names
 from service.web.problems import Problem, problem_response
@@ -29,7 +39,8 @@ OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this c
 OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
 OPEN_BELOW = "/page/"  # files that hold no data
 
-_STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
+STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
+STOP_SOCKET = "/v1/stops"
 
 _SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
 _SINGLE = frozenset(
@@ -41,6 +52,7 @@ _SINGLE = frozenset(
         b"idempotency-key",
         b"last-event-id",
         b"causticmill-control",
+        b"causticmill-grant",
     }
 )
 _MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
@@ -50,6 +62,12 @@ _LOOK_UPS = 8
 Headers = dict[bytes, bytes]
 
 
+def _principal(token: Token) -> Principal:
+    return Principal(
+        name=token.name, scopes=token.scopes, id=token.id, paired=token.paired, expires_at=token.expires_at
+    )
+
+
 class Guard:
     """ASGI middleware; put it outermost."""
 
@@ -57,6 +75,9 @@ class Guard:
         settings = services.settings
         self._app = app
         self._tokens = services.tokens
+        self._stop_access = services.stop_access
+        self._fleet = services.fleet
+        self._behind_proxy = settings.behind_proxy
         self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
         self._anonymous_jobs = settings.anonymous == "jobs" and not settings.behind_proxy
         # A proxy that adds no header of its own makes strangers look like callers on this computer.
@@ -71,13 +92,13 @@ class Guard:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        if scope["type"] != "http":
-            await send({"type": "websocket.close", "code": 1008})
-            return
         try:
-            await self._admit(scope)
+            await (self._admit(scope) if scope["type"] == "http" else self._admit_socket(scope))
         except Problem as problem:
-            await problem_response(problem)(scope, receive, send)
+            if scope["type"] == "http":
+                await problem_response(problem)(scope, receive, send)
+            else:
+                await send({"type": "websocket.close", "code": 1008})
             return
         await self._app(scope, receive, send)
 
@@ -86,11 +107,16 @@ class Guard:
         host = headers.get(b"host", b"").decode("latin-1").lower()
         if not is_own_host(host, self._names):
             raise Problem(403, f"Host is '{host[:100]}'; allowed: localhost, an address, or a name of this server")
-        if scope["method"] not in _SAFE:
+        if scope["method"] not in _SAFE or scope["path"] in OPEN_HERE:
             _refuse_foreign_page(headers, host)
         here = is_here(scope, headers)
+        note_arrival(scope, at_server=here and not self._behind_proxy)
+        if scope["method"] == "POST" and scope["path"].endswith(STOPS):
+            await self._admit_stop(scope, headers)
+            return
         if here and scope["path"] in self._open_here:  # and stays so when the database is away
             note_open(scope)
+            self._charge(scope, None, bucket="health")
             return
         if scope["path"] in OPEN or scope["path"].startswith(OPEN_BELOW):
             self._charge(scope, None)
@@ -103,12 +129,40 @@ class Guard:
             wrong = b"authorization" in headers
             raise not_authorised("this token is unknown, expired or revoked") if wrong else not_authorised()
 
+    async def _admit_socket(self, scope: Scope) -> None:
+        """Only the way for stops is a socket; who may, it finds out itself."""
+        headers = _plain_headers(scope)
+        host = headers.get(b"host", b"").decode("latin-1").lower()
+        if scope["path"] != STOP_SOCKET or not is_own_host(host, self._names):
+            raise Problem(404, "no such socket")
+        _refuse_foreign_page(headers, host)
+        note_arrival(scope, at_server=is_here(scope, headers) and not self._behind_proxy)
+
+    async def _admit_stop(self, scope: Scope, headers: Headers) -> None:
+        """To stop a mill is never too much, and asks for nothing that could be busy: a token that was seen before is
+        known from memory. One that was not is looked up as for any request.
+        """
+        secret = _secret(headers.get(b"authorization", b""))
+        if (token := self._stop_access.find(secret)) is not None:
+            note_principal(scope, _principal(token))
+            note_stopper(scope)
+        elif is_at_server(scope):
+            note_stopper(scope)
+        else:
+            principal = await self._caller(headers, is_here(scope, headers))
+            if principal is None:
+                self._charge(scope, None)
+                raise not_authorised()
+            note_principal(scope, principal)
+
     async def _caller(self, headers: Headers, here: bool) -> Principal | None:
         ask = asyncio.get_running_loop().run_in_executor
         shown = headers.get(b"authorization")
         try:
             if shown is not None:
-                token = await ask(self._threads, self._tokens.find, _secret(shown))
+                token = await ask(self._threads, self._tokens.find, secret := _secret(shown))
+                if token is not None:
+                    self._stop_access.remember(secret, token)
                 return self._known(token) if token else None
             if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.any_ever):
                 return ANONYMOUS
@@ -120,19 +174,18 @@ class Guard:
     def _known(self, token: Token) -> Principal:
         """Its use is noted by another thread: a busy database must not hold a caller up who only reads."""
         self._notes.submit(self._note_use, token)
-        return Principal(name=token.name, scopes=token.scopes, id=token.id, paired=token.paired)
+        return _principal(token)
 
     def _note_use(self, token: Token) -> None:
+        """A page's token does not end while it watches a run: its use renews it."""
         with contextlib.suppress(SQLAlchemyError):
-            self._tokens.note_use(token)
+            self._tokens.note_use(token, renew_s=TOKEN_LIFE_S if self._fleet.has_live_run else None)
 
-    def _charge(self, scope: Scope, principal: Principal | None) -> None:
-        """429 to one who asks for too much. To stop a mill is never too much."""
+    def _charge(self, scope: Scope, principal: Principal | None, *, bucket: str = "peer") -> None:
+        """429 to one who asks for too much."""
         method, path, peer = scope["method"], scope["path"], scope.get("client")
-        caller = f"peer {peer[0] if peer else '?'}"
+        caller = f"{bucket} {peer[0] if peer else '?'}"
         if principal is not None and not principal.anonymous:
-            if MACHINE_RUN in principal.scopes and method == "POST" and path.endswith(_STOPS):
-                return
             caller = f"token {principal.id}"
         wait_s = self._requests.wait_s(caller)
         words = "too many requests"

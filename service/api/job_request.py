@@ -7,13 +7,16 @@ import json
 from dataclasses import dataclass
 from typing import Any
 
+from service.api.auth import Principal
 from service.api.form import JobForm
 from service.errors import SpecError
 from service.jobs.priorities import NORMAL, PRIORITIES
+from service.jobs.records import ClientKey
 from service.spec_files import resolve_spec
 from service.web.problems import Kind, Problem
 
 _DEEPEST = 20
+_MOST_VALUES = 20_000  # a measured light has 128 x 128, all the rest of a spec a few hundred
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,14 +37,14 @@ def job_request(form: JobForm) -> JobRequest:
     return JobRequest(spec=spec, priority=priority, sha256=digest.hexdigest())
 
 
-def idempotency_key(header: str | None) -> str | None:
-    """The header's value, if it is one of 1 to 200 printable ASCII characters."""
+def idempotency_key(header: str | None, principal: Principal) -> ClientKey | None:
+    """The header's value as this caller's key, if it is one of 1 to 200 printable ASCII characters."""
     if header is None:
         return None
     key = header.strip()
     if not 1 <= len(key) <= 200 or not (key.isascii() and key.isprintable()):
         raise Problem(422, "the key must be 1 to 200 printable ASCII characters", field="Idempotency-Key")
-    return key
+    return ClientKey(principal.id, key)
 
 
 def _resolved(text: bytes) -> dict[str, Any]:
@@ -55,7 +58,12 @@ def _resolved(text: bytes) -> dict[str, Any]:
 
 
 def _parsed(text: bytes) -> dict[str, Any]:
-    """The JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth."""
+    """The JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
+
+    The values are counted before they are parsed: what each of them costs from here on is paid by this process.
+    """
+    if text.count(b",") + text.count(b":") > _MOST_VALUES:
+        raise _unusable(f"holds more than {_MOST_VALUES} values")
     try:
         data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=_once, parse_constant=_no_constant)
     except UnicodeDecodeError:
@@ -72,10 +80,11 @@ def _parsed(text: bytes) -> dict[str, Any]:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    made = dict(pairs)
-    if len(made) != len(pairs):
-        twice = next(key for key in made if sum(key == other for other, _ in pairs) > 1)
-        raise ValueError(f"the key '{twice[:60]}' is there twice")
+    made: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in made:
+            raise ValueError(f"the key '{key[:60]}' is there twice")
+        made[key] = value
     return made
 
 

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from service.process_priority import give_way
 from service.worker.linux import address_space_bytes, die_with_parent, name_process
 
 
@@ -29,6 +30,7 @@ def answer_lines(
     if sys.platform == "linux":
         die_with_parent(int(sys.argv[1]))
         name_process(name)
+    give_way()
     for kind in barred:
         with contextlib.suppress(OSError, ValueError):
             resource.setrlimit(kind, (0, 0))

@@ -10,7 +10,6 @@ import contextlib
 import gc
 import logging
 import os
-import resource
 import socket
 import sys
 import time
@@ -28,7 +27,9 @@ from service.api.feed import Feed
 from service.api.form import sweep_uploads
 from service.api.metrics import Metrics
 from service.api.pictures import PictureChecker
+from service.api.readiness import Readiness
 from service.api.services import Services
+from service.api.stop_access import StopAccess
 from service.api.terminal import CodeOnTerminal
 from service.errors import EXIT_FAILURE, JobError
 from service.fleet.fleet import Fleet
@@ -39,17 +40,18 @@ from service.jobs.pairing import PairingBook
 from service.jobs.schema import await_schema
 from service.jobs.tokens import TokenBook
 from service.logs import configure_logs
+from service.private import keep_private
 from service.settings import ServerSettings
 from service.store.opening import open_store
-from service.web.http import VERSION_HEADER, ProblemProtocol
+from service.web.http import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
 from service.worker.dbos_engine import DbosEngine
 
 _SCHEMA_WAIT_S = 20.0
 _DRAIN_S = 5
 _THREADS = 40
 _CONNECTIONS = 1000
+_SOCKET_BYTES = 4096  # of one message about a stop
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
-_HEADER_BYTES = 32 << 10
 _CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
 _TURN_S = 0.5
 _STUCK_S = 10.0
@@ -62,7 +64,7 @@ def main() -> int:
         configure_logs(settings.log_level, form=settings.log_format, process="api")
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
-        _allow_files()
+        allow_open_files(_FILES)
         listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
         url = address.url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
@@ -84,7 +86,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
     offer : of a code with which pages can be paired. url : where the page is
     """
     with contextlib.ExitStack() as stack:
-        settings.data.mkdir(parents=True, exist_ok=True)
+        keep_private(settings.data)
         database = open_database(settings)
         stack.callback(database.dispose)
         await_schema(database, _SCHEMA_WAIT_S)
@@ -102,6 +104,8 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         stack.callback(pictures.close)
         estimates = Estimator()
         stack.callback(estimates.close)
+        stop_access = StopAccess(tokens)
+        stack.callback(stop_access.close)
         fleet = Fleet(settings, database, store, book)
         yield Services(
             settings=settings,
@@ -111,12 +115,14 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
             engine=engine,
             tokens=tokens,
             pairings=pairings,
+            stop_access=stop_access,
             terminal=CodeOnTerminal(pairings, offer, url),
             fleet=fleet,
             pictures=pictures,
             estimates=estimates,
             feed=Feed(book),
             metrics=Metrics(database),
+            readiness=Readiness(settings, database, store),
         )
 
 
@@ -129,13 +135,6 @@ async def _serve(services: Services, listener: socket.socket) -> None:
     gc.freeze()  # what is here now stays: not worth looking at again and again
     await server.serve(sockets=[listener])
     turning.cancel()
-
-
-def _allow_files() -> None:
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    most = _FILES if hard == resource.RLIM_INFINITY else min(_FILES, hard)
-    if soft != resource.RLIM_INFINITY and soft < most:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 async def _turn() -> None:
@@ -152,14 +151,15 @@ def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -
     config = uvicorn.Config(
         make_app(services),
         http=ProblemProtocol,
-        ws="none",
+        ws="wsproto",
+        ws_max_size=_SOCKET_BYTES,
         lifespan="on",
         log_config=None,
         access_log=False,
         server_header=False,
         proxy_headers=False,
         headers=[(VERSION_HEADER, metadata.version("causticmill"))],
-        h11_max_incomplete_event_size=_HEADER_BYTES,
+        h11_max_incomplete_event_size=HEADER_BYTES,
         limit_concurrency=_CONNECTIONS,
         timeout_keep_alive=30,
         timeout_graceful_shutdown=_DRAIN_S,

@@ -1,23 +1,28 @@
-"""Figures for Prometheus: what the database knows is counted there at each scrape, only requests are counted here."""
+"""Figures for Prometheus: what the database knows is read there at each scrape, only requests are counted here."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
+import prometheus_client
 import sqlalchemy as sa
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
+from prometheus_client import CollectorRegistry, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.core import GaugeMetricFamily
 from prometheus_client.registry import Collector
 from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from service.api.shared_call import SharedCall
+from service.jobs.book import count_jobs, oldest_queued_at
+from service.jobs.counters import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
 from service.jobs.database import clock, reading
-from service.jobs.states import JobState, StageState
-from service.jobs.tables import artifacts, executors, jobs, runs, stage_results, stage_runs
+from service.jobs.states import StageState
+from service.jobs.tables import executors, runs
 
 _BUCKETS = (0.005, 0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1, 2.5, 5, 10, 30)
+_WAIT_S = 10.0
 _METHODS = frozenset({"GET", "HEAD", "POST", "PUT", "PATCH", "DELETE", "OPTIONS"})
 
 
@@ -33,13 +38,15 @@ class Metrics:
             buckets=_BUCKETS,
             registry=self.registry,
         )
-        self.sent = Counter("causticmill_sent_bytes", "Bytes of answers", registry=self.registry)
+        self.sent = prometheus_client.Counter("causticmill_sent_bytes", "Bytes of answers", registry=self.registry)
         self.followers = Gauge("causticmill_followers", "Open event streams of jobs", registry=self.registry)
         self.registry.register(JobFigures(database))
         ProcessCollector(registry=self.registry)
+        self._text = SharedCall(lambda: generate_latest(self.registry))
 
-    def text(self) -> bytes:
-        return generate_latest(self.registry)
+    async def text(self) -> bytes:
+        """The figures as text; those who ask at the same time get the same. TimeoutError."""
+        return await self._text.result(_WAIT_S)
 
 
 class JobFigures(Collector):
@@ -54,54 +61,45 @@ class JobFigures(Collector):
     def collect(self) -> Iterator[GaugeMetricFamily]:
         try:
             with reading(self._database) as connection:
-                found = [*_jobs(connection), *_stages(connection), *_rest(connection)]
+                counted = read_counters(connection)
+                found = [*_jobs(connection, counted), *_stages(counted), *_rest(connection)]
         except SQLAlchemyError:
             found = []
         yield _single("causticmill_database_up", "1: the database answers", 1.0 if found else 0.0)
         yield from found
 
 
-def _jobs(connection: sa.Connection) -> Iterator[GaugeMetricFamily]:
+def _jobs(connection: sa.Connection, counted: Mapping[Counter, float]) -> Iterator[GaugeMetricFamily]:
     states = GaugeMetricFamily("causticmill_jobs", "Jobs by state", labels=["state"])
-    counted = {
-        row[0]: row[1] for row in connection.execute(sa.select(jobs.c.state, sa.func.count()).group_by(jobs.c.state))
-    }
-    for state in JobState:
-        states.add_metric([str(state)], counted.get(str(state), 0))
+    for state, number in count_jobs(counted).items():
+        states.add_metric([str(state)], number)
     yield states
-    oldest = connection.execute(sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == "queued")).scalar()
-    age_s = 0.0 if oldest is None else max(0.0, clock(connection) - oldest)
+    now, oldest = clock(connection), oldest_queued_at(connection)
+    age_s = 0.0 if oldest is None else max(0.0, now - oldest)
     yield _single("causticmill_queue_age_seconds", "How long the oldest waiting job waits", age_s)
+    yield _single("causticmill_recoveries", "Claims of jobs beyond the first", counted.get(RECOVERIES, 0.0))
 
 
-def _stages(connection: sa.Connection) -> Iterator[GaugeMetricFamily]:
-    """Of the jobs that are kept. A retried stage counts as often as it was tried."""
-    table = stage_runs.c
-    seconds = sa.func.sum(table.ended_at - table.started_at)
-    query = sa.select(table.stage, table.state, sa.func.count(), seconds).group_by(table.stage, table.state)
-    count = GaugeMetricFamily("causticmill_stage_runs", "Tries of stages", labels=["stage", "state"])
+def _stages(counted: Mapping[Counter, float]) -> Iterator[GaugeMetricFamily]:
+    """Of all jobs there ever were. A retried stage counts as often as it was tried."""
+    count = GaugeMetricFamily("causticmill_stage_runs", "Tries of stages that have ended", labels=["stage", "state"])
     spent = GaugeMetricFamily("causticmill_stage_seconds", "Time in committed stages", labels=["stage"])
-    interrupted = 0
-    for stage, state, number, total in connection.execute(query):
-        count.add_metric([stage, state], number)
-        if state == StageState.COMMITTED:
-            spent.add_metric([stage], total or 0.0)
-        interrupted += number if state == StageState.INTERRUPTED else 0
+    interrupted = 0.0
+    for counter, value in sorted(counted.items()):
+        if counter.name == "stage_runs":
+            count.add_metric([counter.stage, counter.state], value)
+            interrupted += value if counter.state == StageState.INTERRUPTED else 0
+        elif counter.name == "stage_seconds":
+            spent.add_metric([counter.stage], value)
     yield count
     yield spent
     yield _single("causticmill_interruptions", "Tries that a death or a lost lease cut short", interrupted)
-    taken = sa.select(sa.func.coalesce(sa.func.sum(jobs.c.fence - jobs.c.attempt), 0)).where(
-        jobs.c.fence > jobs.c.attempt
-    )
-    yield _single("causticmill_recoveries", "Claims of jobs beyond the first", connection.execute(taken).scalar_one())
+    yield _single("causticmill_stage_results", "Stages that other jobs may reuse", counted.get(STAGE_RESULTS, 0.0))
+    words = "Bytes of all artifacts, each content once, as a worker counts them every few minutes"
+    yield _single("causticmill_artifact_bytes", words, counted.get(ARTIFACT_BYTES, 0.0))
 
 
 def _rest(connection: sa.Connection) -> Iterator[GaugeMetricFamily]:
-    files = sa.select(artifacts.c.sha256, artifacts.c.bytes).distinct().subquery()
-    total = connection.execute(sa.select(sa.func.coalesce(sa.func.sum(files.c.bytes), 0))).scalar_one()
-    yield _single("causticmill_artifact_bytes", "Bytes of all artifacts, each content once", float(total))
-    kept = connection.execute(sa.select(sa.func.count()).select_from(stage_results)).scalar_one()
-    yield _single("causticmill_stage_results", "Stages that other jobs may reuse", kept)
     beats = GaugeMetricFamily(
         "causticmill_worker_beat_age_seconds", "Since a worker was last heard of", labels=["executor"]
     )

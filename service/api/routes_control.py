@@ -8,16 +8,20 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Header, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
+from machines.mill.orders import Stop
 from service.api.answers import Responses, answers, example, refusals
-from service.api.auth import Operator, Reader
-from service.api.examples_runs import CONTROL_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
-from service.api.routes_machines import MachineName, Shown
+from service.api.auth import Operator, Reader, Stopper
+from service.api.examples_runs import CONTROL_EXAMPLE, GRANT_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
+from service.api.order_context import Order
+from service.api.routes_machines import MachineName
 from service.api.schemas import SSE_EVENT, Body
 from service.api.schemas_control import (
     BlockBody,
     CheckBody,
     ControlBody,
     ControlView,
+    GrantBody,
+    GrantView,
     JogBody,
     OrderView,
     OverrideBody,
@@ -25,7 +29,7 @@ from service.api.schemas_control import (
     ZeroBody,
 )
 from service.api.services import services_of
-from service.fleet.orders import URGENT
+from service.fleet.orders import OrderContext
 
 router = APIRouter(tags=["machines"])
 
@@ -55,9 +59,9 @@ _PLAIN = {
     "settings": "Read the controller's settings again.",
 }
 _STOPS = {
-    "hold": "Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine.",
-    "abort": "Hold, and clear what the controller has left.",
-    "jog-cancel": "End a jog; the place is kept.",
+    Stop.HOLD: "Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine.",
+    Stop.ABORT: "Hold, and clear what the controller has left.",
+    Stop.JOG_CANCEL: "End a jog; the place is kept.",
 }
 Endpoint = Callable[..., Awaitable[Response]]
 
@@ -69,12 +73,10 @@ Endpoint = Callable[..., Awaitable[Response]]
     response_model=ControlView,
     responses=_GIVEN | refusals(409),
 )
-async def take(
-    request: Request, principal: Operator, machine: MachineName, body: ControlBody, shown: Shown = ""
-) -> Response:
+async def take(request: Request, _: Operator, machine: MachineName, body: ControlBody, context: Order) -> Response:
     """One person at a time. It is kept by any order, or by asking again with the header, once a minute at least."""
     orders = services_of(request).fleet.orders
-    told, new = await orders.take(machine, body.operator, principal.name, shown, take_over=body.take_over)
+    told, new = await orders.take(machine, context, body.operator, take_over=body.take_over)
     return JSONResponse(told, status_code=201 if new else 200, headers={"Cache-Control": "no-store"})
 
 
@@ -85,9 +87,27 @@ async def take(
     response_class=Response,
     responses=refusals(409),
 )
-async def release(request: Request, _: Operator, machine: MachineName, shown: Shown = "") -> Response:
-    await services_of(request).fleet.orders.release(machine, shown)
+async def release(request: Request, _: Operator, machine: MachineName, context: Order) -> Response:
+    await services_of(request).fleet.orders.release(machine, context)
     return Response(status_code=204)
+
+
+@router.post(
+    "/v1/machines/{machine}/grants",
+    summary="Ask for a grant",
+    status_code=201,
+    response_model=GrantView,
+    responses=answers({201: example(GRANT_EXAMPLE)}, 409, 502, 504),
+)
+async def grant(
+    request: Request, _: Operator, machine: MachineName, context: Order, body: GrantBody | None = None
+) -> Response:
+    """To be asked for when the person presses the button, and sent with the order: under it the mill's agent carries
+    one order out, within seconds, unless somebody stops the mill or takes control first. Without one an order counts
+    from its arrival at the server.
+    """
+    told = await services_of(request).fleet.orders.grant(machine, context, None if body is None else body.stops)
+    return JSONResponse(told, status_code=201, headers={"Cache-Control": "no-store"})
 
 
 @router.get(
@@ -111,60 +131,60 @@ async def events(
     return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
 
 
-async def _given(request: Request, machine: str, what: str, shown: str, body: Body | None = None) -> Response:
+async def _given(
+    request: Request, machine: str, what: str, context: OrderContext, body: Body | None = None
+) -> Response:
     values = {} if body is None else body.model_dump()
-    told = await services_of(request).fleet.orders.give(machine, what, values, shown)
+    told = await services_of(request).fleet.orders.give(machine, what, values, context)
     return JSONResponse(told, status_code=202)
 
 
 @router.post(f"{_PATH}/jog", summary="Jog a mill", **_ORDER)
-async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, shown: Shown = "") -> Response:
+async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, context: Order) -> Response:
     """THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events."""
-    return await _given(request, machine, "jog", shown, body)
+    return await _given(request, machine, "jog", context, body)
 
 
 @router.post(f"{_PATH}/probe", summary="Probe Z", **_ORDER)
-async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, shown: Shown = "") -> Response:
+async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, context: Order) -> Response:
     """THE MILL MOVES down until it touches; work Z is set there, and it moves up again."""
-    return await _given(request, machine, "probe", shown, body)
+    return await _given(request, machine, "probe", context, body)
 
 
 @router.post(f"{_PATH}/zero", summary="Set the work zero", **_ORDER)
-async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, shown: Shown = "") -> Response:
+async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, context: Order) -> Response:
     """From now on the tool stands at zero of these axes."""
-    return await _given(request, machine, "zero", shown, body)
+    return await _given(request, machine, "zero", context, body)
 
 
 @router.post(f"{_PATH}/override", summary="Override feed, rapids or spindle", **_ORDER)
-async def override(
-    request: Request, _: Operator, machine: MachineName, body: OverrideBody, shown: Shown = ""
-) -> Response:
+async def override(request: Request, _: Operator, machine: MachineName, body: OverrideBody, context: Order) -> Response:
     """At once, in the middle of a run too."""
-    return await _given(request, machine, "override", shown, body)
+    return await _given(request, machine, "override", context, body)
 
 
 @router.post(f"{_PATH}/check", summary="Switch check mode", **_ORDER)
-async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, shown: Shown = "") -> Response:
+async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, context: Order) -> Response:
     """In check mode ($C) the controller reads everything and moves nothing."""
-    return await _given(request, machine, "check", shown, body)
+    return await _given(request, machine, "check", context, body)
 
 
 @router.post(f"{_PATH}/block", summary="Send one line of G-code", **_ORDER)
-async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, shown: Shown = "") -> Response:
+async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, context: Order) -> Response:
     """THE MILL MAY MOVE."""
-    return await _given(request, machine, "block", shown, body)
+    return await _given(request, machine, "block", context, body)
 
 
 def _plain(what: str) -> Endpoint:
-    async def order(request: Request, _: Operator, machine: MachineName, shown: Shown = "") -> Response:
-        return await _given(request, machine, what, shown)
+    async def order(request: Request, _: Operator, machine: MachineName, context: Order) -> Response:
+        return await _given(request, machine, what, context)
 
     return order
 
 
-def _stop(what: str) -> Endpoint:
-    async def order(request: Request, _: Operator, machine: MachineName) -> Response:
-        told = await services_of(request).fleet.orders.stop(machine, what)
+def _stop(stop: Stop) -> Endpoint:
+    async def order(request: Request, _: Stopper, machine: MachineName, context: Order) -> Response:
+        told = await services_of(request).fleet.stops.stop_machine(machine, stop, context)
         return JSONResponse(told, status_code=202)
 
     return order
@@ -172,5 +192,5 @@ def _stop(what: str) -> Endpoint:
 
 for _what, _words in _PLAIN.items():
     router.post(f"{_PATH}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_plain(_what))
-for _what in URGENT:
-    router.post(f"{_PATH}/{_what}", summary=f"Stop: {_what}", description=_STOPS[_what], **_ORDER)(_stop(_what))
+for _name in Stop:
+    router.post(f"{_PATH}/{_name}", summary=f"Stop: {_name}", description=_STOPS[_name], **_ORDER)(_stop(_name))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 from typing import Any
 
 from fastapi import APIRouter, Depends, Request
@@ -11,7 +10,6 @@ from starlette.responses import JSONResponse, Response
 
 from service.api.answers import Responses, answers, example
 from service.api.auth import ADMIN, open_here, require
-from service.api.readiness import Readiness
 from service.api.schemas import Alive, Ready
 from service.api.services import services_of
 from service.web.problems import Kind, Problem
@@ -61,7 +59,7 @@ async def livez() -> Response:
 async def readyz(request: Request) -> Response:
     """Writes to the database and to the artifact store, looks for a live worker and for free disk space."""
     services = services_of(request)
-    checks = await Readiness(services).checks()
+    checks = await services.readiness.checks()
     wrong = {name: words for name, words in checks.items() if words != "ok"}
     if wrong:
         detail = "; ".join(f"{name}: {words}" for name, words in wrong.items())
@@ -83,5 +81,8 @@ async def metrics(request: Request) -> Response:
     """Jobs, stages and artifacts by the database; requests by this process since its start."""
     services = services_of(request)
     services.metrics.followers.set(services.feed.followers)
-    text = await asyncio.to_thread(services.metrics.text)
+    try:
+        text = await services.metrics.text()
+    except TimeoutError:
+        raise Problem(503, "the figures are not counted yet", headers={"Retry-After": "2"}) from None
     return Response(text, headers={"Content-Type": CONTENT_TYPE_LATEST})

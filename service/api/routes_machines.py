@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Request
+from fastapi import APIRouter, Header, Path, Query, Request
 from starlette.responses import JSONResponse, Response
 
 from service.api.answers import Responses, answers, example, refusals
 from service.api.auth import Operator, Reader
-from service.api.examples_runs import MACHINE_EXAMPLE, MACHINES_EXAMPLE, PREPARING_EXAMPLE, RUN_EXAMPLE
+from service.api.examples_runs import MACHINE_EXAMPLE, MACHINES_EXAMPLE, ORDERS_EXAMPLE, PREPARING_EXAMPLE, RUN_EXAMPLE
 from service.api.job_request import idempotency_key
-from service.api.schemas_runs import PLAIN, MachineList, MachineView, NewRunBody, RunView
+from service.api.order_context import Order
+from service.api.schemas_runs import PLAIN, MachineList, MachineView, NewRunBody, PastOrders, RunView
 from service.api.services import services_of
-from service.fleet.orders import HEADER
 
 router = APIRouter(tags=["machines"])
 
@@ -24,12 +24,6 @@ _PARKED: Responses = {
 }
 MachineName = Annotated[
     str, Path(max_length=100, pattern=PLAIN, description="name of a machine", examples=["shop-mill"])
-]
-Shown = Annotated[
-    str,
-    Header(
-        alias=HEADER, max_length=100, pattern=r"^[!-~]*$", description="the `control` of who has control of the mill"
-    ),
 ]
 
 
@@ -54,6 +48,23 @@ async def look(request: Request, _: Reader, machine: MachineName) -> Response:
     return JSONResponse(await services_of(request).fleet.machine(machine))
 
 
+@router.get(
+    "/v1/machines/{machine}/orders",
+    summary="Who ordered what",
+    response_model=PastOrders,
+    responses=answers({200: example(ORDERS_EXAMPLE)}, 502, 504),
+)
+async def list_orders(
+    request: Request,
+    _: Reader,
+    machine: MachineName,
+    before: Annotated[int | None, Query(ge=0, le=1 << 53, description="`next` of the page before")] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+) -> Response:
+    """Orders and stops, newest first: when, whose, from where, and what came of them. Kept by the mill's agent."""
+    return JSONResponse(await services_of(request).fleet.past_orders(machine, before, limit))
+
+
 @router.post(
     "/v1/machines/{machine}/runs",
     summary="Hand a program to a mill",
@@ -66,18 +77,18 @@ async def park(
     principal: Operator,
     machine: MachineName,
     body: NewRunBody,
+    context: Order,
     idempotency_key_header: Annotated[
         str | None,
         Header(alias="Idempotency-Key", description="the same key with the same request gives the same run"),
     ] = None,
-    control: Shown = "",
 ) -> Response:
     """The program goes to the mill's agent, which reads it whole and holds it against the mill. Nothing moves.
 
     One run has a mill at a time: while another is open this is refused.
     """
-    key = idempotency_key(idempotency_key_header)
+    key = idempotency_key(idempotency_key_header, principal)
     fleet = services_of(request).fleet
-    run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, control)
+    run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, context)
     headers = {"Location": f"/v1/runs/{run['id']}"} | ({} if parked else {"Retry-After": "1"})
     return JSONResponse(run, status_code=201 if parked else 202, headers=headers)

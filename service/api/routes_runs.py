@@ -9,13 +9,15 @@ from uuid import UUID
 from fastapi import APIRouter, Header, Path, Query, Request
 from starlette.responses import JSONResponse, Response, StreamingResponse
 
+from machines.mill.orders import Stop
 from service.api.answers import Responses, answers, example, refusals
-from service.api.auth import Operator, Reader
+from service.api.auth import Operator, Reader, Stopper
 from service.api.examples_runs import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
-from service.api.routes_machines import Shown
+from service.api.order_context import Order
 from service.api.schemas import SSE_EVENT
-from service.api.schemas_runs import PLAIN, ConfirmationBody, RecoveryView, RunList, RunView
+from service.api.schemas_runs import PLAIN, RecoverBody, RecoveryView, RunList, RunView, StartBody
 from service.api.services import services_of
+from service.fleet.controls import RunOrder
 
 router = APIRouter(tags=["runs"])
 
@@ -97,40 +99,40 @@ async def events(
     response_model=RecoveryView,
     responses=answers({200: example(RECOVERY_EXAMPLE)}, 409, 502, 504),
 )
-async def recovery(request: Request, _: Operator, run_id: RunId) -> Response:
+async def recovery(request: Request, principal: Operator, run_id: RunId) -> Response:
     """The plan for an interrupted or aborted run. The controller is asked where it is; nothing moves."""
-    return JSONResponse(await services_of(request).fleet.recovery(str(run_id)))
+    return JSONResponse(await services_of(request).fleet.recovery(str(run_id), principal.name))
 
 
 @router.post("/v1/runs/{id:uuid}:start", summary="Start a parked run", **_ORDER)
-async def start(request: Request, _: Operator, run_id: RunId, said: ConfirmationBody, control: Shown = "") -> Response:
+async def start(request: Request, _: Operator, run_id: RunId, said: StartBody, context: Order) -> Response:
     """THE MILL MOVES. Needs the operator's name and every one of `required_checks`. Sent once, never repeated."""
-    run = await services_of(request).fleet.start(str(run_id), said.operator, frozenset(said.checks), control)
+    order = RunOrder(operator=said.operator, checks=frozenset(said.checks), seen=said.setup)
+    run = await services_of(request).fleet.start(str(run_id), order, context)
     return JSONResponse(run, status_code=202)
 
 
 @router.post("/v1/runs/{id:uuid}:hold", summary="Hold a run", **_ORDER)
-async def hold(request: Request, _: Operator, run_id: RunId) -> Response:
+async def hold(request: Request, _: Stopper, run_id: RunId, context: Order) -> Response:
     """Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine."""
-    return JSONResponse(await services_of(request).fleet.hold(str(run_id)), status_code=202)
+    return JSONResponse(await services_of(request).fleet.stop_run(str(run_id), Stop.HOLD, context), status_code=202)
 
 
 @router.post("/v1/runs/{id:uuid}:resume", summary="Resume a held run", **_ORDER)
-async def resume(request: Request, _: Operator, run_id: RunId, control: Shown = "") -> Response:
+async def resume(request: Request, _: Operator, run_id: RunId, context: Order) -> Response:
     """THE MILL MOVES, from where it was held."""
-    return JSONResponse(await services_of(request).fleet.resume(str(run_id), control), status_code=202)
+    return JSONResponse(await services_of(request).fleet.resume(str(run_id), context), status_code=202)
 
 
 @router.post("/v1/runs/{id:uuid}:abort", summary="Abort a run", **_ORDER)
-async def abort(request: Request, _: Operator, run_id: RunId) -> Response:
+async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> Response:
     """Hold, and clear what the controller has left. One that has not begun is taken back; the mill is free again."""
-    return JSONResponse(await services_of(request).fleet.abort(str(run_id)), status_code=202)
+    return JSONResponse(await services_of(request).fleet.stop_run(str(run_id), Stop.ABORT, context), status_code=202)
 
 
 @router.post("/v1/runs/{id:uuid}:recover", summary="Go on with an interrupted run", **_ORDER)
-async def recover(
-    request: Request, _: Operator, run_id: RunId, said: ConfirmationBody, control: Shown = ""
-) -> Response:
-    """THE MILL MOVES, as the plan of this moment says. Needs every one of `required_checks`, the position too."""
-    run = await services_of(request).fleet.recover(str(run_id), said.operator, frozenset(said.checks), control)
+async def recover(request: Request, _: Operator, run_id: RunId, said: RecoverBody, context: Order) -> Response:
+    """THE MILL MOVES, as the plan says that was read. Needs every one of `required_checks`, the position too."""
+    order = RunOrder(operator=said.operator, checks=frozenset(said.checks), seen=said.plan)
+    run = await services_of(request).fleet.recover(str(run_id), order, context)
     return JSONResponse(run, status_code=202)

@@ -17,7 +17,7 @@ from service.api.job_views import whole_job
 from service.api.schemas import JOB_EXAMPLE, JobView
 from service.api.services import Services, services_of
 from service.api.space import Space
-from service.jobs.records import Job, NewJob
+from service.jobs.records import ClientKey, Job, NewJob
 from service.web.problems import Problem
 from service.worker.engine import Ticket
 
@@ -85,7 +85,7 @@ async def submit(
 ) -> Response:
     """A new job. Answers with the job that the same `Idempotency-Key` made before, if this is the same request."""
     services = services_of(request)
-    key = idempotency_key(idempotency_key_header)
+    key = idempotency_key(idempotency_key_header, principal)
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
     limit = int(settings.max_upload_mb * 1e6)
@@ -99,7 +99,7 @@ async def submit(
 
 
 def _accept(
-    services: Services, form: JobForm, wanted: JobRequest, caller: str, key: str | None
+    services: Services, form: JobForm, wanted: JobRequest, caller: str, key: ClientKey | None
 ) -> tuple[Job, dict[str, Any]]:
     """Check, store, write down, hand to the engine: in this order, so that no answer tells of a job that is not."""
     services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))

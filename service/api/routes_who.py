@@ -34,7 +34,8 @@ Known = Annotated[Principal, Depends(require())]
 async def whoami(principal: Known) -> Response:
     """Name and scopes of the caller; 401 for one who is nobody here and needs a token or a code."""
     told = {"name": principal.name, "scopes": sorted(principal.scopes), "anonymous": principal.anonymous}
-    return JSONResponse(told | {"paired": principal.paired}, headers={"Cache-Control": "no-store"})
+    told |= {"paired": principal.paired, "expires_at": iso_or_none(principal.expires_at)}
+    return JSONResponse(told, headers={"Cache-Control": "no-store"})
 
 
 @router.post(

@@ -87,7 +87,9 @@ class JobSummary(Body):
     state: State
     stage: str | None
     progress: Annotated[float, Field(ge=0, le=1)]
-    queue_position: Annotated[int | None, Field(description="1: starts next; null: does not wait")]
+    queue_position: Annotated[
+        int | None, Field(description="1: starts next; 1000: that place or a later one; null: does not wait")
+    ]
     priority: PriorityWord
     attempt: int
     cancel_requested: bool

@@ -25,10 +25,11 @@ class WhoamiView(Body):
     scopes: list[ScopeWord]
     anonymous: Annotated[bool, Field(description="without a token, from this computer, where no token was ever made")]
     paired: Annotated[bool, Field(description="with a token that a page got for a code")]
+    expires_at: Annotated[str | None, Field(description="when the token ends; null: never")]
 
 
 class PairingBody(Body):
-    code: Annotated[str, Field(min_length=1, max_length=20, description="as printed", examples=["4831-2207"])]
+    code: Annotated[str, Field(min_length=1, max_length=40, description="as printed", examples=["7K3D-0QXM-91TZ"])]
     name: Person
 
 
@@ -47,6 +48,19 @@ class ControlBody(Body):
 class ControlView(Holder):
     control: Annotated[str, Field(description="to be shown as Causticmill-Control with each order; tell nobody")]
     expires_s: Annotated[float, Field(description="without an order or another POST for so long, control is given up")]
+
+
+class GrantBody(Body):
+    stops: Annotated[
+        int | None,
+        Field(ge=0, description="`stops` of the mill as the person saw them; refused where it is more"),
+    ] = None
+
+
+class GrantView(Body):
+    grant: Annotated[str, Field(description="to be sent as Causticmill-Grant with one order, at once")]
+    valid_s: Annotated[float, Field(description="the agent carries nothing out under it later than that")]
+    stops: Annotated[int, Field(description="how often this mill was stopped since its agent was started")]
 
 
 class OrderView(Body):
@@ -92,3 +106,11 @@ class BlockBody(Body):
             examples=["G0 Z5"],
         ),
     ]  # fmt: skip
+    confirm: Annotated[
+        bool,
+        Field(
+            strict=True,
+            description="it is meant, though it changes what protects the mill or where its zeros are. Without this "
+            "such a line is refused: 409, `code` is `confirm`, `effect` says what it would do",
+        ),
+    ] = False

@@ -41,6 +41,33 @@ class ConfirmationBody(Body):
     ]
 
 
+class StartBody(ConfirmationBody):
+    setup: Annotated[
+        str, Field(max_length=100, description="the mill's `setup` as it was seen; refused where it is another by now")
+    ] = ""
+
+
+class RecoverBody(ConfirmationBody):
+    plan: Annotated[
+        str, Field(max_length=100, description="`plan` of the recovery that was read; else the one shown to you last")
+    ] = ""
+
+
+class PastOrder(Body):
+    number: int
+    at_s: float
+    kind: str
+    words: str
+    answer: dict[str, Any] | None = None
+    by: str | None = None
+    from_: Annotated[str | None, Field(alias="from")] = None
+
+
+class PastOrders(Body):
+    orders: list[PastOrder]
+    next: Annotated[int | None, Field(description="`before` of the next page")]
+
+
 class ProgramOfRun(Body):
     number: int
     name: str
@@ -94,6 +121,7 @@ class RecoveryView(Body):
     overlap_line: int
     recut_lines: int
     position_mm: list[float] | None
+    plan: Annotated[str, Field(description="to be said with :recover: the person's word is for this plan")]
     blocks: list[str]
     ready: bool
     refusals: list[str]

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from service.api.feed import Feed
     from service.api.metrics import Metrics
     from service.api.pictures import PictureChecker
+    from service.api.readiness import Readiness
+    from service.api.stop_access import StopAccess
     from service.api.terminal import CodeOnTerminal
     from service.fleet.fleet import Fleet
     from service.jobs.book import JobBook
@@ -33,12 +35,14 @@ class Services:
     engine: JobEngine
     tokens: TokenBook
     pairings: PairingBook
+    stop_access: StopAccess
     terminal: CodeOnTerminal
     fleet: Fleet
     pictures: PictureChecker
     estimates: Estimator
     feed: Feed
     metrics: Metrics
+    readiness: Readiness
     # So many pictures are checked or wait for it at once: the others wait without a thread, which downloads need.
     accepting: asyncio.Semaphore = field(default_factory=lambda: asyncio.Semaphore(8))
 

@@ -8,7 +8,7 @@ from typing import Any
 from service.api.times import iso_or_none, iso_time
 from service.job_files import is_program, run_order
 from service.jobs.priorities import priority_word
-from service.jobs.records import Artifact, Job, Progress, StageRun
+from service.jobs.records import Artifact, Job, JobSummary, Progress, StageRun
 from service.jobs.states import JobState
 from service.passes import with_plan
 from service.spec import JobSpec
@@ -29,7 +29,7 @@ _OTHER_TYPE = "application/octet-stream"
 MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values(), _PROGRAM_TYPE, _OTHER_TYPE)})
 
 
-def summary(job: Job, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
+def summary(job: JobSummary, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
     """A job as the list shows it; `picture` is the artifact to show for it."""
     address = f"/v1/jobs/{job.id}"
     links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
@@ -74,7 +74,7 @@ def whole(
     }
 
 
-def etag(job: Job, *, position: int | None, progress: Progress | None) -> str:
+def etag(job: JobSummary, *, position: int | None, progress: Progress | None) -> str:
     """Changes with everything that the job's body shows."""
     share = round(_progress(job, progress) * 10_000)
     return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
@@ -108,7 +108,7 @@ def _program(job_id: str, number: int, file: Artifact) -> Json:
     return {"number": number, "name": file.name, "sha256": file.sha256, "bytes": file.bytes, "url": url}
 
 
-def _progress(job: Job, progress: Progress | None) -> float:
+def _progress(job: JobSummary, progress: Progress | None) -> float:
     live = progress.progress if progress is not None and job.state is JobState.RUNNING else job.progress
     return round(min(1.0, max(0.0, job.progress, live)), 4)
 

@@ -112,7 +112,11 @@ def runs_hold(run: RunArgument, server: ServerOption = None, token_file: TokenOp
 @runs_app.command("resume")
 def runs_resume(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Go on after a hold."""
-    _told(run, "resume", server, token_file)
+    from service.client.runs import state_line
+
+    with _connected(server, token_file) as link:
+        machine = link.get(f"/v1/runs/{run}")["machine"]
+        print(state_line(link.order(machine, f"/v1/runs/{run}:resume")))
 
 
 @runs_app.command("abort")
@@ -138,6 +142,8 @@ def _by_a_person(
     server: str | None,
     token_file: Path | None,
 ) -> None:
+    from urllib.parse import quote
+
     from service.client.runs import confirmed, run_lines, state_line
     from service.stream.ask import operator_name
 
@@ -145,9 +151,14 @@ def _by_a_person(
         seen = link.get(f"/v1/runs/{run}")
         _print(run_lines(seen))
         if verb == "recover":
-            _print_plan(link.get(f"/v1/runs/{run}/recovery"))
-        body = {"operator": operator or operator_name(), "checks": confirmed(seen, confirm or ())}
-        print(state_line(link.post(f"/v1/runs/{run}:{verb}", body)), flush=True)
+            plan = link.get(f"/v1/runs/{run}/recovery")
+            _print_plan(plan)
+            rests_on = {"plan": str(plan.get("plan", ""))}
+        else:
+            mill = link.get(f"/v1/machines/{quote(seen['machine'], safe='')}").get("mill") or {}
+            rests_on = {"setup": str(mill.get("setup", ""))}
+        body = {"operator": operator or operator_name(), "checks": confirmed(seen, confirm or ())} | rests_on
+        print(state_line(link.order(seen["machine"], f"/v1/runs/{run}:{verb}", body)), flush=True)
         if follow:
             _followed(link, run)
 

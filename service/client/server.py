@@ -8,15 +8,19 @@ import uuid
 from collections.abc import Callable, Iterator, Mapping
 from importlib import metadata
 from typing import Any, Self
+from urllib.parse import quote
 
 import httpx
 
+from machines.mill.orders import suspend_aware_clock_s
+from service.agent.callers import GRANT
 from service.client.target import Target
 from service.errors import EXIT_FAILURE, EXIT_INPUT, FailedError, JobError, printable
 from service.web.hosts import is_loopback
 
 VERSION_HEADER = "Causticmill-Version"
 _CONNECT_S, _READ_S = 5.0, 60.0
+_GRANT_WAIT_S = 2.0
 _AGAIN_S = (0.1, 0.3, 1.0, 2.0)
 _TRY_AGAIN = {502, 503, 504}
 
@@ -69,6 +73,15 @@ class Server:
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
         """One order, sent once."""
         return self._json("POST", path, json=body)
+
+    def order(self, machine: str, path: str, body: Mapping[str, Any] | None = None) -> Any:
+        """An order to a mill, now or never: under a grant that is asked for at this moment. FailedError."""
+        begun_s = suspend_aware_clock_s()
+        granted = self._json("POST", f"/v1/machines/{quote(machine, safe='')}/grants")
+        if suspend_aware_clock_s() - begun_s > _GRANT_WAIT_S:
+            raise FailedError(f"{self.url} took more than {_GRANT_WAIT_S:g} s to grant it: not sent; give it again")
+        headers = {GRANT: str(granted["grant"])}
+        return self._json("POST", path, json=dict(body or {}), headers=headers)
 
     def post_once(self, path: str, body: Mapping[str, Any]) -> Any:
         """An order that may be sent again: its key tells the server that it is the same one."""

@@ -1,13 +1,14 @@
 """One mill's agent over HTTP: where it is, that it is the right one, and what can go wrong on the way to it.
 
-Nothing is ever sent twice by itself, except a hold or an abort of which no answer came. Answers are bounded in size
+Nothing is ever sent twice by itself, except a stop of which no answer came. Answers are bounded in size
 and in time, and an agent's word that one should look elsewhere is not followed.
 """
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Callable
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -18,12 +19,12 @@ from service.agent.auth import read_token
 from service.agent.card import read_card
 from service.errors import InputError
 from service.fleet.agent_feed import AgentFeed
-from service.fleet.agent_words import MOST_BYTES, json_object
+from service.fleet.agent_words import MOST_BYTES, json_object, lease_json, table
 from service.fleet.machines import KnownMachine
 from service.web.problems import Problem
 
 ASK_S = 3.0
-TELL_S = 30.0  # a start asks the controller first
+TELL_S = 30.0
 URGENT_S = 3.0  # a person waits beside the mill
 _CONNECT_S = 2.0
 _QUIET_S = 60.0  # an event stream beats every 15 s
@@ -45,13 +46,25 @@ class AgentAwayError(Exception):
         return Problem(503, self.words, field="machine", headers={"Retry-After": "2"})
 
 
+async def require_answer(asking: Awaitable[Json]) -> Json:
+    """What the agent answered. Problem 503 where nothing was sent, 504 where a person has to look."""
+    try:
+        return await asking
+    except AgentAwayError as away:
+        if away.sent:
+            words = f"{away.words}; whether the order arrived is not known: LOOK AT THE MILL, use its own stop button"
+            raise Problem(504, words, field="machine") from None
+        raise away.problem() from None
+
+
 class AgentLink:
     """Speaks to the agent of one machine; finds it again when it was started anew."""
 
     def __init__(self, machine: KnownMachine, client: Callable[[], httpx.AsyncClient]) -> None:
         self.machine = machine
         self._client = client
-        self._address: tuple[str, str] | None = None  # where the right agent was met last, and its token
+        self._address: tuple[str, str] | None = None  # where the right agent is, and its token
+        self._last_address: tuple[str, str] | None = None  # where it was met last: good enough for a stop
         self._finding = asyncio.Lock()
         self.feed = AgentFeed(self.events, AgentAwayError)
 
@@ -61,21 +74,30 @@ class AgentLink:
     async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
         return await self._told("POST", path, timeout_s=timeout_s, json=body or {})
 
-    async def once(self, path: str, body: Json, *, timeout_s: float) -> Json:
+    async def once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
         """As `post`, but not even one that certainly did not arrive is sent again: an order is for now or for never."""
-        return await self._asked("POST", path, timeout_s=timeout_s, json=body)
+        return await self._asked("POST", path, timeout_s=timeout_s, json=body, headers=headers)
 
-    async def urgent(self, path: str, *, within_s: float = URGENT_S) -> Json:
-        """A hold or an abort: to do it twice is better than not at all, so one that failed is sent once more.
+    async def delete(self, path: str, *, headers: Json) -> Json:
+        return await self._asked("DELETE", path, timeout_s=ASK_S, headers=headers)
 
-        It is known within the time given whether it was taken: a person has to use the mill's own button otherwise.
+    async def urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
+        """A stop: to do it twice is better than not at all, so one that failed is sent once more.
+
+        It leaves for where the agent was met last, before anything is looked up; nobody else takes our token. It is
+        known within the time given whether it was taken: a person has to use the mill's own button otherwise.
         """
         try:
             async with asyncio.timeout(within_s):
-                try:
-                    return await self.post(path, timeout_s=within_s / 2)
-                except AgentAwayError:
-                    return await self.post(path, timeout_s=within_s / 2)
+                if self._last_address is not None:
+                    with contextlib.suppress(AgentAwayError):
+                        return await self._asked_at(
+                            self._last_address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
+                        )
+                self._address = self._last_address = await self._found()
+                return await self._asked_at(
+                    self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
+                )
         except TimeoutError:
             words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
             raise AgentAwayError(words, sent=True) from None
@@ -104,7 +126,7 @@ class AgentLink:
         if self._address is None:
             async with self._finding:
                 if self._address is None:
-                    self._address = await self._found()
+                    self._address = self._last_address = await self._found()
         return self._address
 
     # ------------------------------------------------------------------
@@ -157,7 +179,12 @@ class AgentLink:
             return await self._asked(method, path, timeout_s=timeout_s, **more)
 
     async def _asked(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
-        url, token = await self.address()
+        return await self._asked_at(await self.address(), method, path, timeout_s=timeout_s, **more)
+
+    async def _asked_at(
+        self, address: tuple[str, str], method: str, path: str, *, timeout_s: float, **more: Any
+    ) -> Json:
+        url, token = address
         try:
             status, content = await self._exchanged(method, url + path, token, within_s=timeout_s, **more)
         except (*_HTTP_ERRORS, TimeoutError) as error:
@@ -189,9 +216,12 @@ class AgentLink:
         detail, field = str(told.get("detail", ""))[:2000], str(told.get("field", ""))[:200]
         if status in (401, 403):
             return Problem(502, f"the agent of '{self.machine.name}' does not take the token we have for it")
-        if not detail or status not in (404, 409, 413, 422, 503, 507):
+        if not detail or status not in (404, 409, 413, 422, 428, 503, 507):
             return Problem(502, f"the agent of '{self.machine.name}' answered {status}: {detail or 'no reason given'}")
-        return Problem(status, detail, field=field)
+        more: Json = {name: told[name][:2000] for name in ("code", "effect") if isinstance(told.get(name), str)}
+        if "control" in told:
+            more["control"] = lease_json(table(told, "control")) if told["control"] else None
+        return Problem(status, detail, field=field, more=more)
 
     def _words(self, error: Exception) -> str:
         reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(

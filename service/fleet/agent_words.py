@@ -7,9 +7,11 @@ here, once, as a problem of its own (502), and is neither written down nor shown
 from __future__ import annotations
 
 import json
+from datetime import UTC, datetime
 from math import isfinite
 from typing import Any
 
+from machines.mill.orders import LEASE_S
 from machines.runs import RunState
 from service.web.problems import Problem
 
@@ -58,6 +60,21 @@ def run_view(values: Json, machine: str) -> Json:
     if wrong:
         raise Problem(502, f"the agent of '{machine}' says what cannot be of its run: {', '.join(wrong)}")
     return values
+
+
+def lease_json(values: Json, secret: str = "") -> Json:
+    """Who has control and since when; for the holder, with the secret and how long it lasts without a sign."""
+    since_s = values.get("since_s")
+    known = isinstance(since_s, int | float) and 0 <= since_s < _LATEST_S
+    told: Json = {"operator": str(values.get("operator", ""))[:100], "since": moment(since_s if known else 0.0)}
+    return told | ({"control": secret, "expires_s": LEASE_S} if secret else {})
+
+
+def moment(at: float | None) -> str | None:
+    """ISO 8601, UTC."""
+    if at is None:
+        return None
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
 def table(values: Json, name: str) -> Json:

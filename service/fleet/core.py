@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar
@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from service.fleet.agent_link import ASK_S, AgentAwayError, AgentLink
 from service.fleet.agent_words import run_view
 from service.fleet.machines import KnownMachine, known_machines
-from service.fleet.run_book import FINISHED, LOST, RunBook, RunRow
+from service.fleet.run_book import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow
 from service.jobs.book import JobBook
 from service.settings import ServerSettings
 from service.store.store import Store
@@ -23,6 +23,7 @@ from service.web.problems import Problem
 
 T = TypeVar("T")
 _THREADS = 8
+_MOST_KNOWN = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +32,11 @@ class Seen:
 
     run: RunRow
     away: str = ""
+
+
+def no_machine(name: str, known: Iterable[str]) -> Problem:
+    words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
+    return Problem(404, f"no machine '{name}'; known: {words}", field="machine")
 
 
 class FleetCore:
@@ -42,10 +48,14 @@ class FleetCore:
         self.ending = asyncio.Event()
         self.jobs = jobs
         self.runs = RunBook(database)
-        self._links: dict[str, AgentLink] = {}
+        self.links: dict[str, AgentLink] = {}
+        self.stopped_s: dict[str, float] = {}  # when a stop of a machine came by last, by `suspend_aware_clock_s`
+        self.live_runs: set[str] = set()  # as last seen
+        self.known_runs: dict[str, RunRow] = {}  # handed over: machine and the agent's id of them never change
         self._http: httpx.AsyncClient | None = None
         # Of its own, so that an order to a mill never waits behind uploads and downloads.
         self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="fleet")
+        self._looking = ThreadPoolExecutor(1, thread_name_prefix="fleet-profiles")
 
     async def do(self, function: Callable[..., T], *arguments: Any, **named: Any) -> T:
         """A call that waits for the database or a disk, off the event loop."""
@@ -59,31 +69,51 @@ class FleetCore:
         """Problem 404 where there is none of this name."""
         known, _ = await self.machines()
         if name not in known:
-            words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
-            raise Problem(404, f"no machine '{name}'; known: {words}", field="machine")
+            raise no_machine(name, known)
         return known[name]
 
     def link(self, machine: KnownMachine) -> AgentLink:
         """The link to its agent; a new one where the machine has changed."""
-        found = self._links.get(machine.name)
+        found = self.links.get(machine.name)
         if found is None or found.machine != machine:
-            found = self._links[machine.name] = AgentLink(machine, self._client)
+            found = self.links[machine.name] = AgentLink(machine, self._client)
         return found
 
-    async def link_named(self, machine: str) -> AgentLink:
-        """The link to this machine's agent: the one used before, without a look at any file. Problem 404."""
-        found = self._links.get(machine)
-        return found if found is not None else self.link(await self.machine(machine))
+    def known_link(self, machine: str) -> AgentLink | None:
+        """The link used before, without a look at any file."""
+        return self.links.get(machine)
+
+    async def renewed_link(self, machine: str) -> AgentLink:
+        """The link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
+        known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, known_machines, self.settings)
+        if machine not in known:
+            raise no_machine(machine, known)
+        return self.link(known[machine])
+
+    def remember(self, run: RunRow) -> RunRow:
+        """Where this run is, so that a stop of it asks no database."""
+        if run.agent_run is not None:
+            self.known_runs.pop(run.id, None)
+            while len(self.known_runs) >= _MOST_KNOWN:
+                del self.known_runs[next(iter(self.known_runs))]
+            self.known_runs[run.id] = run
+        return run
 
     async def link_of(self, run: RunRow) -> AgentLink:
         """The link to the agent that has this run."""
         try:
-            return await self.link_named(run.machine)
+            return self.known_link(run.machine) or self.link(await self.machine(run.machine))
         except Problem as gone:
             raise AgentAwayError(gone.detail) from None
 
     async def seen(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
         """The run as its agent has it now, written down where that is news."""
+        seen = await self._seen(run, timeout_s=timeout_s)
+        (self.live_runs.add if seen.run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
+        return seen
+
+    async def _seen(self, run: RunRow, *, timeout_s: float) -> Seen:
+        self.remember(run)
         if run.agent_run is None or (run.state == FINISHED and not run.open) or run.state == LOST:
             return Seen(run)
         try:
@@ -110,6 +140,7 @@ class FleetCore:
             await self._http.aclose()
             self._http = None
         self._threads.shutdown(wait=False, cancel_futures=True)
+        self._looking.shutdown(wait=False, cancel_futures=True)
 
     def _client(self) -> httpx.AsyncClient:
         """One for all agents, made in the loop that uses it. No proxies: a mill's agent is asked directly."""

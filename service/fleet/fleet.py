@@ -10,22 +10,23 @@ from typing import Any
 import sqlalchemy as sa
 import structlog
 
+from machines.mill.orders import Stop
 from service.errors import printable
 from service.fleet.agent_link import AgentAwayError
-from service.fleet.controls import Controls
+from service.fleet.controls import Controls, RunOrder
 from service.fleet.core import FleetCore, Seen
 from service.fleet.events import RunEvents
 from service.fleet.following import known_id
 from service.fleet.handover import Handovers
-from service.fleet.lease_book import LeaseBook
 from service.fleet.machine_events import MachineEvents
 from service.fleet.machines import KnownMachine
-from service.fleet.orders import Orders
+from service.fleet.orders import ASK_S, OrderContext, Orders
 from service.fleet.programs import programs_of
 from service.fleet.run_book import PREPARING, RunRow, UnknownRunError
+from service.fleet.stops import Stops
 from service.fleet.views import Surroundings, machine_json, run_json
 from service.jobs.book import JobBook
-from service.jobs.records import UnknownJobError
+from service.jobs.records import ClientKey, UnknownJobError
 from service.settings import ServerSettings
 from service.store.store import Store
 from service.web.problems import Problem
@@ -42,8 +43,9 @@ class Fleet:
     def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, book: JobBook) -> None:
         self._core = FleetCore(settings, database, store, book)
         self._handovers = Handovers(self._core)
-        self._controls = Controls(self._core)
-        self.orders = Orders(self._core, LeaseBook(database))
+        self.orders = Orders(self._core)
+        self.stops = Stops(self._core)
+        self._controls = Controls(self._core, self.orders)
         self._followers = 0
 
     def end_streams(self) -> None:
@@ -64,6 +66,11 @@ class Fleet:
         await self._handovers.close()
         await self._core.close()
 
+    @property
+    def has_live_run(self) -> bool:
+        """A program is on one of the mills, as they were last seen."""
+        return bool(self._core.live_runs)
+
     # ------------------------------------------------------------------ machines
 
     async def machines(self) -> Json:
@@ -83,24 +90,30 @@ class Fleet:
             away = error.words
         except Problem as problem:
             away = problem.detail
-        lease = await self.orders.holder(machine.name)
-        return machine_json(machine, status, away, run if run is not None and run.open else None, lease)
+        return machine_json(machine, status, away, run if run is not None and run.open else None)
 
     async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
         """What a mill does and what happens at it, as server-sent events without an end."""
         machine = await self._core.machine(name)
-        return self._followed(MachineEvents(self._core, self.orders, machine, known_id(last_id)).stream())
+        return self._followed(MachineEvents(self._core, machine, known_id(last_id)).stream())
 
     # ------------------------------------------------------------------ runs
 
     async def park(
-        self, machine: str, job_id: str, program: int | str | None, by: str, key: str | None, control: str = ""
+        self,
+        machine: str,
+        job_id: str,
+        program: int | str | None,
+        by: str,
+        key: ClientKey | None,
+        context: OrderContext,
     ) -> tuple[Json, bool]:
         """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
         known = await self._core.machine(machine)
-        async with self.orders.turn(machine, control):
-            run = await self._handovers.begin(known, job_id, program, by, key)
-        run = await self._handovers.finish(run, known)
+        with contextlib.suppress(AgentAwayError):
+            await self._core.link(known).once("/v1/lease/check", {}, timeout_s=ASK_S, headers=context.headers())
+        run = await self._handovers.begin(known, job_id, program, by, key)
+        run = self._core.remember(await self._handovers.finish(run, known))
         return await self._shown(Seen(run)), run.state != PREPARING
 
     async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> Json:
@@ -110,39 +123,38 @@ class Fleet:
         except UnknownRunError as error:
             raise Problem(422, str(error), field="cursor") from None
         seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
-        shown = await asyncio.gather(*map(self._shown, seen))
-        return {"runs": list(shown), "next": rows[-1].id if len(rows) == limit else None}
+        # In one thread, one after the other: a connection to the database for each would be more than the pool has.
+        around = await self._core.do(lambda: [self._surroundings(one.run) for one in seen])
+        return {"runs": list(map(run_json, seen, around)), "next": rows[-1].id if len(rows) == limit else None}
 
     async def run(self, run_id: str) -> Json:
         return await self._shown(await self._now(await self._controls.row(run_id)))
 
-    async def recovery(self, run_id: str) -> Json:
-        return await self._controls.recovery(run_id)
+    async def recovery(self, run_id: str, caller: str) -> Json:
+        return await self._controls.recovery(run_id, caller)
 
-    async def start(self, run_id: str, operator: str, checks: frozenset[str], control: str = "") -> Json:
+    async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
         run = await self._controls.row(run_id)
-        around = await self._around(run)
-        async with self.orders.turn(run.machine, control):
-            seen = await self._controls.start(run_id, operator, checks, around)
-        return await self._shown(seen)
+        return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
 
-    async def recover(self, run_id: str, operator: str, checks: frozenset[str], control: str = "") -> Json:
-        run = await self._controls.row(run_id)
-        async with self.orders.turn(run.machine, control):
-            seen = await self._controls.recover(run_id, operator, checks)
-        return await self._shown(seen)
+    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+        return await self._shown(await self._controls.recover(run_id, said, context))
 
-    async def hold(self, run_id: str) -> Json:
-        return await self._shown(await self._controls.hold(run_id))
+    async def resume(self, run_id: str, context: OrderContext) -> Json:
+        return await self._shown(await self._controls.resume(run_id, context))
 
-    async def resume(self, run_id: str, control: str = "") -> Json:
-        run = await self._controls.row(run_id)
-        async with self.orders.turn(run.machine, control):
-            seen = await self._controls.resume(run_id)
-        return await self._shown(seen)
+    async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Json:
+        seen = await self.stops.stop_run(run_id, stop, context)
+        return run_json(seen, await self.stops.wait_briefly(self._around(seen.run), Surroundings()))
 
-    async def abort(self, run_id: str) -> Json:
-        return await self._shown(await self._controls.abort(run_id))
+    async def past_orders(self, machine: str, before: int | None, limit: int) -> Json:
+        """Who ordered what at this mill, newest first."""
+        link = self._core.link(await self._core.machine(machine))
+        from_number = "" if before is None else f"&before={before}"
+        try:
+            return await link.get(f"/v1/orders?limit={limit}{from_number}")
+        except AgentAwayError as away:
+            raise away.problem() from None
 
     async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """The run's server-sent events; None where it was over when the reader last heard of it."""

@@ -23,7 +23,7 @@ from service.fleet.run_book import (
     NewRun,
     RunRow,
 )
-from service.jobs.records import Job, UnknownJobError
+from service.jobs.records import ClientKey, Job, UnknownJobError
 from service.store.store import MissingObjectError
 from service.web.problems import Problem
 
@@ -40,12 +40,12 @@ class Handovers:
         self._untried: set[str] = set()  # runs made here, of which no agent can have heard yet
 
     async def begin(
-        self, machine: KnownMachine, job_id: str, wanted: int | str | None, by: str, key: str | None
+        self, machine: KnownMachine, job_id: str, wanted: int | str | None, by: str, key: ClientKey | None
     ) -> RunRow:
         """Make the run, or find the one that this key has made. Problem where it may not be."""
         asked = hashlib.sha256(repr((machine.name, job_id, wanted)).encode()).hexdigest()
         core = self._core
-        if key is not None and (before := await core.do(core.runs.made_before, by, key, asked)) is not None:
+        if key is not None and (before := await core.do(core.runs.made_before, key, asked)) is not None:
             return before
         program = await self._chosen(machine, job_id, wanted)
         if (other := await core.do(core.runs.open_on, machine.name)) is not None:

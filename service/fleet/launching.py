@@ -14,6 +14,7 @@ from pathlib import Path
 
 from service.errors import sentence_of_os_error
 from service.fleet.machines import KnownMachine, known_machines, local_folder
+from service.private import make_private
 from service.settings import PREFIX, ServerSettings
 
 LOG_FILE = "agent.log"
@@ -36,7 +37,7 @@ def _started(settings: ServerSettings, machine: KnownMachine) -> str:
         return f"has its agent already, in {owner}"
     folder = local_folder(settings, machine.name)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_private(folder)
         pid = _launch(machine.name, folder)
     except (OSError, subprocess.SubprocessError) as error:
         words = sentence_of_os_error(error, doing="cannot start") if isinstance(error, OSError) else str(error)

@@ -11,33 +11,26 @@ import contextlib
 import time
 from collections.abc import AsyncGenerator
 from dataclasses import replace
-from typing import Protocol
 
 from service.fleet.agent_feed import Message
 from service.fleet.agent_link import AgentAwayError
 from service.fleet.agent_words import json_object, run_view, table
 from service.fleet.core import FleetCore
 from service.fleet.following import AGAIN_S, FIRST, PING, Json, event_bytes, known_id, until
-from service.fleet.lease_book import Lease
 from service.fleet.machines import KnownMachine
 from service.fleet.run_book import RunRow
 from service.fleet.views import machine_json
 from service.web.problems import Problem
 
-_TICK_S = 0.5  # who has control, and which run is open, is looked at so often
+_TICK_S = 0.5  # which run is open is looked at so often
 _BEAT_S = 15.0
-
-
-class Holders(Protocol):
-    async def holder(self, machine: str) -> Lease | None: ...
 
 
 class MachineEvents:
     """What one reader of a machine is sent."""
 
-    def __init__(self, core: FleetCore, holders: Holders, machine: KnownMachine, last_id: str) -> None:
+    def __init__(self, core: FleetCore, machine: KnownMachine, last_id: str) -> None:
         self._core = core
-        self._holders = holders
         self._machine = machine
         self._last_id = last_id
         self._status: Json | None = None
@@ -46,7 +39,6 @@ class MachineEvents:
         self._remembered = bool(last_id)
         self._sent_s = self._looked_s = 0.0
         self._run: RunRow | None = None
-        self._lease: Lease | None = None
         self._failures = 0
 
     async def stream(self) -> AsyncGenerator[bytes]:
@@ -119,12 +111,11 @@ class MachineEvents:
         view = table(self._status or {}, "run")
         if fresh or now_s > self._looked_s + _TICK_S or self._run_is_news(view):
             self._looked_s = now_s
-            self._lease = await self._holders.holder(self._machine.name)
             self._run = await self._open_run(view)
         run = self._run
         if run is not None and _is_about(view, run):
             run = replace(run, view=run_view(view, self._machine.name))
-        shown = machine_json(self._machine, self._status, away, run, self._lease)
+        shown = machine_json(self._machine, self._status, away, run)
         if shown != self._shown:
             self._shown, self._sent_s = shown, now_s
             return event_bytes("status", shown, self._last_id)

@@ -1,143 +1,133 @@
-"""Orders beside a run: jog, home, zero and the like, from the person who has control of the mill.
+"""Orders to a mill from the person who has control of it, each under a grant of the mill's agent.
 
-Theory of operation. An order is good for the moment in which it was given. It is sent once, to the agent where it was
-met last, and only while it is fresh: one that waited too long, for another order or for the agent to be found, is
-refused and nothing of it comes true later. Orders of one mill leave one after the other, and who has control is looked
-at last, when nothing but the wire is between us and the agent: after a take-over no order of the former holder leaves.
-What stops the mill asks for none of this.
+Theory of operation. An order is good for the moment in which it was given. The page asks for a grant when a button is
+pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has stopped the
+mill or taken control since. Nothing here decides whether an order is still for now: it may wait for a database, a
+thread or a network as long as it likes, and then the agent refuses it. For a caller without a grant (curl) one is asked
+for here; the moment is then that of the request's arrival.
 """
 
 from __future__ import annotations
 
-import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, replace
+from typing import TypeVar
+from urllib.parse import quote
 
-from service.fleet.agent_link import ASK_S, AgentAwayError, AgentLink, Json
+from machines.mill.orders import Refusal, suspend_aware_clock_s
+from service.agent.callers import BY, CONTROL, FROM, GRANT
+from service.fleet.agent_link import AgentAwayError, AgentLink, Json
+from service.fleet.agent_words import lease_json
 from service.fleet.core import FleetCore
-from service.fleet.lease_book import HeldError, Lease, LeaseBook
-from service.fleet.views import lease_json, mill_json
+from service.fleet.views import mill_json
 from service.web.problems import Problem
 
-HEADER = "Causticmill-Control"
-URGENT = ("hold", "abort", "jog-cancel")
-_FRESH_S = 2.0  # an order that could not leave within this time is not meant any more
+T = TypeVar("T")
+ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
+TELL_S = 45.0  # a start asks the controller first, and waits for the journal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrderContext:
+    """Who gives an order, from where, and what it rests on. arrived_s: by `suspend_aware_clock_s`."""
+
+    name: str
+    origin: str
+    control: str = ""
+    grant: str = ""
+    arrived_s: float = 0.0
+
+    def headers(self) -> dict[str, str]:
+        told = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
+        return {name: value for name, value in told.items() if value}
 
 
 class Orders:
     """Who has control of the mills of this fleet, and what they say."""
 
-    def __init__(self, core: FleetCore, leases: LeaseBook) -> None:
+    def __init__(self, core: FleetCore, clock: Callable[[], float] = suspend_aware_clock_s) -> None:
         self._core = core
-        self._leases = leases
-        self._turns: dict[str, asyncio.Lock] = {}
+        self._clock = clock
 
     # ------------------------------------------------------------------ control
 
-    async def holder(self, machine: str) -> Lease | None:
-        return await self._core.do(self._leases.holder, machine)
-
-    async def take(
-        self, machine: str, operator: str, principal: str, shown: str, *, take_over: bool
-    ) -> tuple[Json, bool]:
+    async def take(self, machine: str, context: OrderContext, operator: str, *, take_over: bool) -> tuple[Json, bool]:
         """Control of a machine, and whether it is new. Problem 409 where another person has it."""
-        await self._core.machine(machine)
-        try:
-            secret, lease, new = await self._core.do(
-                self._leases.take, machine, operator, principal, shown, take_over=take_over
-            )
-        except HeldError as error:
-            raise _held(machine, error.lease) from None
-        return lease_json(lease, secret), new
+        link = self._core.link(await self._core.machine(machine))
+        body = {"operator": operator, "principal": context.name, "take_over": take_over}
+        told = await _reached(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
+        secret = str(told.get("control", ""))
+        return lease_json(told, secret), secret != context.control
 
-    async def release(self, machine: str, shown: str) -> None:
+    async def release(self, machine: str, context: OrderContext) -> None:
         """Nobody has control, if it was the caller who had it. Problem 409 where it is somebody else."""
-        await self._core.machine(machine)
-        given: bool = await self._core.do(self._leases.release, machine, shown)
-        if not given and (lease := await self.holder(machine)) is not None:
-            raise _held(machine, lease, lost=bool(shown))
-
-    @asynccontextmanager
-    async def turn(self, machine: str, shown: str, *, alone: bool = False) -> AsyncIterator[None]:
-        """The one moment in which an order to this mill may leave. Problem 409, or 503 where it does not come in time.
-
-        alone : without control nothing may be ordered even where nobody has it
-        """
-        lock = self._turns.setdefault(machine, asyncio.Lock())
-        try:
-            async with asyncio.timeout(_FRESH_S):
-                await lock.acquire()
-        except TimeoutError:
-            words = f"another order to '{machine}' is still on its way; this one was not sent"
-            raise Problem(503, words, field="machine", headers={"Retry-After": "2"}) from None
-        try:
-            await self._require(machine, shown, alone=alone)
-            yield
-        finally:
-            lock.release()
-
-    async def _require(self, machine: str, shown: str, *, alone: bool) -> None:
-        """Problem 409 where the mill is in other hands, or in none and it has to be in the caller's."""
-        kept: bool = bool(shown) and await self._core.do(self._leases.keep, machine, shown)
-        if kept:
-            return
-        lease = await self.holder(machine)
-        if lease is not None:
-            raise _held(machine, lease, lost=bool(shown))
-        if shown:
-            words = f"you had control of '{machine}' and have not been heard of for too long: take control again"
-            raise Problem(409, words, field=HEADER, more={"control": None})
-        if alone:
-            words = f"nobody has control of '{machine}': take control first"
-            raise Problem(409, words, field=HEADER, more={"control": None})
+        link = self._core.link(await self._core.machine(machine))
+        await _reached(link.delete("/v1/lease", headers=context.headers()))
 
     # ------------------------------------------------------------------ orders
 
-    async def stop(self, machine: str, what: str) -> Json:
-        """Hold, abort, jog-cancel: taken from everybody at any time; sent again where no answer came."""
-        link = await self._core.link_named(machine)
-        try:
-            status = await link.urgent(f"/v1/control/{what}")
-        except AgentAwayError as away:
-            raise _unknown(away, what) if away.sent else away.problem() from None
-        return _told(machine, what, status)
+    async def grant(self, machine: str, context: OrderContext, stops: int | None = None) -> Json:
+        """A grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped since the
+        caller has seen this stop count.
+        """
+        return await self._ask_grant(self._core.link(await self._core.machine(machine)), context, stops)
 
-    async def give(self, machine: str, what: str, body: Json, shown: str) -> Json:
-        """Any other order, from the holder of control."""
+    async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> Json:
+        """An order beside a run, from the holder of control."""
         link = self._core.link(await self._core.machine(machine))
-        await self._require(machine, shown, alone=True)  # told at once, before anything is waited for
-        await _met(link)
-        async with self.turn(machine, shown, alone=True):
-            try:
-                status = await link.once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S)
-            except AgentAwayError as away:
-                raise _unknown(away, what) if away.sent else away.problem() from None
-        return _told(machine, what, status)
+        status = await self.send(link, f"/v1/control/{what}", body, what, context, within_s=_ANSWER_S)
+        return told(machine, what, status)
+
+    async def send(
+        self, link: AgentLink, path: str, body: Json, what: str, context: OrderContext, *, within_s: float = TELL_S
+    ) -> Json:
+        """Once, whatever comes of it. Problem 504 where that is not known."""
+        try:
+            return await self.send_raw(link, path, body, context, within_s=within_s)
+        except AgentAwayError as away:
+            raise (unknown_fate(away, what) if away.sent else away.problem()) from None
+
+    async def send_raw(
+        self, link: AgentLink, path: str, body: Json, context: OrderContext, *, within_s: float = TELL_S
+    ) -> Json:
+        """As `send`; AgentAwayError is the caller's to tell of."""
+        if not context.grant:
+            context = replace(context, grant=str((await self._ask_grant(link, context)).get("grant", "")))
+        return await link.once(path, body, timeout_s=within_s, headers=context.headers())
+
+    async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None = None) -> Json:
+        """A grant of the agent, as long as the request is for now and no stop has come by since."""
+        body = {} if stops is None else {"stops": stops}
+        left_s = ASK_S - (self._clock() - context.arrived_s)
+        if left_s > 0:
+            granted = await _reached(link.once("/v1/grants", body, timeout_s=left_s, headers=context.headers()))
+            if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
+                words = "the mill was stopped since: the order was not sent"
+                raise Problem(409, words, field="machine", more={"code": Refusal.STOPPED.value})
+            if self._clock() - context.arrived_s <= ASK_S:
+                return granted
+        raise Problem(
+            503,
+            f"the order has waited for more than {ASK_S:g} s: it was not sent; give it again",
+            field="machine",
+            headers={"Retry-After": "2"},
+            more={"code": "grant_expired"},
+        )
 
 
-async def _met(link: AgentLink) -> None:
-    """The agent's address is known. Nothing has been sent when this fails."""
-    try:
-        async with asyncio.timeout(ASK_S):
-            await link.address()
-    except AgentAwayError as away:
-        raise away.problem() from None
-    except TimeoutError:
-        raise AgentAwayError(f"the agent of '{link.machine.name}' was not found in time").problem() from None
-
-
-def _told(machine: str, what: str, status: Json) -> Json:
+def told(machine: str, what: str, status: Json) -> Json:
+    """What an order or a stop is answered with."""
     return {"machine": machine, "order": what, "mill": mill_json(status)}
 
 
-def _unknown(away: AgentAwayError, what: str) -> Problem:
+def unknown_fate(away: AgentAwayError, what: str) -> Problem:
     words = f"{away.words}; whether the {what} arrived is not known, it is not sent again: LOOK AT THE MILL"
     return Problem(504, words, field="machine")
 
 
-def _held(machine: str, lease: Lease, *, lost: bool = False) -> Problem:
-    told = lease_json(lease)
-    begin = "you have lost control: " if lost else ""
-    words = f"{begin}{lease.operator} has had control of '{machine}' since {told['since']}; ask them, or take over"
-    return Problem(409, words, field=HEADER, more={"control": told})
+async def _reached(asking: Awaitable[T]) -> T:
+    try:
+        return await asking
+    except AgentAwayError as away:
+        raise away.problem() from None

@@ -11,13 +11,13 @@ from typing import Any, Self
 from uuid import uuid4
 
 import sqlalchemy as sa
-from sqlalchemy.exc import IntegrityError
+from sqlalchemy.exc import IntegrityError, OperationalError
 
 from machines.runs import LIVE
 from service.jobs.book import locked_job
 from service.jobs.database import clock, insert_new, reading, writing
 from service.jobs.files import may_be_milled
-from service.jobs.records import Job, KeyReusedError
+from service.jobs.records import ClientKey, Job, KeyReusedError
 from service.jobs.states import JobState
 from service.jobs.tables import idempotency_keys, runs
 
@@ -26,7 +26,7 @@ Json = dict[str, Any]
 PREPARING, PARKED, REFUSED = "preparing", "parked", "refused"
 FINISHED, ABORTED, INTERRUPTED, LOST = "finished", "aborted", "interrupted", "lost"
 ENDED = frozenset({FINISHED, ABORTED})  # of the agent's words
-_LIVE = frozenset(state.value for state in LIVE)
+LIVE_WORDS = frozenset(state.value for state in LIVE)
 _WORDS = 1000
 
 
@@ -64,7 +64,7 @@ class NewRun:
     number: int
     sha256: str
     created_by: str
-    key: str | None = None
+    key: ClientKey | None = None
     request_sha256: str = ""
 
 
@@ -98,16 +98,16 @@ class RunBook:
     def __init__(self, database: sa.Engine) -> None:
         self._database = database
 
-    def made_before(self, created_by: str, key: str, request_sha256: str) -> RunRow | None:
-        """The run that this caller's key has made. KeyReusedError where it stood for another request."""
+    def made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
+        """The run that this key has made. KeyReusedError where it stood for another request."""
         table = idempotency_keys.c
-        mine = sa.and_(table.principal == created_by, table.kind == "run", table.key == key)
+        mine = sa.and_(table.principal == key.token, table.kind == "run", table.key == key.text)
         with reading(self._database) as connection:
             known = connection.execute(sa.select(idempotency_keys).where(mine)).mappings().first()
             if known is None:
                 return None
             if known["request_sha256"] != request_sha256:
-                raise KeyReusedError(key)
+                raise KeyReusedError(key.text)
             return _get(connection, known["resource_id"])
 
     def create(self, new: NewRun) -> tuple[RunRow, bool]:
@@ -122,14 +122,14 @@ class RunBook:
                 if not may_be_milled(connection, job):
                     raise JobNotReadyError(job)
                 at = clock(connection)
-                fresh = new.key is None or insert_new(connection, idempotency_keys, _key_row(new, run_id, at))
+                fresh = new.key is None or insert_new(connection, idempotency_keys, _key_row(new.key, new, run_id, at))
                 if fresh:
                     connection.execute(runs.insert().values(**_first_row(new, run_id, at)))
                     return _get(connection, run_id), True
         except IntegrityError:
             raise MachineTakenError(new.machine, self._open_id(new.machine)) from None
         assert new.key is not None
-        before = self.made_before(new.created_by, new.key, new.request_sha256)
+        before = self.made_before(new.key, new.request_sha256)
         if before is None:  # made and refused by another caller in the meantime
             raise MachineTakenError(new.machine, self._open_id(new.machine))
         return before, False
@@ -160,8 +160,7 @@ class RunBook:
         with reading(self._database) as connection:
             if before is not None:
                 at = _get(connection, before).created_at
-                same = sa.and_(runs.c.created_at == at, runs.c.id < before)
-                query = query.where(sa.or_(runs.c.created_at < at, same))
+                query = query.where(sa.tuple_(runs.c.created_at, runs.c.id) < sa.tuple_(at, before))
             return [RunRow.of(row) for row in connection.execute(query).mappings()]
 
     def finished(self, job_id: str, machine: str) -> frozenset[str]:
@@ -184,10 +183,11 @@ class RunBook:
     def told(self, run: RunRow, view: Json) -> RunRow:
         """What the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
 
-        Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same.
+        Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same. What a
+        database that is full or busy cannot write down now is told as well, and again at the next look.
         """
         state = str(view["state"])
-        is_open = state not in ENDED and (run.open or state in _LIVE)
+        is_open = state not in ENDED and (run.open or state in LIVE_WORDS)
         values: Json = {"state": state, "view": view, "words": _words(view), "open": is_open}
         values["ended_at"] = view.get("ended_s") if not is_open else None
         if run.state == state and run.open == values["open"] and not _news(run.view, view):
@@ -196,6 +196,8 @@ class RunBook:
             self._write(run.id, values)
         except IntegrityError:
             self._write(run.id, values | {"open": False})
+        except OperationalError:
+            return replace(run, **values)
         return self.get(run.id)
 
     def close(self, run_id: str, state: str, words: str, *, forget_key: bool = False) -> None:
@@ -244,8 +246,8 @@ def _first_row(new: NewRun, run_id: str, at: float) -> Json:
     return given | {"id": run_id, "state": PREPARING, "open": True, "created_at": at}
 
 
-def _key_row(new: NewRun, run_id: str, at: float) -> Json:
-    row = {"principal": new.created_by, "kind": "run", "key": new.key, "request_sha256": new.request_sha256}
+def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
+    row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": new.request_sha256}
     return row | {"resource_id": run_id, "created_at": at}
 
 

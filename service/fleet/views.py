@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from datetime import UTC, datetime
 from typing import Any
 from urllib.parse import quote
 
+from machines.profiles import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
-from service.fleet.agent_words import table
+from service.fleet.agent_words import lease_json, moment, table
 from service.fleet.core import Seen
-from service.fleet.lease_book import LEASE_S, Lease
 from service.fleet.machines import KnownMachine
 from service.fleet.programs import Program, set_up
 from service.fleet.run_book import ABORTED, INTERRUPTED, PARKED, RunRow
@@ -111,9 +110,7 @@ def live_json(seen: Seen) -> Json:
     }
 
 
-def machine_json(
-    machine: KnownMachine, status: Json | None, away: str, run: RunRow | None, lease: Lease | None
-) -> Json:
+def machine_json(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> Json:
     """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
     profile = machine.profile
     name = quote(machine.name, safe="")
@@ -123,11 +120,11 @@ def machine_json(
         "remote": machine.remote,
         "simulated": machine.simulated,
         "problem": machine.problem,
-        "profile": None if profile is None else _profile(dataclasses.asdict(profile)),
+        "profile": None if profile is None else _profile(profile),
         "agent": {"reachable": status is not None, "words": away},
         "mill": None if status is None else mill_json(status),
         "run": None if run is None else _open_run(run),
-        "control": None if lease is None else lease_json(lease),
+        "control": lease_json(lease) if (lease := table(status or {}, "control")) else None,
         "links": {
             "self": here,
             "events": f"{here}/events",
@@ -137,21 +134,9 @@ def machine_json(
     }
 
 
-def lease_json(lease: Lease, secret: str = "") -> Json:
-    """Who has control and since when; for the holder, with the secret and how long it lasts without a sign."""
-    told: Json = {"operator": lease.operator, "since": moment(lease.since)}
-    return told | ({"control": secret, "expires_s": LEASE_S} if secret else {})
-
-
-def moment(at: float | None) -> str | None:
-    """ISO 8601, UTC."""
-    if at is None:
-        return None
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
-
-
-def _profile(values: Json) -> Json:
+def _profile(profile: MachineProfile) -> Json:
     """What a person chooses a mill by; how bytes get there is the agent's business."""
+    values = dataclasses.asdict(profile)
     names = (
         "description",
         "dialect",
@@ -161,8 +146,11 @@ def _profile(values: Json) -> Json:
         "spindle_rpm",
         "safe_z_mm",
         "homing",
+        "spindle",
     )
-    return {name: values.get(name) for name in names}
+    told: Json = {name: values[name] for name in names}
+    told["spindle"] |= {"words": list(profile.spindle.sentences)}
+    return told
 
 
 def _open_run(run: RunRow) -> Json:
@@ -205,4 +193,6 @@ def mill_json(status: Json) -> Json:
         "needs": status.get("needs", []),
         "latched": status.get("latched", ""),
         "zeroed": status.get("zeroed", ""),
+        "stops": status.get("stops", 0),
+        "setup": str(status.get("setup", ""))[:100],
     }

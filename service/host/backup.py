@@ -13,7 +13,6 @@ import hashlib
 import io
 import json
 import os
-import sqlite3
 import sys
 import tarfile
 import tempfile
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.jobs.database import copy_sqlite
 from service.settings import ServerSettings
 from service.store.opening import open_store
 from service.store.store import MissingObjectError, Store, StoredObject
@@ -65,26 +65,13 @@ def _add_databases(tar: tarfile.TarFile, settings: ServerSettings) -> dict[str, 
         for name in DATABASES:
             if (settings.data / name).is_file():
                 snapshot = Path(folder) / name
-                _snapshot(settings.data / name, snapshot)
+                copy_sqlite(settings.data / name, snapshot)
                 with snapshot.open("rb") as file:
                     hashes[name] = hashlib.file_digest(file, "sha256").hexdigest()
                     file.seek(0)
                     _add(tar, name, file, time.time())
                 snapshot.unlink()
     return hashes
-
-
-def _snapshot(database: Path, target: Path) -> None:
-    try:
-        with (
-            contextlib.closing(
-                sqlite3.connect(f"{database.absolute().as_uri()}?mode=rw", uri=True, timeout=30)
-            ) as source,
-            contextlib.closing(sqlite3.connect(target)) as copy,
-        ):
-            source.backup(copy)
-    except sqlite3.Error as error:
-        raise FailedError(f"cannot read the database {database}: {error}") from None
 
 
 def _add_objects(tar: tarfile.TarFile, store: Store) -> tuple[int, int, list[str], int]:

@@ -155,11 +155,14 @@ def backup(
 def restore(
     source: Annotated[Path, typer.Argument(metavar="FILE.tar", help="A backup.")],
     data: DataOption = None,
+    keep_tokens: Annotated[
+        bool, typer.Option("--keep-tokens", help="Tokens stay live, those revoked since the backup among them.")
+    ] = False,
 ) -> None:
-    """A backup into an empty data folder; every hash is checked. `serve` goes on with the jobs it holds."""
+    """A backup into an empty data folder; every hash is checked, every token revoked. `serve` goes on with its jobs."""
     from service.host.restore import restore as restored
 
-    for line in restored(source, _settings(data=data)):
+    for line in restored(source, _settings(data=data), keep_tokens=keep_tokens):
         print(line, file=sys.stderr)
 
 

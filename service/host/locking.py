@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, InputError, sentence_of_os_error
+from service.private import keep_private
 
 _NAME = "serve.lock"
 
@@ -17,7 +18,7 @@ def lock_folder(folder: Path, *, doing: str = "served") -> IO[str]:
     try:
         if folder.exists() and not folder.is_dir():
             raise InputError(f"--data {folder} is a file; allowed: a folder")
-        folder.mkdir(parents=True, exist_ok=True)
+        keep_private(folder)
         file = (folder / _NAME).open("a+", encoding="ascii")
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None

@@ -1,4 +1,4 @@
-"""Words that a person must find again between lines of a log: on a terminal in a frame, else as one plain line."""
+"""Words that a person must find again between the lines on a terminal: in a frame."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ _FINE, _PLAIN = tuple("┌─┐│└┘"), tuple("+-+|++")
 
 
 def code_lines(stream: TextIO, url: str, code: str) -> str:
-    """Where the page is, and the code for running mills from it."""
-    if not stream.isatty():
-        return f"open {url} in a browser; the code for running mills from there: {code}\n"
+    """Where the page is, and the code for running mills from it. For a terminal only."""
     rows = (f"Open  {url}  in a browser.", f"Code  {code}   (the page asks for it before it runs a mill)")
     return framed(rows, fine=(stream.encoding or "").lower().replace("-", "") == "utf8")
 

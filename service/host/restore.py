@@ -16,6 +16,8 @@ from typing import IO, Any
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.host.backup import DATABASES, FORMAT, MANIFEST, object_name
 from service.host.locking import lock_folder
+from service.jobs.database import connect
+from service.jobs.tokens import TokenBook
 from service.settings import ServerSettings
 from service.store.opening import open_store
 from service.store.store import Store
@@ -23,11 +25,18 @@ from service.store.store import Store
 _ARRIVING = "restoring"
 _OBJECT = re.compile(r"objects/[0-9a-f]{2}/[0-9a-f]{64}")
 _PIECE_BYTES = 1 << 20
+_WITHOUT_DATABASE = [
+    "the database is not in it: restore that with pg_restore, and then let no token in it open anything that may have "
+    "been revoked since: causticmill token revoke --all"
+]
 _MANIFEST_BYTES = 1 << 30
 
 
-def restore(source: Path, settings: ServerSettings) -> list[str]:
-    """The lines say what was restored, and what the backup did not hold."""
+def restore(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
+    """The lines say what was restored, what the backup did not hold, and what became of the tokens.
+
+    They are all revoked unless keep_tokens: the backup does not know which of them have been since it was made.
+    """
     with _emptied(settings.data), _opened(source) as tar:
         folder = settings.data / _ARRIVING
         folder.mkdir()
@@ -35,15 +44,39 @@ def restore(source: Path, settings: ServerSettings) -> list[str]:
         hashes, damaged = _take(tar, folder, store)
         manifest = _manifest(folder, source)
         _require_whole(manifest, hashes, damaged, source)
+        ended = None if keep_tokens else _end_tokens(folder)
         for name in manifest["databases"]:
             (folder / name).rename(settings.data / name)
         _sync(settings.data)
         shutil.rmtree(folder)
     held = sum(name not in DATABASES for name in hashes)
     lines = [f"{settings.data}: {held} objects and {len(manifest['databases'])} databases of {source}"]
-    if not manifest["databases"]:
-        lines.append("the database is not in it: restore that with pg_restore")
+    lines += _words_of_tokens(ended, settings.data) if manifest["databases"] else _WITHOUT_DATABASE
     return lines + [f"object {sha256} was damaged before the backup and is left out" for sha256 in damaged]
+
+
+def _end_tokens(folder: Path) -> int:
+    """Revoke what the arrived database holds; how many were live."""
+    path = folder / DATABASES[-1]
+    if not path.is_file():
+        return 0
+    database = connect(f"sqlite:///{path.absolute()}")
+    try:
+        return TokenBook(database).revoke_all()
+    finally:
+        database.dispose()  # the last connection leaves one file, without a log beside it
+
+
+def _words_of_tokens(ended: int | None, data: Path) -> list[str]:
+    if ended is None:
+        return [
+            "the tokens are as they were when the backup was made: one that has been revoked since opens again what it "
+            f"did; `causticmill token list --data {data}` shows them"
+        ]
+    return [
+        f"all tokens are revoked, {ended} of which were live, and no code is valid: the backup does not know which "
+        f"have been revoked since it was made; `causticmill token create NAME --scope ... --data {data}` makes new ones"
+    ]
 
 
 def _take(tar: tarfile.TarFile, folder: Path, store: Store) -> tuple[dict[str, str], list[str]]:

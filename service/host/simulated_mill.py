@@ -15,6 +15,7 @@ from pathlib import Path
 from machines.simulated import GRBL_11, Recording, SimulatedMill, serve_pty
 from service.errors import FailedError, JobError, sentence_of_os_error
 from service.fleet.machines import SIMULATED, simulated_folder
+from service.private import make_private
 from service.settings import ServerSettings
 
 TIME_FACTOR = 20.0
@@ -37,7 +38,7 @@ def main() -> int:
     try:
         folder = simulated_folder(ServerSettings.load())
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            make_private(folder)
             _written(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
             endpoint = serve_pty(made(), TIME_FACTOR, folder / "port")
         except OSError as error:

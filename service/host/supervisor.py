@@ -19,6 +19,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import FrameType
+from typing import TextIO
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, JobError, printable
 from service.host import address, lifeline
@@ -44,7 +45,7 @@ _TICK_S = 60.0
 class Supervisor:
     """Worker and API of one data folder, and perhaps a simulated mill, from start to stop.
 
-    offer : id and code with which a page may be paired
+    offer : id and code with which a page may be paired; "" where no terminal would show it
     """
 
     def __init__(self, listener: socket.socket, modules: Mapping[str, str], *, offer: str, began: float) -> None:
@@ -132,11 +133,20 @@ class Supervisor:
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
             if self._ready:
-                print(code_lines(sys.stdout, where, code_of(self._offer)), end="", flush=True)
+                self._show_code(where)
         if not self._announced and self._starts is not None and _setting("START_AGENTS", "true") == "true":
             command = [sys.executable, "-P", "-m", self._starts]
             self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
         self._announced = True
+
+    def _show_code(self, where: str) -> None:
+        """On a terminal only: a code opens a mill, and what goes into files and pipes is stored and shipped."""
+        if (terminal := _terminal()) is not None and self._offer:
+            terminal.write(code_lines(terminal, where, code_of(self._offer)))
+            terminal.flush()
+        else:
+            words = f"causticmill token pair --data {_setting('DATA', '')}"
+            print(f"open {where} in a browser; on a terminal, this prints a code for it: {words}", flush=True)
 
     def _stop(self, code: int) -> None:
         self._code = code
@@ -166,10 +176,14 @@ def main() -> int:
             contextlib.closing(address.bound(_setting("HOST", "127.0.0.1"), int(_setting("PORT", "8000")))) as listener,
         ):
             wanted = {name: module for name, module in modules.items() if module}
-            return Supervisor(listener, wanted, offer=new_offer(), began=began).run()
+            return Supervisor(listener, wanted, offer=new_offer() if _terminal() else "", began=began).run()
     except JobError as error:
         _say(f"error: {error}")
         return error.exit_code
+
+
+def _terminal() -> TextIO | None:
+    return next((stream for stream in (sys.stdout, sys.stderr) if stream is not None and stream.isatty()), None)
 
 
 def _setting(name: str, default: str) -> str:

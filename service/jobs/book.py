@@ -5,8 +5,8 @@ What workers change is in service/jobs/work_book.py. Both lock the job's row bef
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Mapping
+from dataclasses import fields, replace
 from typing import Any
 from uuid import uuid4
 
@@ -14,13 +14,17 @@ import sqlalchemy as sa
 
 from service.errors import printable
 from service.job_files import TARGET_PICTURE, THUMBNAIL
+from service.jobs.counters import Counter, add_to_counters, read_counters
 from service.jobs.database import clock, insert_new, reading, writing
 from service.jobs.events import BATCH, read_events, read_news, write_event
 from service.jobs.files import may_be_milled, offered_artifacts
+from service.jobs.priorities import PRIORITIES
 from service.jobs.records import (
     Artifact,
+    ClientKey,
     Event,
     Job,
+    JobSummary,
     KeyReusedError,
     NewJob,
     News,
@@ -34,7 +38,9 @@ from service.stages.order import merge_reports
 from service.store.store import Store
 
 NAME_CHARS = 255
+MOST_POSITIONS = 1000  # in the queue that are counted: whoever waits behind so many waits, wherever
 _PICTURES = (THUMBNAIL, TARGET_PICTURE)  # jobs of earlier versions have only the large one
+_SUMMARY = [jobs.c[field.name] for field in fields(JobSummary)]
 
 
 class JobBook:
@@ -55,6 +61,7 @@ class JobBook:
             if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
                 return _made_before(connection, new, new.key), False
             connection.execute(jobs.insert().values(**_first_row(new, job_id, at)))
+            add_to_counters(connection, {_counter(JobState.QUEUED): 1})
             write_event(connection, job_id, "queued", {"attempt": 1, "by": new.created_by}, at=at)
             return _job(connection, job_id), True
 
@@ -104,17 +111,21 @@ class JobBook:
         with reading(self.database) as connection:
             return _job(connection, job_id)
 
-    def listed(self, *, states: Sequence[JobState] = (), limit: int = 50, before: str | None = None) -> list[Job]:
-        """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone)."""
-        query = sa.select(jobs).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
-        if states:
-            query = query.where(jobs.c.state.in_([str(state) for state in states]))
+    def listed(
+        self, *, states: Collection[JobState] = (), limit: int = 50, before: str | None = None
+    ) -> list[JobSummary]:
+        """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).
+
+        Of several states each is asked for by itself, in the order of its index, and the newest of all are taken.
+        """
+        place = sa.tuple_(jobs.c.created_at, jobs.c.id)
+        query = sa.select(*_SUMMARY).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
         with reading(self.database) as connection:
             if before is not None:
-                at = _job(connection, before).created_at
-                older = sa.and_(jobs.c.created_at == at, jobs.c.id < before)
-                query = query.where(sa.or_(jobs.c.created_at < at, older))
-            return [Job.of(row) for row in connection.execute(query).mappings()]
+                query = query.where(place < sa.tuple_(_summary(connection, before).created_at, before))
+            queries = [query.where(jobs.c.state == str(state)) for state in set(states)] or [query]
+            found = [JobSummary.of(row) for one in queries for row in connection.execute(one).mappings()]
+        return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
 
     def stages(self, job_id: str) -> list[StageRun]:
         """Every try of every stage, in the order in which they began."""
@@ -170,38 +181,28 @@ class JobBook:
     def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[Event]:
         """Events after the one numbered `after`, at most 500 of them."""
         with reading(self.database) as connection:
-            return read_events(connection, job_id, after, limit)
+            return read_events(connection, job_id, after, min(limit, BATCH))
 
     def latest(self, after: Mapping[str, int]) -> News:
         """Events of many jobs, each after the seq given for it, and the progress of those that run."""
         with reading(self.database) as connection:
             return read_news(connection, after)
 
-    def queue_position(self, job_id: str) -> int | None:
-        """1 for the job that starts next; None for one that does not wait."""
-        return self.queue_positions().get(job_id)
-
     def queue_positions(self) -> dict[str, int]:
-        """The place of every waiting job."""
+        """The places of the first thousand waiting jobs, from 1 for the one that starts next."""
         query = (
             sa.select(jobs.c.id)
-            .where(jobs.c.state == JobState.QUEUED)
+            .where(jobs.c.state == str(JobState.QUEUED))
             .order_by(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+            .limit(MOST_POSITIONS)
         )
         with reading(self.database) as connection:
             return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
 
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""
-        query = sa.select(jobs.c.state, sa.func.count()).group_by(jobs.c.state)
         with reading(self.database) as connection:
-            found = {JobState(state): count for state, count in connection.execute(query)}
-        return {state: found.get(state, 0) for state in JobState}
-
-    def oldest_queued_at(self) -> float | None:
-        query = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == JobState.QUEUED)
-        with reading(self.database) as connection:
-            return connection.execute(query).scalar()
+            return count_jobs(read_counters(connection))
 
 
 # ---------------------------------------------------------------------- steps inside a transaction
@@ -217,6 +218,9 @@ def locked_job(connection: sa.Connection, job_id: str) -> Job:
 
 def change_job(connection: sa.Connection, job: Job, **values: Any) -> None:
     """Write columns of a locked job, and count its version."""
+    state = JobState(values.get("state", job.state))
+    if state is not job.state:
+        add_to_counters(connection, {_counter(job.state): -1, _counter(state): 1})
     connection.execute(jobs.update().where(jobs.c.id == job.id).values(version=jobs.c.version + 1, **values))
 
 
@@ -234,6 +238,23 @@ def drop_job(connection: sa.Connection, job: Job) -> None:
     _require_no_open_run(connection, job.id)
     connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
     connection.execute(jobs.delete().where(jobs.c.id == job.id))
+    add_to_counters(connection, {_counter(job.state): -1})
+
+
+def oldest_queued_at(connection: sa.Connection) -> float | None:
+    """Since when the job that has waited longest waits: the first of each priority is asked for."""
+    waiting = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == str(JobState.QUEUED))
+    firsts = [connection.execute(waiting.where(jobs.c.priority == p)).scalar() for p in PRIORITIES.values()]
+    return min((at for at in firsts if at is not None), default=None)
+
+
+def count_jobs(found: Mapping[Counter, float]) -> dict[JobState, int]:
+    """The number of jobs in each state, out of all counters."""
+    return {state: int(found.get(_counter(state), 0)) for state in JobState}
+
+
+def _counter(state: JobState) -> Counter:
+    return Counter("jobs", state=str(state))
 
 
 def _require_no_open_run(connection: sa.Connection, job_id: str) -> None:
@@ -248,6 +269,13 @@ def _job(connection: sa.Connection, job_id: str) -> Job:
     if row is None:
         raise UnknownJobError(job_id)
     return Job.of(row)
+
+
+def _summary(connection: sa.Connection, job_id: str) -> JobSummary:
+    row = connection.execute(sa.select(*_SUMMARY).where(jobs.c.id == job_id)).mappings().first()
+    if row is None:
+        raise UnknownJobError(job_id)
+    return JobSummary.of(row)
 
 
 def _first_row(new: NewJob, job_id: str, at: float) -> dict[str, Any]:
@@ -283,16 +311,17 @@ def _fresh(attempt: int, at: float) -> dict[str, Any]:
     }
 
 
-def _claim_key(connection: sa.Connection, new: NewJob, key: str, job_id: str, at: float) -> bool:
-    row = {"principal": new.created_by, "kind": "job", "key": key}
+def _claim_key(connection: sa.Connection, new: NewJob, key: ClientKey, job_id: str, at: float) -> bool:
+    row = {"principal": key.token, "kind": "job", "key": key.text}
     row |= {"request_sha256": new.request_sha256, "resource_id": job_id}
     return insert_new(connection, idempotency_keys, row | {"created_at": at})
 
 
-def _made_before(connection: sa.Connection, new: NewJob, key: str) -> Job:
+def _made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
     table = idempotency_keys.c
-    query = sa.select(idempotency_keys).where(table.principal == new.created_by, table.kind == "job", table.key == key)
+    mine = sa.and_(table.principal == key.token, table.kind == "job", table.key == key.text)
+    query = sa.select(idempotency_keys).where(mine)
     row = connection.execute(query).mappings().one()
     if row["request_sha256"] != new.request_sha256:
-        raise KeyReusedError(key)
+        raise KeyReusedError(key.text)
     return _job(connection, row["resource_id"])

@@ -7,15 +7,21 @@ rows they are about.
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import sqlite3
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.dialects import postgresql, sqlite
 
+from service.errors import FailedError
+from service.private import keep_private
 from service.settings import ServerSettings
 
 BUSY_TIMEOUT_S = 30
@@ -26,12 +32,12 @@ CONNECT_TIMEOUT_S = 5
 def open_database(settings: ServerSettings, *, migrate: bool = False) -> sa.Engine:
     """The database of these settings; `migrate` brings its tables up to date first (workers do, the API never)."""
     if settings.embedded:
-        settings.data.mkdir(parents=True, exist_ok=True)
+        keep_private(settings.data)
     database = connect(settings.sqlalchemy_url)
     if migrate:
         from service.jobs.schema import upgrade_schema
 
-        upgrade_schema(database)
+        upgrade_schema(database, allowed=settings.upgrade_to)
     return database
 
 
@@ -47,6 +53,22 @@ def connect(url: str) -> sa.Engine:
     return sa.create_engine(
         url, json_serializer=_as_json, pool_pre_ping=True, pool_timeout=BUSY_TIMEOUT_S, connect_args=patience
     )
+
+
+def copy_sqlite(source: Path, target: Path) -> None:
+    """A copy of a database that is in use, by SQLite's own backup: it neither waits for writers nor stops them.
+
+    The new file is its account's alone. FailedError.
+    """
+    try:
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600))
+        with (
+            contextlib.closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=rw", uri=True, timeout=30)) as old,
+            contextlib.closing(sqlite3.connect(target)) as new,
+        ):
+            old.backup(new)
+    except (sqlite3.Error, OSError) as error:
+        raise FailedError(f"cannot copy the database {source}: {error}") from None
 
 
 def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:

@@ -37,6 +37,14 @@ class KeyReusedError(Exception):
         self.key = key
 
 
+@dataclass(frozen=True, slots=True)
+class ClientKey:
+    """An Idempotency-Key, and the id of the token that it came with: another token of that name does not share it."""
+
+    token: str
+    text: str
+
+
 class _Row:
     """A frozen dataclass whose fields are columns."""
 
@@ -56,18 +64,17 @@ class NewJob:
     created_by: str
     request_sha256: str
     priority: int = NORMAL
-    key: str | None = None
+    key: ClientKey | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job(_Row):
-    """A row of `jobs`."""
+class JobSummary(_Row):
+    """A row of `jobs` without what is long: of lists."""
 
     id: str
     name: str
     state: JobState
     priority: int
-    spec: Json
     image_sha256: str
     image_bytes: int
     created_by: str
@@ -78,7 +85,6 @@ class Job(_Row):
     stage: str | None
     progress: float
     error: Json | None
-    report: Json | None
     cancel_requested: bool
     attempt: int
     owner: str | None
@@ -91,6 +97,14 @@ class Job(_Row):
     @property
     def ended(self) -> bool:
         return self.state in ENDED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job(JobSummary):
+    """A whole row of `jobs`."""
+
+    spec: Json
+    report: Json | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,5 +1,9 @@
 """The tables' version: workers bring a database up to date, everything else waits until one has.
 
+There is a way back from each upgrade, since an older program refuses newer tables. Beside a SQLite file a copy of it is
+made first, which stays: causticmill.sqlite.before-0004. Of PostgreSQL a program cannot make one in good conscience: the
+upgrade of tables that hold jobs waits until a person says with CAUSTICMILL_UPGRADE_TO that a dump of them is kept.
+
 alembic is imported only where there is something to do: it is slow to import and large, and mostly there is not.
 """
 
@@ -11,21 +15,25 @@ from typing import TYPE_CHECKING
 
 import sqlalchemy as sa
 
-from service.errors import FailedError
-from service.jobs.database import is_sqlite, reading, writing
+from service.errors import FailedError, InputError
+from service.jobs.database import copy_sqlite, is_sqlite, reading, writing
+from service.jobs.tables import jobs
 
 if TYPE_CHECKING:
     from alembic.config import Config
 
-HEAD = "0003"  # the last of the migrations; a test compares
+HEAD = "0004"  # the last of the migrations; a test compares
 FOLDER = Path(__file__).parent / "migrations"
 LOCK = 0x63617573  # of PostgreSQL, while the tables change
 POLL_S = 0.05
 _TABLE = sa.table("alembic_version", sa.column("version_num"))
 
 
-def upgrade_schema(database: sa.Engine) -> None:
-    """Bring the tables up to date, one process at a time. FailedError where they are newer than this program."""
+def upgrade_schema(database: sa.Engine, *, allowed: str | None = None) -> None:
+    """Bring the tables up to date, one process at a time. FailedError where they are newer than this program.
+
+    allowed : the version to which PostgreSQL's tables may be brought although they hold jobs; InputError otherwise
+    """
     with reading(database) as connection:
         if _version_in(connection) == HEAD:
             return
@@ -36,6 +44,7 @@ def upgrade_schema(database: sa.Engine) -> None:
         if not is_sqlite(connection):
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
         _require_known(connection, config)
+        _keep_way_back(connection, allowed)
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
 
@@ -74,6 +83,24 @@ def _version_in(connection: sa.Connection) -> str | None:
     if not sa.inspect(connection).has_table(_TABLE.name):
         return None
     return connection.execute(sa.select(_TABLE.c.version_num)).scalar()
+
+
+def _keep_way_back(connection: sa.Connection, allowed: str | None) -> None:
+    """Make the copy, or see that a person has. Nobody else upgrades meanwhile: the connection holds the lock."""
+    found = _version_in(connection)
+    if found is None or found == HEAD:
+        return
+    if is_sqlite(connection):
+        path = Path(str(connection.engine.url.database))
+        copy, part = (path.with_name(f"{path.name}.before-{HEAD}{end}") for end in ("", ".part"))
+        copy_sqlite(path, part)
+        part.rename(copy)
+    elif allowed != HEAD and connection.execute(sa.select(jobs.c.id).limit(1)).first() is not None:
+        raise InputError(
+            f"the database has tables of version {found}, and this program needs {HEAD}; no earlier program can use "
+            f"them afterwards. Keep a copy first: pg_dump --format=custom --file=before-{HEAD}.dump DATABASE_URL; "
+            f"then start with CAUSTICMILL_UPGRADE_TO={HEAD}"
+        )
 
 
 def _require_known(connection: sa.Connection, config: Config) -> None:

@@ -38,13 +38,13 @@ jobs = Table(
     metadata,
     Column("id", String(40), primary_key=True),
     Column("name", String(255), nullable=False),
-    Column("state", String(16), nullable=False, index=True),
+    Column("state", String(16), nullable=False),
     Column("priority", Integer, nullable=False),
     Column("spec", JSON, nullable=False),
-    Column("image_sha256", String(64), nullable=False),
+    Column("image_sha256", String(64), nullable=False, index=True),
     Column("image_bytes", BigInteger, nullable=False),
     Column("created_by", String(100), nullable=False),
-    Column("created_at", Float, nullable=False, index=True),
+    Column("created_at", Float, nullable=False),
     Column("queued_at", Float, nullable=False),
     Column("started_at", Float),
     Column("ended_at", Float),
@@ -58,6 +58,10 @@ jobs = Table(
     Column("fence", Integer, nullable=False),
     Column("version", Integer, nullable=False),
 )
+Index(None, jobs.c.created_at, jobs.c.id)  # the list, newest first
+Index(None, jobs.c.state, jobs.c.created_at, jobs.c.id)  # the list of one state
+Index(None, jobs.c.state, jobs.c.priority, jobs.c.queued_at, jobs.c.id)  # the queue
+Index(None, jobs.c.ended_at, jobs.c.id)  # retention
 
 # One row per try of a stage. log_sha256: what the stage's process said, kept as an artifact.
 stage_runs = Table(
@@ -75,7 +79,7 @@ stage_runs = Table(
     Column("started_at", Float, nullable=False),
     Column("ended_at", Float),
     Column("peak_rss_mb", Float),
-    Column("log_sha256", String(64)),
+    Column("log_sha256", String(64), index=True),
     Column("words", String(2000)),
 )
 
@@ -93,7 +97,16 @@ stage_results = Table(
     Column("peak_rss_mb", Float, nullable=False),
     Column("job_id", String(40), nullable=False),
     Column("created_at", Float, nullable=False),
-    Column("used_at", Float, nullable=False),
+    Column("used_at", Float, nullable=False, index=True),
+)
+
+# The files in `outputs`, one row each, to be found by their hash.
+result_files = Table(
+    "result_files",
+    metadata,
+    Column("key", ForeignKey("stage_results.key", ondelete="CASCADE"), primary_key=True),
+    Column("name", String(100), primary_key=True),
+    Column("sha256", String(64), nullable=False, index=True),
 )
 
 # Files of a job, each there as soon as its stage is committed.
@@ -129,7 +142,7 @@ progress = Table(
     Column("at", Float, nullable=False),
 )
 
-# Which request made which thing, so that a client may ask again. kind = "job" | "run".
+# Which request made which thing, so that a client may ask again. principal: id of the token; kind = "job" | "run".
 idempotency_keys = Table(
     "idempotency_keys",
     metadata,
@@ -137,8 +150,18 @@ idempotency_keys = Table(
     Column("kind", String(16), primary_key=True),
     Column("key", String(200), primary_key=True),
     Column("request_sha256", String(64), nullable=False),
-    Column("resource_id", String(40), nullable=False),
+    Column("resource_id", String(40), nullable=False, index=True),
     Column("created_at", Float, nullable=False),
+)
+
+# Figures that would take a scan to count: each is changed in the transaction that changes what it counts.
+counters = Table(
+    "counters",
+    metadata,
+    Column("name", String(40), primary_key=True),
+    Column("stage", String(40), primary_key=True),
+    Column("state", String(16), primary_key=True),
+    Column("value", Float, nullable=False),
 )
 
 # Workers that are alive; seen_at is the database's own clock.
@@ -189,25 +212,13 @@ pairing_tries = Table(
     Column("at", Float, nullable=False),
 )
 
-# Who may give orders to a mill at present: digest is of the secret that the holder shows with each of them.
-controls = Table(
-    "controls",
-    metadata,
-    Column("machine", String(100), primary_key=True),
-    Column("digest", String(64), nullable=False),
-    Column("operator", String(100), nullable=False),
-    Column("principal", String(100), nullable=False),
-    Column("since", Float, nullable=False),
-    Column("renewed_at", Float, nullable=False),
-)
-
 # Programs given to mills. agent_run is the agent's own id of the run; view is what the agent said of it last.
 runs = Table(
     "runs",
     metadata,
     Column("id", String(40), primary_key=True),
-    Column("machine", String(100), nullable=False, index=True),
-    Column("job_id", String(40), nullable=False, index=True),
+    Column("machine", String(100), nullable=False),
+    Column("job_id", String(40), nullable=False),
     Column("program", String(100), nullable=False),
     Column("number", Integer, nullable=False),
     Column("sha256", String(64), nullable=False),
@@ -222,3 +233,6 @@ runs = Table(
 )
 # One run per mill, by the database itself.
 Index("uq_runs_open_machine", runs.c.machine, unique=True, sqlite_where=text("open = 1"), postgresql_where=text("open"))
+Index(None, runs.c.created_at, runs.c.id)
+Index(None, runs.c.machine, runs.c.created_at, runs.c.id)
+Index(None, runs.c.job_id, runs.c.created_at, runs.c.id)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -55,7 +56,11 @@ def create(
 
 @tokens_app.command()
 def pair(data: DataOption = None) -> None:
-    """Print a new code with which a page in a browser may run mills from this server, for a day."""
+    """Print a new code with which a page in a browser may run mills from this server, for a day. On terminals only."""
+    if not sys.stdout.isatty():
+        raise InputError(
+            "a code opens a mill: it is printed on terminals only, not into files and pipes (ssh: with -t)"
+        )
     from service.jobs.codes import code_of, new_offer
     from service.jobs.pairing import PairingBook
 
@@ -81,10 +86,17 @@ def list_(data: DataOption = None) -> None:
 
 @tokens_app.command()
 def revoke(
-    token_id: Annotated[str, typer.Argument(metavar="ID", help="As `token list` shows it.")], data: DataOption = None
+    token_id: Annotated[str, typer.Argument(metavar="[ID]", help="As `token list` shows it.")] = "",
+    every: Annotated[bool, typer.Option("--all", help="Every token, and every code of `token pair`.")] = False,
+    data: DataOption = None,
 ) -> None:
     """Let a token open nothing any more, at once."""
+    if every == bool(token_id):
+        raise InputError("ID or --all: allowed: one of them")
     with _token_book(data) as book:
+        if every:
+            print(f"every token is revoked; {book.revoke_all()} of them opened something until now")
+            return
         try:
             token = book.revoke(token_id)
         except LookupError as error:

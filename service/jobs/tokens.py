@@ -17,16 +17,17 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from sqlalchemy import Connection, Engine, RowMapping, delete, insert, select, update
+from sqlalchemy import Connection, Engine, RowMapping, delete, func, insert, inspect, select, update
 
 from service.errors import InputError
 from service.jobs.database import reading, writing
-from service.jobs.tables import tokens
+from service.jobs.tables import pairings, tokens
 
 PREFIX = "cm_"  # so that people and secret scanners know one when they see it
 _SECRET = re.compile(r"cm_[A-Za-z0-9_-]{43}")
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9 ._@-]{0,79}")
 _USE_NOTED_EVERY_S = 60.0
+_ENDED_KEPT_S = 14 * 86400.0
 LONGEST_LIFE_S = 100 * 365 * 86400.0
 
 
@@ -83,11 +84,12 @@ class TokenBook:
     def create_paired(self, person: str, scopes: Iterable[str], *, life_s: float) -> tuple[Token, str]:
         """A token for the page of a person, under their name, or that and a number where it is taken.
 
-        Such tokens do not count in `any_ever`. Those that have ended are forgotten: a page makes one with each visit.
+        Such tokens do not count in `any_ever`. Those that have ended long ago are forgotten: a page makes one with each
+        visit, and one that has just ended may still stop a mill.
         """
         now, wanted = self._clock(), checked_scopes(scopes)
         with writing(self.engine) as connection:
-            connection.execute(delete(tokens).where(tokens.c.paired, tokens.c.expires_at < now))
+            connection.execute(delete(tokens).where(tokens.c.paired, tokens.c.expires_at < now - _ENDED_KEPT_S))
             taken = _live_names(connection, now)
             names = itertools.chain([person], (f"{person} {number}" for number in itertools.count(2)))
             name = next(name for name in names if name not in taken)
@@ -111,11 +113,25 @@ class TokenBook:
             raise LookupError(f"no token has the id '{token_id[:40]}'")
         return _token(row)
 
+    def revoke_all(self) -> int:
+        """Let none open anything any more, and forget every code; how many were live. The tables may be older ones."""
+        now = self._clock()
+        with writing(self.engine) as connection:
+            there = set(inspect(connection).get_table_names())
+            if pairings.name in there:
+                connection.execute(delete(pairings))
+            if tokens.name not in there:
+                return 0
+            live = tokens.c.revoked_at.is_(None) & (tokens.c.expires_at.is_(None) | (tokens.c.expires_at > now))
+            count = connection.execute(select(func.count()).where(live)).scalar_one()
+            connection.execute(update(tokens).where(tokens.c.revoked_at.is_(None)).values(revoked_at=now))
+            return int(count)
+
     def find(self, secret: str) -> Token | None:
         """The live token with this secret, if there is one."""
         if not _SECRET.fullmatch(secret):
             return None
-        now, digest = self._clock(), _hash(secret)
+        now, digest = self._clock(), hash_secret(secret)
         with reading(self.engine) as connection:
             row = connection.execute(select(tokens).where(tokens.c.sha256 == digest)).mappings().first()
         if row is None or not hmac.compare_digest(str(row["sha256"]), digest):
@@ -123,15 +139,26 @@ class TokenBook:
         token = _token(row)
         return token if token.live(now) else None
 
-    def note_use(self, token: Token) -> None:
-        """Write down that it is in use, at most once a minute."""
+    def find_stoppers(self) -> dict[str, Token]:
+        """By the hash of its secret, every token that may stop mills: revoked ones may not, ended ones may."""
+        with reading(self.engine) as connection:
+            rows = connection.execute(select(tokens).where(tokens.c.revoked_at.is_(None))).mappings()
+            found = {str(row["sha256"]): _token(row) for row in rows}
+        return {digest: token for digest, token in found.items() if TokenScope.MACHINE_RUN in token.scopes}
+
+    def note_use(self, token: Token, *, renew_s: float | None = None) -> None:
+        """Write down that it is in use, at most once a minute; renew_s: a paired one lives so long from now on."""
         now = self._clock()
         noted = self._noted.get(token.id, token.last_used_at)
         if noted is not None and now < noted + _USE_NOTED_EVERY_S:
             return
         self._noted[token.id] = now
         with writing(self.engine) as connection:
-            connection.execute(update(tokens).where(tokens.c.id == token.id).values(last_used_at=now))
+            values = {"last_used_at": now}
+            if token.paired and renew_s is not None and token.expires_at is not None:
+                values["expires_at"] = max(token.expires_at, now + renew_s)
+            alive = tokens.c.expires_at.is_(None) | (tokens.c.expires_at > now)
+            connection.execute(update(tokens).where(tokens.c.id == token.id, alive).values(**values))
 
     def any_ever(self) -> bool:
         """Was there ever a token? From then on nobody is anonymous: an expiry must not open what was closed.
@@ -169,7 +196,7 @@ def _inserted(connection: Connection, token: Token) -> str:
     """The new token's secret."""
     secret = PREFIX + secrets.token_urlsafe(32)
     given = {name: getattr(token, name) for name in ("id", "name", "created_at", "expires_at", "paired")}
-    connection.execute(insert(tokens).values(**given, sha256=_hash(secret), scopes=sorted(token.scopes)))
+    connection.execute(insert(tokens).values(**given, sha256=hash_secret(secret), scopes=sorted(token.scopes)))
     return secret
 
 
@@ -177,8 +204,9 @@ def _new_id() -> str:
     return uuid.uuid4().hex[:12]
 
 
-def _hash(secret: str) -> str:
-    return hashlib.sha256(secret.encode("ascii")).hexdigest()
+def hash_secret(secret: str) -> str:
+    """What is kept of a secret."""
+    return hashlib.sha256(secret.encode()).hexdigest()
 
 
 def _token(row: RowMapping) -> Token:

@@ -2,7 +2,8 @@
 far larger budget, which only slows a crowd of guessers down. So nobody can shut others out by trying wrong ones.
 
 Each budget is a row of the database that fills up with time: neither a restart nor a second server gives more. Whoever
-tries wherever they can all day has 200 + 86400 / 20 tries: against four codes of eight digits, 1 chance in 5000.
+tries wherever they can all day has 200 + 86400 / 20 tries: against four codes of sixty bits, 1 chance in 6 10^13. What
+the budgets bound is the work that a try costs the server: a slow digest for each code.
 """
 
 from __future__ import annotations

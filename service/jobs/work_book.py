@@ -4,7 +4,8 @@ worker has claimed it, or it has ended, the write changes nothing and raises `Fe
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections import Counter as Tally
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,12 +13,13 @@ import sqlalchemy as sa
 
 from service.errors import printable
 from service.jobs.book import change_job, end_job, locked_job
+from service.jobs.counters import RECOVERIES, STAGE_RESULTS, Counter, add_to_counters
 from service.jobs.database import clock, insert_new, put_rows, reading, writing
 from service.jobs.events import write_event
 from service.jobs.files import DONE
 from service.jobs.records import Job, Json, UnknownJobError
 from service.jobs.states import JobState, StageState
-from service.jobs.tables import artifacts, executors, jobs, progress, stage_results, stage_runs
+from service.jobs.tables import artifacts, executors, jobs, progress, result_files, stage_results, stage_runs
 from service.stages.order import FileRef, StageResult
 from service.worker.engine import Fenced, Ticket
 
@@ -83,6 +85,8 @@ class WorkBook:
             fence = job.fence + 1
             if job.state == JobState.QUEUED:
                 write_event(connection, job.id, "started", {"executor": executor, "attempt": job.attempt}, at=at)
+            else:
+                add_to_counters(connection, {RECOVERIES: 1})
             state = str(JobState.RUNNING)
             change_job(connection, job, state=state, started_at=job.started_at or at, owner=executor, fence=fence)
             return Claim(job, executor, fence)
@@ -124,7 +128,7 @@ class WorkBook:
     def forget_result(self, key: str) -> None:
         """The work has to be done again: its files are no longer in the store."""
         with writing(self._database) as connection:
-            connection.execute(stage_results.delete().where(stage_results.c.key == key))
+            drop_results(connection, [key])
 
     def commit_stage(
         self, claim: Claim, begun: StageTry, result: StageResult, *, log: FileRef | None, whole: float
@@ -136,10 +140,17 @@ class WorkBook:
                 return  # asked again, as the answer to the first time was lost
             state, peak = str(StageState.COMMITTED), result.peak_rss_mb
             _close_try(connection, begun, state=state, ended_at=at, peak_rss_mb=peak, log_sha256=log and log.sha256)
+            add_to_counters(connection, {Counter("stage_seconds", begun.stage, state): result.seconds})
             row = result.plain() | {"key": begun.key, "stage": begun.stage, "job_id": job.id}
-            insert_new(connection, stage_results, row | {"created_at": at, "used_at": at})
-            files = result.outputs if log is None else {**result.outputs, f"{begun.stage}.log": log}
-            _offer(connection, job, begun.stage, files, at)
+            if insert_new(connection, stage_results, row | {"created_at": at, "used_at": at}):
+                rows = [
+                    {"key": begun.key, "name": name, "sha256": file.sha256} for name, file in result.outputs.items()
+                ]
+                if rows:
+                    connection.execute(result_files.insert(), rows)
+                add_to_counters(connection, {STAGE_RESULTS: 1})
+            offered = result.outputs if log is None else {**result.outputs, f"{begun.stage}.log": log}
+            _offer(connection, job, begun.stage, offered, at)
             change_job(connection, job, progress=whole)
             data = {"stage": begun.stage, "number": begun.number, "seconds": result.seconds}
             write_event(connection, job.id, "stage.committed", data, at=at)
@@ -210,11 +221,20 @@ def interrupt_tries(connection: sa.Connection, job: Job, *, at: float) -> None:
     """Close the tries of a locked job that its dead owner left open."""
     running = sa.and_(stage_runs.c.job_id == job.id, stage_runs.c.state == str(StageState.RUNNING))
     query = sa.select(stage_runs.c.id, stage_runs.c.stage, stage_runs.c.number).where(running)
-    for row in connection.execute(query).all():
+    rows = connection.execute(query).all()
+    for row in rows:
         data = {"stage": row.stage, "number": row.number, "words": LOST}
         write_event(connection, job.id, "stage.interrupted", data, at=at)
+    add_to_counters(connection, Tally(Counter("stage_runs", row.stage, StageState.INTERRUPTED) for row in rows))
     closed = {"state": str(StageState.INTERRUPTED), "ended_at": at, "words": LOST}
     connection.execute(stage_runs.update().where(running).values(**closed))
+
+
+def drop_results(connection: sa.Connection, keys: Collection[str]) -> int:
+    """Forget what stages made, so that equal work is done again. How many there were."""
+    dropped = connection.execute(stage_results.delete().where(stage_results.c.key.in_(keys))).rowcount
+    add_to_counters(connection, {STAGE_RESULTS: -dropped})
+    return dropped
 
 
 def _held(connection: sa.Connection, claim: Claim) -> Job:
@@ -237,6 +257,7 @@ def _add_try(
     row |= {"state": str(state), "executor": claim.executor, "fence": claim.fence, "started_at": at}
     if state != StageState.RUNNING:
         row["ended_at"] = at
+        add_to_counters(connection, {Counter("stage_runs", stage, str(state)): 1})
     inserted = connection.execute(stage_runs.insert().values(**row)).inserted_primary_key
     assert inserted is not None
     return StageTry(int(inserted[0]), stage, key, number)
@@ -259,8 +280,9 @@ def _is_closed(connection: sa.Connection, begun: StageTry) -> bool:
     return state != StageState.RUNNING
 
 
-def _close_try(connection: sa.Connection, begun: StageTry, **values: Any) -> None:
-    connection.execute(stage_runs.update().where(stage_runs.c.id == begun.id).values(**values))
+def _close_try(connection: sa.Connection, begun: StageTry, *, state: str, **values: Any) -> None:
+    add_to_counters(connection, {Counter("stage_runs", begun.stage, state): 1})
+    connection.execute(stage_runs.update().where(stage_runs.c.id == begun.id).values(state=state, **values))
 
 
 def _offer(connection: sa.Connection, job: Job, stage: str, files: Mapping[str, FileRef], at: float) -> None:

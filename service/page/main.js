@@ -3,6 +3,7 @@
 import { api, ProblemError } from "./lib/api.js";
 import { h, replace } from "./lib/dom.js";
 import { askForKey, showWho } from "./lib/key.js";
+import { watchKeyEnd } from "./lib/key_end.js";
 import { shape } from "./lib/state.js";
 import { sentence } from "./lib/words.js";
 
@@ -128,6 +129,7 @@ function keepDropsHere() {
 api.onAway(showAway);
 api.setKeyDialog(askForKey);
 showWho(document.getElementById("who"));
+watchKeyEnd(() => askForKey("machine:run"));
 keepDropsHere();
 addEventListener("hashchange", () => show());
 document.querySelector(".skip").addEventListener("click", (event) => {

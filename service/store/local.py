@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, sentence_of_os_error
+from service.private import make_private
 from service.store.store import MissingObjectError, StoredObject
 
 PIECE_BYTES = 1 << 20
@@ -40,6 +41,8 @@ class LocalStore:
         self._incoming = self.root / "incoming"
         self._guard = self.root / "guard"
         with _told(f"cannot use the artifact store {self.root}"):
+            if not shared:  # a folder of the whole farm is the person's to open and to close
+                make_private(self.root, holding=("guard",))
             self._incoming.mkdir(parents=True, exist_ok=True)
             self._guard.touch()
             self._sweep()
@@ -49,7 +52,7 @@ class LocalStore:
         with _told("cannot store"), path.open("rb") as file:
             facts = os.fstat(file.fileno())
             if self._may_be_linked(facts):
-                os.fchmod(file.fileno(), 0o444)
+                os.fchmod(file.fileno(), 0o400)
                 sha256 = hashlib.file_digest(file, "sha256").hexdigest()
                 os.fsync(file.fileno())
                 _require_unchanged(path, file, facts)
@@ -59,7 +62,7 @@ class LocalStore:
             with self._arriving() as (part, copy):
                 sha256 = _copy(file, copy)
                 _require_unchanged(path, file, facts)
-                os.fchmod(copy.fileno(), 0o444)
+                os.fchmod(copy.fileno(), 0o400)
                 os.fsync(copy.fileno())
                 self._rename(part, sha256, facts.st_size)
         return self.head(sha256)
@@ -105,12 +108,12 @@ class LocalStore:
             if stored_before is None or self.head(sha256).stored_at < stored_before:
                 self._place(sha256).unlink(missing_ok=True)
 
-    def list(self) -> Iterator[StoredObject]:
-        for folder in self.root.iterdir():
-            if len(folder.name) == 2:
-                for name in os.listdir(folder):  # noqa: PTH208 - plain names, quickly
-                    with contextlib.suppress(MissingObjectError):  # deleted meanwhile
-                        yield self.head(name)
+    def list(self, prefix: str = "") -> Iterator[StoredObject]:
+        folders = [self.root / prefix] if prefix else [each for each in self.root.iterdir() if len(each.name) == 2]
+        for folder in folders:
+            for name in os.listdir(folder) if folder.is_dir() else ():  # noqa: PTH208 - plain names, quickly
+                with contextlib.suppress(MissingObjectError):  # deleted meanwhile
+                    yield self.head(name)
 
     def check(self) -> None:
         word = secrets.token_bytes(32)
@@ -195,7 +198,7 @@ def write_verified(pieces: Iterator[bytes], target: Path, sha256: str) -> None:
             for piece in pieces:
                 digest.update(piece)
                 file.write(piece)
-            os.fchmod(file.fileno(), 0o444)
+            os.fchmod(file.fileno(), 0o400)
         if digest.hexdigest() != sha256:
             raise FailedError(f"the artifact store returned other bytes than were stored as {sha256}")
     except BaseException:

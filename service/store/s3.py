@@ -113,11 +113,11 @@ class S3Store:
                 with self._told("delete", sha256):
                     obstore.delete(self._bucket, _key(sha256))
 
-    def list(self) -> Iterator[StoredObject]:
+    def list(self, prefix: str = "") -> Iterator[StoredObject]:
         import obstore
 
         with self._told("list", ""):
-            for page in obstore.list(self._bucket, chunk_size=1000):
+            for page in obstore.list(self._bucket, prefix or None, chunk_size=1000):
                 for facts in page:
                     name = facts["path"].rpartition("/")[2]
                     if _HASH.fullmatch(name):

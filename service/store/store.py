@@ -54,8 +54,8 @@ class Store(Protocol):
     def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
         """Nothing happens where there is none, or where it was stored (again) at or after `stored_before`."""
 
-    def list(self) -> Iterator[StoredObject]:
-        """Every object, in no order."""
+    def list(self, prefix: str = "") -> Iterator[StoredObject]:
+        """Every object, or those whose hash begins with these two digits, in no order."""
 
     def check(self) -> None:
         """Write, read and remove a small object; FailedError, one line, where that fails."""

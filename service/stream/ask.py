@@ -29,5 +29,5 @@ def confirmed_by_person(questions: dict[str, str]) -> frozenset[str]:
         print(f"{sentence}? [y/N] ", end="", flush=True)
         answer = sys.stdin.readline()
         if answer.strip().lower() not in ("y", "yes"):
-            raise InputError(f"not confirmed ({check}); the mill was not moved")
+            raise InputError(f"not confirmed ({check}); nothing was started")
     return frozenset(questions)

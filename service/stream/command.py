@@ -10,15 +10,17 @@ import contextlib
 import dataclasses
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
 
-from machines.errors import NotAControllerError
+from machines.driver import MillState
+from machines.errors import MachineError, NotAControllerError
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
+from machines.grbl.hail import SILENT
 from machines.grbl.settings import ControllerSettings
 from machines.mill.mill import Mill
 from machines.mill.thread import MillThread
@@ -26,23 +28,36 @@ from machines.mill.view import MillSnapshot
 from machines.profiles import MachineProfile
 from machines.recovery.planning import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
-from service.agent.settings import mill_folder, usable, usable_folder
+from service.agent.settings import mill_folder, usable
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, JobError, sentence_of_os_error
 from service.mill_link import Connector, demand_blocks
 from service.preflight import preflight
+from service.private import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 from service.stream.ask import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_person, operator_name
 from service.stream.dry import dry_run
 from service.stream.follow import Ended, Follower, Outcome, at_once, keyboard
 from service.stream.keys import single_keys
+from service.stream.leaving import STILL_HELD, Buffers, cleared_at_the_end, undisturbed
+from service.stream.orders import give_order
+from service.stream.ready import ready_mill, reset_silent_mill
 from service.stream.recover import interrupted_run, ready_plan
 from service.stream.screen import LiveScreen, PlainScreen, Screen
 from service.stream.signals import watched_signals
-from service.stream.words import left_words, mill_lines, print_lines, program_lines, recover_command, took_words
+from service.stream.words import (
+    left_words,
+    mill_lines,
+    print_lines,
+    program_lines,
+    recover_command,
+    spindle_lines,
+    took_words,
+)
 
 _CONNECT_S = 15.0
+_BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long
 _POSITION_S = 2.0
-_SPINDLE_S = 4.5
+_SETTLE_S = 4.5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,18 +90,19 @@ def stream_program(order: StreamOrder) -> None:
     if order.dry_run:
         _dry_run(order)
         return
-    folder = usable_folder(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
-    with _mill(order, folder) as (thread, connector):
-        snapshot = _connected(thread, order.port_url)
-        facts = _preflight(order, connector.settings)
+    folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
+    with _mill(order, folder) as (thread, connector), cleared_at_the_end(thread) as buffers:
+        snapshot = _connected(thread, buffers, order.port_url)
         print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
+        print_lines(spindle_lines(order.profile))
+        if not order.recover:
+            ready_mill(thread, buffers, person=keyboard() is not None)
+        facts = _preflight(order, connector.settings)
         print_lines(program_lines(order.program, facts))
-        if order.recover:
-            run_id, confirmation = _recovery(thread, order, facts)
-        else:
-            run_id, confirmation = _new_run(thread, order, facts)
-        outcome = _run(thread, order, facts, run_id, confirmation)
-        outcome = _with_spindle(thread, outcome)
+        prepare = _recovery if order.recover else _new_run
+        run_id, begin = prepare(thread, buffers, order, facts)
+        outcome = _run(thread, buffers, order, facts, run_id, begin)
+        outcome = _settled(thread, outcome)
     _conclude(outcome, order, facts)
 
 
@@ -159,91 +175,118 @@ def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connec
         thread.start()
         yield thread, connector
     finally:
-        thread.stop(detach=True)  # all that can be done to make it stand has been done
-        connector.close_unused()
+        with undisturbed():
+            thread.stop(detach=True)  # all that can be done to make it stand has been done
+            connector.close_unused()
 
 
-def _connected(thread: MillThread, url: str) -> MillSnapshot:
-    """Wait for the handshake; what is wrong with the link ends the command."""
-    give_up_s = time.monotonic() + _CONNECT_S
-    snapshot = thread.snapshot
+def _connected(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
+    """Wait for the handshake; what is wrong with the link ends the command. Where nothing answers, offer one reset."""
+    begun_s = time.monotonic()
+    give_up_s, snapshot, offered = begun_s + _CONNECT_S, thread.snapshot, keyboard() is None
     while not snapshot.connected:
-        if snapshot.problem:
+        silent = snapshot.status.detail == SILENT and time.monotonic() > begun_s + _BOOT_S
+        if silent and not offered:
+            offered = True
+            reset_silent_mill(thread, buffers)
+            give_up_s = time.monotonic() + _CONNECT_S
+        elif snapshot.problem:
             raise InputError(snapshot.problem)
-        if time.monotonic() > give_up_s:
+        elif time.monotonic() > give_up_s:
             raise NotAControllerError(url, "no controller answers; check power, cable and baud")
-        snapshot = thread.wait_for_change(snapshot.version, 0.5)
+        snapshot = thread.wait_for_change(snapshot.version, 0.2)
     give_up_s = time.monotonic() + _POSITION_S
     while snapshot.status.work_mm is None and time.monotonic() < give_up_s:  # some links never tell
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
     return snapshot
 
 
-def _new_run(thread: MillThread, order: StreamOrder, facts: Preflight) -> tuple[str, Confirmation]:
+def _new_run(
+    thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
+) -> tuple[str, Callable[[Mill], None]]:
+    """A parked run, and how it begins once the person has said that all is as it should be."""
     run: RunView = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
-    checks = START_CHECKS
+    checks, setup = START_CHECKS, None
     if keyboard() is not None and not order.confirmed:
+        setup = thread.snapshot.setup
         checks = confirmed_by_person(START_QUESTIONS)
-    return run.id, Confirmation(operator=operator_name(), checks=checks)
+    confirmation = Confirmation(operator=operator_name(), checks=checks)
+    return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
 
 
-def _recovery(thread: MillThread, order: StreamOrder, facts: Preflight) -> tuple[str, Confirmation]:
+def _recovery(
+    thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
+) -> tuple[str, Callable[[Mill], None]]:
     """The interrupted run of this program, and a person's word for each check, every time."""
     run = interrupted_run(thread, facts, order.program)
     person = keyboard() is not None
-    ready_plan(thread, run, person=person, vouched=order.position_confirmed)
+    plan = ready_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
     checks = confirmed_by_person(RECOVER_QUESTIONS) if person else RECOVER_CHECKS
-    return run.id, Confirmation(operator=operator_name(), checks=checks)
+    confirmation = Confirmation(operator=operator_name(), checks=checks)
+    return run.id, lambda mill: mill.recover(run.id, confirmation, plan_seen=plan.digest)
 
 
-def _run(thread: MillThread, order: StreamOrder, facts: Preflight, run_id: str, confirmation: Confirmation) -> Outcome:
+def _run(
+    thread: MillThread,
+    buffers: Buffers,
+    order: StreamOrder,
+    facts: Preflight,
+    run_id: str,
+    begin: Callable[[Mill], None],
+) -> Outcome:
     keys = keyboard()
     screen: Screen = PlainScreen() if keys is None else LiveScreen(order.program.name)
     modes = contextlib.nullcontext() if keys is None else single_keys(keys)
     with watched_signals(at_once(thread)) as signals, modes, screen:
-        if order.recover:
-            thread.call(lambda mill: mill.recover(run_id, confirmation))
-        else:
-            thread.call(lambda mill: mill.start(run_id, confirmation))
-        return Follower(thread, run_id, facts, screen, keyboard=keys).follow(signals)
+        buffers.fill(run_id)
+        try:
+            give_order(thread, "recover" if order.recover else "start", begin)
+        except MachineError:
+            if not thread.call(lambda mill: mill.run(run_id).live):
+                buffers.mark_empty()  # refused: nothing was sent
+            raise
+        return Follower(thread, buffers, run_id, facts, screen, keyboard=keys).follow(signals)
 
 
-def _with_spindle(thread: MillThread, outcome: Outcome) -> Outcome:
-    """After the last line: GRBL tells only now and then that its spindle is off, and a false ON would alarm."""
-    give_up_s = time.monotonic() + _SPINDLE_S
-    snapshot = outcome.snapshot
-    while outcome.ended is Ended.FINISHED and snapshot.status.spindle_on and time.monotonic() < give_up_s:
+def _settled(thread: MillThread, outcome: Outcome) -> Outcome:
+    """With what is true at the end: GRBL tells its spindle only now and then, and after a reset itself anew."""
+    give_up_s = time.monotonic() + _SETTLE_S
+    snapshot = thread.snapshot
+
+    def open_question() -> bool:
+        status = snapshot.status
+        if outcome.ended is Ended.FINISHED:
+            return status.spindle_on is True
+        known = status.work_mm is not None and status.spindle_on is not None
+        return outcome.cleared and (status.state is MillState.CONNECTING or (snapshot.connected and not known))
+
+    while open_question() and time.monotonic() < give_up_s:
         snapshot = thread.wait_for_change(snapshot.version, 0.2)
     return dataclasses.replace(outcome, snapshot=snapshot)
 
 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
     """The last words, and the exit code by way of an error."""
-    status, again = outcome.snapshot.status, order.next_command
+    status, run = outcome.snapshot.status, outcome.snapshot.run
+    held = () if outcome.cleared else (STILL_HELD,)
+    left = (*held, left_words(status), f"to go on: {order.next_command}")
     if outcome.words:
-        raise FailedError(outcome.words, left_words(status), f"to go on: {again}")
+        raise FailedError(outcome.words, *left)
     match outcome.ended:
         case Ended.FINISHED:
             print_lines(
-                [
-                    f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(outcome.snapshot.run)}; "
-                    f"{left_words(status)}"
-                ]
+                [f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(run)}; {left_words(status)}"]
             )
             return
         case Ended.ABORTED:
-            raise StoppedError(f"aborted; {left_words(status)}", f"to go on: {again}")
+            raise StoppedError("aborted", *left)
         case Ended.LEFT:
-            raise StoppedError(f"left held on request; {left_words(status)}", f"to go on: {again}")
+            raise StoppedError("left held on request", *left)
         case Ended.ABANDONED:
             raise StoppedError(
                 "THE MILL MAY STILL MOVE: it was told to hold and has not said that it stands. Use its own stop button",
-                f"afterwards: {again}",
+                *left,
             )
-    run, progress = outcome.snapshot.run, outcome.snapshot.progress
     cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail
-    raise FailedError(
-        f"{cause}; cut for certain up to line {progress.executed_line:,} of {facts.lines:,}",
-        left_words(status),
-        f"to go on: {again}",
-    )
+    executed = run.executed_line if run is not None else 0
+    raise FailedError(f"{cause}; cut for certain up to line {executed:,} of {facts.lines:,}", *left)

@@ -6,7 +6,6 @@ asks. Whatever ends this loop, the mill stands, or the last line says plainly th
 
 from __future__ import annotations
 
-import contextlib
 import os
 import select
 import signal
@@ -16,20 +15,22 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
-from machines.driver import MillState, Override
+from machines.driver import Override
 from machines.errors import MachineError
 from machines.gcode.preflight import Preflight
 from machines.mill.mill import Mill
+from machines.mill.orders import Stop
 from machines.mill.thread import MillThread
 from machines.mill.view import MillSnapshot
 from machines.runs import RunState
 from service.stream.keys import Keys, Question, Wish, keys_in
+from service.stream.leaving import CLEAR_WAIT_S, Buffers
+from service.stream.orders import give_order, stop_mill
 from service.stream.screen import Screen, StreamView
 from service.stream.signals import Signals
 
 _LOOK_S = 0.25
 _ABORT_WAIT_S = 20.0
-_REST_S = 5.0
 _ASK_EVERY_S = 2.0
 _REPORTED_S = 5.0
 _STEP_PERCENT = 10
@@ -55,7 +56,7 @@ _FINAL = {
 class Outcome:
     ended: Ended
     snapshot: MillSnapshot
-    by_signal: bool
+    cleared: bool  # the controller holds nothing any more, for certain
     words: str = ""  # why this end was chosen here, where the mill does not say it
 
 
@@ -63,17 +64,24 @@ class Follower:
     """One run, followed."""
 
     def __init__(
-        self, thread: MillThread, run_id: str, facts: Preflight, screen: Screen, *, keyboard: int | None
+        self,
+        thread: MillThread,
+        buffers: Buffers,
+        run_id: str,
+        facts: Preflight,
+        screen: Screen,
+        *,
+        keyboard: int | None,
     ) -> None:
         self._thread = thread
+        self._buffers = buffers
         self._run_id = run_id
         self._facts = facts
         self._screen = screen
         self._keyboard = keyboard
         self._keys = Keys()
-        self._by_signal = False
         self._abort_by_s: float | None = None
-        self._fault_s: float | None = None
+        self._over_s: float | None = None
         self._asked_s = time.monotonic()
         self._words = ""
         self._protected: tuple[str, ...] = ()
@@ -87,15 +95,19 @@ class Follower:
             self._tell_news(snapshot)
             self._screen.show(self._view(snapshot))
             if ended is not None:
-                return Outcome(ended, snapshot, self._by_signal, self._words)
+                return self._outcome(ended)
             self._end_if_nobody_can_resume(snapshot)
             sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
             ready, _, _ = select.select(sources, [], [], _LOOK_S)
             for number in signals.came() if signals.descriptor in ready else ():
                 if (over := self._signalled(number)) is not None:
-                    return Outcome(over, self._thread.snapshot, True)
+                    return self._outcome(over)
             if self._keyboard is not None and self._keyboard in ready and (over := self._typed()) is not None:
-                return Outcome(over, self._thread.snapshot, self._by_signal)
+                return self._outcome(over)
+
+    def _outcome(self, ended: Ended) -> Outcome:
+        snapshot = self._thread.snapshot
+        return Outcome(ended, snapshot, self._buffers.are_empty(snapshot), self._words)
 
     def _tell_news(self, snapshot: MillSnapshot) -> None:
         """What a person should read and would miss in the panel, each once, above it."""
@@ -129,24 +141,23 @@ class Follower:
 
     def _ended(self, snapshot: MillSnapshot) -> Ended | None:
         run = snapshot.run
-        if run is not None and run.id == self._run_id and run.state in _FINAL:
-            ended = _FINAL[run.state]
-            return ended if ended is not Ended.FAULT or self._stands(snapshot) else None
         if not self._is_driven():
             return Ended.ABANDONED
+        if run is not None and run.id == self._run_id and run.state in _FINAL:
+            return _FINAL[run.state] if self._is_settled(snapshot) else None
         if self._abort_by_s is not None and time.monotonic() > self._abort_by_s:
             return Ended.ABANDONED
         return None
 
-    def _stands(self, snapshot: MillSnapshot) -> bool:
-        """After a fault: the mill has come to rest, or there was time enough for it."""
-        if self._fault_s is None:
-            self._fault_s = time.monotonic()
-        moves = snapshot.status.state in (MillState.RUN, MillState.HOLDING)
-        return not moves or time.monotonic() > self._fault_s + _REST_S
+    def _is_settled(self, snapshot: MillSnapshot) -> bool:
+        """The controller holds nothing any more, or waiting for that is of no use, or there was time enough for it."""
+        if self._over_s is None:
+            self._over_s = time.monotonic()
+        if self._buffers.are_empty(snapshot) or not self._buffers.will_be_empty(snapshot):
+            return True
+        return time.monotonic() > self._over_s + CLEAR_WAIT_S
 
     def _signalled(self, number: int) -> Ended | None:
-        self._by_signal = True
         if self._keyboard is not None and number == signal.SIGINT:
             return self._do(self._keys.interrupt())
         if number == signal.SIGHUP:
@@ -173,9 +184,9 @@ class Follower:
     def _do(self, wish: Wish) -> Ended | None:
         match wish:
             case Wish.HOLD:
-                self._tell(Mill.hold)
+                stop_mill(self._thread, Stop.HOLD)
             case Wish.RESUME:
-                self._tell(Mill.resume)
+                self._tell("resume", Mill.resume)
             case Wish.FASTER:
                 self._override(_STEP_PERCENT)
             case Wish.SLOWER:
@@ -183,7 +194,7 @@ class Follower:
             case Wish.ABORT:
                 self._keys.question = Question.ABORTING
                 self._abort_by_s = time.monotonic() + _ABORT_WAIT_S
-                self._tell(Mill.abort)
+                stop_mill(self._thread, Stop.ABORT)
             case Wish.LEAVE:
                 return self._leave()
             case Wish.GIVE_UP:
@@ -204,11 +215,11 @@ class Follower:
         base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
         percent = min(200, max(10, base + change))
         self._feed_asked = (now, percent)
-        self._tell(lambda mill: mill.command(Override("feed", percent)))
+        self._tell("override", lambda mill: mill.command(Override("feed", percent)))
 
-    def _tell(self, order: Callable[[Mill], object]) -> None:
+    def _tell(self, doing: str, order: Callable[[Mill], object]) -> None:
         try:
-            self._thread.call(order)
+            give_order(self._thread, doing, order)
         except MachineError as error:
             self._screen.say(f"not done: {error}")
 
@@ -227,7 +238,7 @@ class Follower:
             detail=status.detail,
             run_state=run.state.value if run is not None else "",
             line=progress.sent_line,
-            executed_line=progress.executed_line,
+            executed_line=run.executed_line if run is not None else 0,
             total_lines=self._facts.lines,
             time_left_s=run.time_left_s if run is not None else None,
             position_mm=status.work_mm,
@@ -242,12 +253,7 @@ class Follower:
 
 def at_once(thread: MillThread) -> Callable[[], None]:
     """What a signal does before anything else: the hold."""
-
-    def hold() -> None:
-        with contextlib.suppress(MachineError):
-            thread.call(Mill.hold)
-
-    return hold
+    return lambda: stop_mill(thread, Stop.HOLD)
 
 
 def keyboard() -> int | None:

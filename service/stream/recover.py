@@ -1,27 +1,18 @@
-"""`stream --recover`: the way on with an interrupted run, in words and blocks, and what must be done before.
-
-Nothing here moves the mill except a homing cycle that the person asks for.
-"""
+"""`stream --recover`: the way on with an interrupted run, in words and blocks."""
 
 from __future__ import annotations
 
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from machines.driver import Command, Home, TrustPosition, Unlock
 from machines.gcode.preflight import Preflight
-from machines.mill.mill import Mill
 from machines.mill.thread import MillThread
 from machines.recovery.planning import Need, RecoveryPlan
 from machines.runs import RECOVERABLE, RunView
 from service.errors import FailedError, InputError
+from service.stream.leaving import Buffers
+from service.stream.ready import meet_needs
 from service.stream.words import print_lines
-
-_SOON_S = 10.0
-_HOMING_S = 300.0
-_STEP_S = 0.2
 
 
 def interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunView:
@@ -34,22 +25,21 @@ def interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunV
     return max(runs, key=lambda run: run.created_s)
 
 
-def ready_plan(thread: MillThread, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
+def ready_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
     """The plan, once all that must come first is done; FailedError names what is not.
 
     person : somebody is at the terminal and can be asked     vouched : --confirm-position was given
     """
-    plan = thread.call(lambda mill: mill.plan_recovery(run.id))
-    done: set[str] = set()
-    while not plan.ready:
+    plan: RecoveryPlan
+
+    def needs() -> tuple[Need, ...]:
+        nonlocal plan
+        plan = thread.call(lambda mill: mill.plan_recovery(run.id))
         if plan.refusals:
             raise FailedError(*(f"this run cannot go on: {words}" for words in plan.refusals))
-        need = plan.needs[0]
-        if need.code in done:
-            raise FailedError(f"first: {need.words}")
-        done.add(need.code)
-        print_lines([f"first:      {need.words}"])
-        plan = _met(thread, run, need, person=person, vouched=vouched)
+        return plan.needs
+
+    meet_needs(thread, buffers, needs, person=person, vouched=vouched)
     print_lines(plan_lines(plan, run))
     return plan
 
@@ -64,42 +54,3 @@ def plan_lines(plan: RecoveryPlan, run: RunView) -> Iterator[str]:
     for number, block in enumerate(plan.blocks):
         yield f"{'way in:' if number == 0 else '':<11} {block}"
     yield f"{'then:':<11} line {plan.overlap_line:,} and on; {plan.recut_lines} of them for the second time"
-
-
-def _met(thread: MillThread, run: RunView, need: Need, *, person: bool, vouched: bool) -> RecoveryPlan:
-    """Do what the need asks for, if that can be done from here; the plan afterwards."""
-    if need.code == "connect":
-        return _until_gone(thread, run, need, _SOON_S)
-    if need.code == "stand still":
-        thread.call(Mill.abort)
-        return _until_gone(thread, run, need, _SOON_S)
-    command = _chosen(need, person=person, vouched=vouched)
-    thread.call(lambda mill: mill.command(command))
-    return _until_gone(thread, run, need, _HOMING_S if isinstance(command, Home) else _SOON_S)
-
-
-def _chosen(need: Need, *, person: bool, vouched: bool) -> Command:
-    """Which command meets a lost position or a lock: the person's word, never a guess."""
-    if need.code not in ("unlock", "position"):
-        raise FailedError(f"first: {need.words}")
-    if vouched:
-        return Unlock() if need.code == "unlock" else TrustPosition()
-    if not person:
-        raise FailedError(f"first: {need.words}")
-    other = "u unlock" if need.code == "unlock" else "t trust: you know that it is right"
-    print(f"h home the mill (it MOVES)   {other}   anything else: stop here > ", end="", flush=True)
-    answer = sys.stdin.readline().strip().lower()
-    if answer == "h":
-        return Home()
-    if answer == other[0]:
-        return Unlock() if need.code == "unlock" else TrustPosition()
-    raise InputError(f"not done ({need.code}); the mill was not moved")
-
-
-def _until_gone(thread: MillThread, run: RunView, need: Need, wait_s: float) -> RecoveryPlan:
-    give_up_s = time.monotonic() + wait_s
-    while True:
-        plan = thread.call(lambda mill: mill.plan_recovery(run.id))
-        if plan.refusals or all(other.code != need.code for other in plan.needs) or time.monotonic() > give_up_s:
-            return plan
-        thread.wait_for_change(thread.snapshot.version, _STEP_S)

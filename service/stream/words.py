@@ -11,6 +11,7 @@ from pathlib import Path
 
 from machines.driver import DriverFacts, MillState, MillStatus
 from machines.gcode.preflight import Preflight
+from machines.profiles import MachineProfile
 from machines.runs import RunView
 from service.errors import printable
 from service.stream.screen import duration_words, position_words
@@ -46,15 +47,27 @@ def mill_lines(url: str, status: MillStatus, protections: tuple[str, ...], facts
     """The machine, where it is, and how the link is guarded."""
     state = f"{status.state.value}{f' ({status.detail})' if status.detail else ''}"
     yield f"mill:       {status.controller or 'unknown controller'} on {url}, {state}"
-    sure = "sure" if status.position_trusted else "not sure: not homed, and nobody has said that it is right"
-    yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {sure}"
-    offset = "unknown" if status.work_offset_mm is None else position_words(status.work_offset_mm)
-    yield f"offset:     work zero at machine {offset}"
+    yield from place_lines(status)
     if facts is not None:
         yield f"link:       {facts.capacity}; {facts.acknowledgement}"
         yield f"stop:       {facts.stop}"
     for number, words in enumerate(protections or ("none",)):
         yield f"{'protection:' if number == 0 else '           '} {words}"
+
+
+def place_lines(status: MillStatus) -> Iterator[str]:
+    """Where the mill is, and how sure that is."""
+    sure = "sure" if status.position_trusted else "not sure: not homed, and nobody has said that it is right"
+    yield f"position:   work {position_words(status.work_mm)}, machine {position_words(status.machine_mm)}, {sure}"
+    offset = "unknown" if status.work_offset_mm is None else position_words(status.work_offset_mm)
+    yield f"offset:     work zero at machine {offset}"
+
+
+def spindle_lines(profile: MachineProfile) -> Iterator[str]:
+    """What becomes of the spindle while nobody cuts."""
+    held, lost = profile.spindle.sentences
+    yield f"in a hold:  {held}"
+    yield f"link lost:  {lost}"
 
 
 def program_lines(path: Path, facts: Preflight) -> Iterator[str]:
@@ -89,6 +102,8 @@ def left_words(status: MillStatus) -> str:
     """In which state the mill is left."""
     if status.state is MillState.DISCONNECTED:
         return "the mill cannot be seen: it cuts on what it still holds, and its spindle may turn. Go and look"
+    if status.state is MillState.CONNECTING:
+        return "the mill has not told its state since its controller restarted. Go and look"
     spindle = {True: "spindle ON", False: "spindle off", None: "spindle state unknown"}[status.spindle_on]
     where = position_words(status.work_mm)
     return f"the mill is left in state '{status.state.value}' at {where}, {spindle}"

@@ -1,23 +1,35 @@
 """uvicorn's HTTP/1.1, where the answers that it gives by itself are problems like all others of ours.
 
 A connection that brings no whole request head is closed after a while; uvicorn waits for one for ever. Where there are
-too many connections, those that ask for nothing make room for those that do.
+too many connections, those that ask for nothing make room for those that do, strangers before callers whom the
+application has let in once: whoever owns a mill keeps a way to it.
 """
 
 from __future__ import annotations
 
 import asyncio
 import json
+import resource
 from typing import Any, cast
 
 import h11
-from starlette.types import Receive, Scope, Send
+from starlette.types import Message, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from service.web.problems import Problem, problem_body, problem_response
 
+HEADER_BYTES = 32 << 10
 VERSION_HEADER = "Causticmill-Version"  # with every answer
 _REQUEST_HEAD_S = 30.0
+_STRANGER = frozenset({400, 401, 403, 421, 429, 431})
+
+
+def allow_open_files(most: int) -> None:
+    """Raise this process's limit of open files to `most`, or as far as it may."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = most if hard == resource.RLIM_INFINITY else min(most, hard)
+    if soft != resource.RLIM_INFINITY and soft < most:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
 
 
 class ProblemProtocol(H11Protocol):
@@ -30,6 +42,7 @@ class ProblemProtocol(H11Protocol):
         self.app = self._admit
         self._waits_since_s: float | None = None  # for a request's head; None: a request is being answered
         self._patience: asyncio.TimerHandle | None = None
+        self._is_known = False  # the application has let a request of this connection in
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(cast("asyncio.Transport", transport))
@@ -50,6 +63,10 @@ class ProblemProtocol(H11Protocol):
         super().connection_lost(exc)
         self._await_nothing()
 
+    def handle_websocket_upgrade(self, event: h11.Request) -> None:
+        self._await_nothing()
+        super().handle_websocket_upgrade(event)
+
     def send_400_response(self, msg: str) -> None:
         body = json.dumps(problem_body(Problem(400, f"this is not a request in HTTP/1.1: {msg}"))).encode()
         headers = [
@@ -68,7 +85,13 @@ class ProblemProtocol(H11Protocol):
             problem = Problem(503, "too many requests at once", headers={"Retry-After": "5", "Connection": "close"})
             await problem_response(problem)(scope, receive, send)
             return
-        await self._app(scope, receive, send)
+
+        async def send_noted(message: Message) -> None:
+            if message["type"] == "http.response.start" and message["status"] not in _STRANGER:
+                self._is_known = True
+            await send(message)
+
+        await self._app(scope, receive, send_noted)
 
     def _await_head(self) -> None:
         self._await_nothing()
@@ -87,8 +110,10 @@ class ProblemProtocol(H11Protocol):
     def _make_room(self) -> None:
         """Close the connection that has asked for nothing for the longest time."""
         others = [each for each in self.connections if isinstance(each, ProblemProtocol) and each is not self]
-        idle = [(each._waits_since_s, id(each), each) for each in others if each._waits_since_s is not None]
+        idle = [
+            (each._is_known, each._waits_since_s, id(each), each) for each in others if each._waits_since_s is not None
+        ]
         if idle:
-            _, _, longest = min(idle)
+            *_, longest = min(idle)
             longest._await_nothing()
             longest.transport.abort()

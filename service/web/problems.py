@@ -17,6 +17,7 @@ from machines.errors import (
     ProgramChangedError,
     ProgramRefusedError,
 )
+from machines.mill.orders import OrderRefusedError, Refusal
 from service.errors import printable, sentence_of_os_error
 
 _TITLES = {
@@ -33,6 +34,7 @@ _TITLES = {
     416: "No such range",
     421: "Not for this server",
     422: "Unusable value",
+    428: "Something must come first",
     429: "Too many requests",
     431: "Headers too large",
     500: "Fault inside",
@@ -126,6 +128,8 @@ def problem_of(error: Exception) -> Problem:
     match error:
         case Problem():
             return error
+        case OrderRefusedError():
+            return _problem_of_order(error)
         case NotAllowedError():
             return Problem(409, str(error))
         case ProgramRefusedError() | ProgramChangedError():
@@ -141,6 +145,16 @@ def problem_of(error: Exception) -> Problem:
         case OSError():
             return Problem(500, sentence_of_os_error(error, doing="cannot use"))
     return Problem(500, f"{type(error).__name__}: {error}")
+
+
+def _problem_of_order(error: OrderRefusedError) -> Problem:
+    """With what a program tells refusals apart by, and who has control where that is the reason."""
+    of_control = error.code in (Refusal.HELD, Refusal.LOST, Refusal.NOBODY, Refusal.LEASE)
+    more: dict[str, object] = {"code": error.code.value}
+    if of_control:
+        more["control"] = None if error.holder is None else error.holder.as_dict()
+    field = "Causticmill-Control" if of_control else "Causticmill-Grant" if error.code.startswith("grant") else ""
+    return Problem(428 if error.code is Refusal.MISSING else 409, str(error), field=field, more=more)
 
 
 def problem_response(problem: Problem) -> Response:

@@ -31,7 +31,6 @@ Entry = Callable[[dict[str, Any], Callable[[float], None]], dict[str, Any]]
 
 _PROGRESS_EVERY_S = 0.1
 _TAKE_ME_FIRST = "500"
-_NICE = 5  # the API on the same computer goes first
 _HOPELESS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EACCES, errno.EROFS)  # trying again changes nothing
 
 
@@ -83,7 +82,6 @@ def _become_a_stage(given: ChildOrder) -> None:
     os.dup2(given.log, 1)
     os.dup2(given.log, 2)
     _close_all_but({given.order, given.words, given.beats})
-    os.nice(_NICE)
     with contextlib.suppress(OSError):  # short of memory, the kernel shall take this process and not the server
         Path("/proc/self/oom_score_adj").write_text(_TAKE_ME_FIRST, encoding="ascii")
     _limit(given.memory_mb)

@@ -17,6 +17,7 @@ import threading
 from contextlib import closing
 
 from service.errors import FailedError, JobError
+from service.private import keep_private
 from service.settings import ServerSettings
 from service.worker.processes import STAGE_ENTRY, StageProcesses
 
@@ -28,6 +29,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
         signal.signal(number, lambda *_: end.set())
     try:
         settings = ServerSettings.load()
+        keep_private(settings.data)  # before the process from which stages are forked
         processes = StageProcesses(settings, entry=entry)
         try:
             if _jobs_wait(settings):

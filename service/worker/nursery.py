@@ -26,6 +26,7 @@ from dataclasses import dataclass, field
 from typing import Any, NoReturn
 
 from service.kernel_cache import use_current_kernels
+from service.process_priority import give_way
 from service.worker.child import ChildOrder, find_entry, run_child
 from service.worker.linux import (
     adopt_orphans,
@@ -230,6 +231,7 @@ def main() -> None:
     line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     name_process("cm-nursery")
     die_with_parent(worker)  # whatever an import may be waiting for
+    give_way()
     use_current_kernels()
     gc.disable()  # importing makes nothing but what stays
     find_entry(entry)

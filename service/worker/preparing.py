@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING
 
 from service.child_path import python_path
 from service.kernel_cache import JOBS, ready_mark, use_current_kernels
+from service.process_priority import give_way
 
 if TYPE_CHECKING:
     from service.spec import JobSpec
 
-_GIVES_WAY = 5  # of nice; the other process twice
 _SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3
 _SMALL = (
     f"image.pixels={_VERTICES - 1}",
@@ -57,7 +57,7 @@ def main(part: str, parent: int) -> int:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))  # its folder is taken away
     die_with_parent(parent, signal.SIGTERM)
     name_process("cm-preparing")
-    os.nice(_GIVES_WAY)
+    give_way()
     other = _process("programs") if part == "light" else None
     use_current_kernels()  # before numba is imported
     with tempfile.TemporaryDirectory() as folder:

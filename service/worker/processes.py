@@ -104,7 +104,7 @@ class _Files:
             self._own.append(self.words)
             self.given.append(its_words)
             os.set_blocking(self.words, False)
-            self.given.append(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644))
+            self.given.append(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600))
         except BaseException:
             self.__exit__()
             raise

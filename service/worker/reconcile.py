@@ -7,9 +7,8 @@ dies between two steps leaves nothing lying. Every step may be repeated, and rac
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from itertools import islice
 
 import sqlalchemy as sa
 import structlog
@@ -23,10 +22,12 @@ from service.jobs.work_book import interrupt_tries
 from service.worker.engine import JobEngine, Ticket
 from service.worker.leases import live_executors
 
-CHUNK = 500
+CHUNK = 200
 GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
 GIVEN_UP = "the job engine has given it up without a result; the server's log may tell why. It can be retried"
 log = structlog.get_logger()
+
+Queued = dict[Ticket, int]  # and the priority of each
 
 
 class Reconciler:
@@ -46,16 +47,17 @@ class Reconciler:
         self._executor = executor
         self._lease_s = lease_s
         self._in_hand = in_hand
-        self._known: set[Ticket] = set()
+        self._last: tuple[int, float, str] | None = None  # place in the queue up to which the turn before has looked
 
     def turn(self) -> None:
-        """Look once at everything."""
+        """Look at everything that runs, and at the next 200 jobs of the queue, which mostly is all of it."""
         self.let_go()
-        self._submit_unknown()
+        queued = self._next_queued()
+        self._submit_unknown(queued)
         self._engine.pick_up()
         live = self._take_over_dead()
         self._end_cancelled(live)
-        self._end_given_up(live)
+        self._end_given_up(queued, live)
 
     def let_go(self) -> None:
         """Jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
@@ -74,23 +76,29 @@ class Reconciler:
                     interrupt_tries(connection, job, at=at)
                     change_job(connection, job, owner=None, fence=job.fence + 1)
 
-    def _submit_unknown(self) -> None:
-        """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
-        queued = dict(self._queued())
-        self._known &= set(queued)
-        for tickets in _chunks(ticket for ticket in queued if ticket not in self._known):
-            known = self._engine.known(tickets)
-            self._known |= known
-            for ticket in tickets:
-                if ticket not in known:
-                    log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
-                    self._engine.submit(ticket, priority=queued[ticket])
-
-    def _queued(self) -> list[tuple[Ticket, int]]:
+    def _next_queued(self) -> Queued:
+        """The jobs of the queue after those of the turn before, with their priorities; from its head after its end."""
+        place = sa.tuple_(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+        query = (
+            sa.select(jobs.c.id, jobs.c.attempt, jobs.c.priority, jobs.c.queued_at)
+            .where(jobs.c.state == str(JobState.QUEUED))
+            .order_by(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+            .limit(CHUNK)
+        )
+        if self._last is not None:
+            query = query.where(place > sa.tuple_(*self._last))
         with reading(self._database) as connection:
-            old = jobs.c.queued_at < clock(connection) - GRACE_S
-            query = sa.select(jobs.c.id, jobs.c.attempt, jobs.c.priority).where(jobs.c.state == "queued", old)
-            return [(Ticket(row.id, row.attempt), row.priority) for row in connection.execute(query)]
+            at, rows = clock(connection), connection.execute(query).all()
+        last = rows[-1] if len(rows) == CHUNK else None
+        self._last = None if last is None else (last.priority, last.queued_at, last.id)
+        return {Ticket(row.id, row.attempt): row.priority for row in rows if row.queued_at < at - GRACE_S}
+
+    def _submit_unknown(self, queued: Queued) -> None:
+        """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
+        known = self._engine.known(list(queued))
+        for ticket in [ticket for ticket in queued if ticket not in known]:
+            log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
+            self._engine.submit(ticket, priority=queued[ticket])
 
     def _take_over_dead(self) -> set[str]:
         """Tickets begun by workers that are not heard of any more run elsewhere. Returns the live workers."""
@@ -110,20 +118,17 @@ class Reconciler:
         for job_id in found:
             self._end(job_id, live, JobState.CANCELLED, None)
 
-    def _end_given_up(self, live: set[str]) -> None:
+    def _end_given_up(self, queued: Queued, live: set[str]) -> None:
         """Jobs that wait or run although the engine is done with their ticket.
 
         The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
         """
-        for tickets in _chunks(self._open_tickets()):
-            for ticket in self._engine.ended(tickets):
-                error = {"stage": None, "detail": GIVEN_UP, "field": None}
-                self._end(ticket.job_id, live, JobState.FAILED, error, attempt=ticket.attempt)
-
-    def _open_tickets(self) -> list[Ticket]:
-        query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state.in_(("queued", "running")))
+        query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state == str(JobState.RUNNING))
         with reading(self._database) as connection:
-            return [Ticket(row.id, row.attempt) for row in connection.execute(query)]
+            running = [Ticket(row.id, row.attempt) for row in connection.execute(query)]
+        for ticket in self._engine.ended([*queued, *running]):
+            error = {"stage": None, "detail": GIVEN_UP, "field": None}
+            self._end(ticket.job_id, live, JobState.FAILED, error, attempt=ticket.attempt)
 
     def _end(
         self, job_id: str, live: set[str], state: JobState, error: Json | None, *, attempt: int | None = None
@@ -170,9 +175,3 @@ class Rounds:
                 log.warning(
                     f"{self._name}: this round failed", error=str(error).splitlines()[:1], kind=type(error).__name__
                 )
-
-
-def _chunks(tickets: Iterable[Ticket]) -> Iterator[list[Ticket]]:
-    rest = iter(tickets)
-    while chunk := list(islice(rest, CHUNK)):
-        yield chunk

@@ -92,7 +92,6 @@ def file_system_of(folder: Path, mounts: str) -> str:
 def lock_data(settings: ServerSettings) -> IO[str]:
     """Make this process the one worker of a data folder with its own database; the file is to be kept open."""
     try:
-        settings.data.mkdir(parents=True, exist_ok=True)
         file = (settings.data / LOCK_NAME).open("a+", encoding="ascii")
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None

@@ -44,7 +44,6 @@ def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator
     with ExitStack() as stack:
         if settings.embedded:
             stack.enter_context(lock_data(settings))
-        settings.data.mkdir(parents=True, exist_ok=True)
         store = open_store(settings)
         store.check()
         engine = DbosEngine(settings)

@@ -2,7 +2,7 @@
 
 Figures are ratios within this run or best-of-several times on this machine; none of them is asserted.
 Name sections to run only those:
-python -m tests.benchmarks transport contact accuracy programs contour milled make server page
+python -m tests.benchmarks transport contact accuracy programs contour milled make server stops page jobs
 """
 
 from __future__ import annotations
@@ -27,11 +27,13 @@ from tests.benchmarks import (  # noqa: E402
     programs,
     quality,
     server,
+    stops,
     targets,
     transport,
     whole,
 )
 from tests.benchmarks.reporting import run_sections  # noqa: E402
+from tests.benchmarks.server import jobs  # noqa: E402
 
 SECTIONS = {
     "transport": transport.figures,
@@ -49,6 +51,8 @@ SECTIONS = {
     "milled": milled.figures,
     "make": whole.figures,
     "server": server.figures,
+    "stops": stops.figures,
+    "jobs": jobs.figures,
     "page": page.figures,
 }
 

@@ -33,7 +33,7 @@ def substituted(text: str) -> str:
 
 
 def test_every_key_is_one_of_composes() -> None:
-    assert {key for key in FARM if not key.startswith("x-")} == {"name", "services", "volumes", "secrets"}
+    assert {key for key in FARM if not key.startswith("x-")} == {"name", "services", "networks", "volumes", "secrets"}
     assert {key for service in SERVICES.values() for key in service} <= KEYS
 
 
@@ -82,7 +82,7 @@ def test_one_variable_names_the_mill_for_api_and_agent(tmp_path: Path, monkeypat
         )
         assert command[command.index("--bind-port") + 1] == "8765"
         assert after["mill-files"]["condition"] == "service_completed_successfully"
-        assert SERVICES[name]["networks"]["default"]["aliases"] == ["mill-agent"]
+        assert SERVICES[name]["networks"] == {"mill": {"aliases": ["mill-agent"]}}
 
 
 def test_every_setting_is_one_of_ours() -> None:
@@ -119,6 +119,16 @@ def test_nobody_is_root_or_gains_rights() -> None:
 def test_the_api_is_published_on_this_computer_only() -> None:
     assert [service["ports"] for service in SERVICES.values() if "ports" in service] == [SERVICES["api"]["ports"]]
     assert all(port.startswith("127.0.0.1:") for port in SERVICES["api"]["ports"])
+
+
+def test_an_agent_is_on_a_network_that_leaves_this_computer_nowhere() -> None:
+    """What it and the API say to each other is not encrypted: --behind-proxy must be true in another way."""
+    assert FARM["networks"] == {"mill": {"internal": True}}
+    on_it = {name for name, service in SERVICES.items() if "mill" in service.get("networks", [])}
+    assert on_it == {"api", "agent", "sim-agent", "sim-mill"}
+    for name in ("agent", "sim-agent"):
+        assert list(SERVICES[name]["networks"]) == ["mill"] and "ports" not in SERVICES[name]
+        assert "--behind-proxy" in SERVICES[name]["command"]
 
 
 @pytest.mark.skipif(

@@ -217,7 +217,8 @@ class TestWhatMustBeDoneFirst:
             (MillState.CONNECTING, "connect"),
             (MillState.ALARM, "unlock"),
             (MillState.HELD, "stand still"),
-            (MillState.RUN, "stand still"),
+            (MillState.RUN, "wait"),
+            (MillState.HOMING, "wait"),
             (MillState.DOOR, "stand still"),
         ],
     )
@@ -272,6 +273,26 @@ def test_a_one_way_link_is_recovered_by_its_sequence_numbers(tmp_path: Path, kil
     refusal = " ".join(plan.refusals)
     assert not plan.ready and plan.needs == () and plan.blocks == ()
     assert "line 40 (N400)" in refusal and "line 12 (N120)" in refusal and "sequence number" in refusal
+
+
+def test_what_leaves_the_travel_is_a_refusal_only_where_nothing_has_to_be_done_first(raster: Shop) -> None:
+    """An untrusted position is no ground for one; and a part that is half cut keeps its work zero."""
+    problem = ("Z would go from -10.187 to 0.272 mm",)
+    lost = dataclasses.replace(NOW, restarted=True, status=dataclasses.replace(IDLE, position_trusted=False))
+    plan = raster.plan(10, lost).with_place(problem, refused=True)
+    assert plan.refusals == () and [need.code for need in plan.needs] == ["position"]
+    assert any("not certain" in words and "0.272" in words for words in plan.words)
+    (refusal,) = raster.plan(10).with_place(problem, refused=True).refusals
+    assert "home the mill" in refusal and "Do not move the work zero" in refusal
+
+
+@pytest.mark.parametrize(("top_mm", "travel_z"), [(None, "5"), (9.0, "5"), (3.25, "3.25")])
+def test_the_way_in_is_as_high_as_the_mill_gets(
+    tmp_path: Path, top_mm: float | None, travel_z: str, kill_trial: Any
+) -> None:
+    shop = Shop(tmp_path, ["G21 G90", "G0 Z2", "G0 X1 Y1", "G1 Z-1 F200", "X2", "X3", "G0 Z2", "M2"], kill_trial)
+    assert f"G0 Z{travel_z}" in shop.plan(5, dataclasses.replace(NOW, top_mm=top_mm)).blocks
+    assert "G0 Z2" in shop.plan(5, dataclasses.replace(NOW, top_mm=1.0)).blocks  # refused by whoever checks the travel
 
 
 @pytest.mark.parametrize("then", [False, True])

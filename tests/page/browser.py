@@ -106,7 +106,11 @@ def serious_faults(page: Page) -> list[str]:
 
 
 def layout_faults(page: Page, *, least_px: int = TOUCH_PX) -> list[str]:
-    """What breaks the laws of layout.js on the page as it is now, a sentence for each fault."""
+    """What breaks the laws of layout.js on the page as it is now, a sentence for each fault.
+
+    What is drawn anew for a size is there after the next frame, not before.
+    """
+    page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     found: list[str] = page.evaluate(_LAYOUT, {"least": least_px})
     return found
 

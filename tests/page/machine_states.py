@@ -44,6 +44,8 @@ MACHINE: dict[str, Any] = {
         "needs": ["a program has ended: if the tool is changed now, touch off Z again (probe or set zero)"],
         "latched": "",
         "zeroed": "XYZ",
+        "setup": "5e" * 32,
+        "stops": 7,
     },
     "run": None,
     "control": None,
@@ -81,6 +83,7 @@ RUN: dict[str, Any] = {
 }
 PLAN: dict[str, Any] = {
     "run": RUN_ID,
+    "plan": "a1" * 32,
     "executed_line": 8654,
     "resume_line": 8655,
     "overlap_line": 8640,
@@ -97,6 +100,8 @@ PLAN: dict[str, Any] = {
     "zero_back": "",
     "words": ["lines up to 8654 are cut for certain; line 8655 is the next one"],
 }
+GRANT = {"grant": "a word", "valid_s": 3.0, "stops": 7}
+STOPS = "**/v1/stops"
 _CUT = {"share": 0.21, "executed_line": 8654, "time_left_s": 4300.0, "operator": "Ada"}
 _STOPPED = _CUT | {"required_checks": [*_CHECKS, "position"], "time_left_s": None}
 
@@ -167,10 +172,12 @@ def told(
         machine["control"] = {"operator": operator, "since": _SINCE}
         control = machine["control"] | {"control": "a secret"}
         page.route("**/v1/machines/shop/control", lambda route: route.fulfill(json=control))
-    entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone"}
+    entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone", "by": "Ada"}
     events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
     last = [run] if run is not None and not run["open"] else []
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
+    page.route("**/v1/machines/shop/grants", lambda route: route.fulfill(status=201, json=GRANT))
+    page.route_web_socket(STOPS, lambda way: way.close(code=4401))  # what is told here reaches no mill
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
     page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": last, "next": None}))
     page.route("**/v1/runs/*", lambda route: route.fulfill(json=run))

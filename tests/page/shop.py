@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import re
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -21,7 +20,7 @@ from service.settings import ServerSettings
 from service.store.opening import open_store
 from tests.service.api.server import ApiServer
 from tests.service.fleet.shop import await_agent, kill_agents
-from tests.service.host.processes import Serving, running
+from tests.service.host.processes import Serving, offer_code, running
 from tests.service.mills import AT_ZERO, program
 from tests.waiting import PATIENCE_S, seen, until
 
@@ -65,6 +64,7 @@ class Shop:
     arguments: tuple[str, ...]
     _stack: contextlib.ExitStack = field(repr=False)
     _keys: dict[str, str] = field(default_factory=dict, repr=False)
+    _code: str = ""
     _job: str = ""
     _long_job: str = ""
 
@@ -78,8 +78,9 @@ class Shop:
 
     @property
     def code(self) -> str:
-        """The code for running mills from a page, as `serve` has printed it."""
-        return re.findall(r"\d{4}-\d{4}", self.serving.out[1])[0]
+        """A code for running mills from a page."""
+        self._code = self._code or offer_code(self.data)
+        return self._code
 
     def key(self, name: str = "Ada") -> str:
         """A token of this person, got for the code."""

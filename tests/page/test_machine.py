@@ -37,6 +37,14 @@ def jogs_sent(page: Page) -> list[str]:
     return sent
 
 
+def press_stop(page: Page, name: str) -> None:
+    """Until the mill's own log says that it has come."""
+    told = page.locator(".log li", has_text=re.compile(rf"\b{name}\b"))
+    before = told.count()
+    page.get_by_role("button", name=name).click()
+    expect(told).to_have_count(before + 1)
+
+
 def test_one_press_is_one_step(at_mill: Page) -> None:
     sent = jogs_sent(at_mill)
     at_mill.get_by_label("0.1", exact=True).check()
@@ -48,6 +56,8 @@ def test_one_press_is_one_step(at_mill: Page) -> None:
 
 def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill: Page) -> None:
     sent = jogs_sent(at_mill)
+    done = at_mill.locator(".log li", has_text=re.compile("Jog X.*: done"))
+    before = done.count()  # of earlier visits
     at_mill.get_by_role("button", name="X minus").focus()
     at_mill.keyboard.press("ArrowLeft")
     assert sent == [], "not armed"
@@ -55,6 +65,7 @@ def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill:
     for _ in range(5):  # held down: the browser repeats it
         at_mill.keyboard.down("ArrowLeft")
     at_mill.keyboard.up("ArrowLeft")
+    expect(done).to_have_count(before + 1)
     expect(machine_state(at_mill)).to_have_text("idle")
     assert len(sent) == 1
     at_mill.get_by_label("One line to the mill").focus()
@@ -70,9 +81,7 @@ def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(op
     for name in ("X minus", "Home", "Unlock", "X = 0 here", "Send"):
         expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
     for name in ("HOLD", "STOP"):
-        with page.expect_response(lambda answer: "/control/" in answer.url) as told:
-            page.get_by_role("button", name=name).click()
-        assert told.value.status == 202
+        press_stop(page, name)
     expect(machine_state(page)).to_have_text("idle")
 
 
@@ -86,8 +95,18 @@ def test_without_a_server_nothing_is_offered_and_nobody_is_said_to_have_control(
     expect(inside).to_be_disabled()
     for choice in page.locator(".steps input").all():
         expect(choice).to_be_disabled()
-    expect(page.locator(".control .who")).to_have_text("Who has control is not known now.")
+    expect(page.locator(".control .who")).to_have_text("Control is unknown.")
     expect(page.locator(".running .mark")).to_have_text("last seen stopped")
+
+
+def test_a_server_that_has_lost_the_mill_does_not_know_who_has_control(opened: Opened) -> None:
+    page = with_control(opened, "idle")
+    page.wait_for_timeout(3200)  # what is said sooner may have been on its way
+    told(page, "no-agent")
+    who = page.locator(".control .who")
+    expect(who).to_have_text("Control is unknown.")
+    told(page, "idle", operator="Ada")
+    expect(who).to_have_text("You have control.")
 
 
 @pytest.mark.thorough
@@ -122,9 +141,7 @@ def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
     at_mill.route("**/control/jog", lambda route: hanging.append(route))
     with at_mill.expect_request("**/control/jog"):
         at_mill.get_by_role("button", name="X minus").click()
-    with at_mill.expect_response(lambda answer: answer.url.endswith("/control/hold")) as told:
-        at_mill.get_by_role("button", name="HOLD").click()
-    assert told.value.status == 202
+    press_stop(at_mill, "HOLD")
     for route in hanging:
         route.fulfill(status=202, json={})
     at_mill.get_by_role("button", name="STOP").click()  # held, the mill would be of no use to the next test

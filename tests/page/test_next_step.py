@@ -341,7 +341,7 @@ def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
     sent = orders_of(page)
     page.get_by_role("button", name="Put the zero back").click()
     after(sent, 1, page)
-    assert sent == [("block", {"text": plan["zero_back"]})]
+    assert sent == [("block", {"text": plan["zero_back"], "confirm": True})]
     page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | plan | {"zero_back": ""}))
     again.click()
     expect(page.locator(".recover .needs")).to_contain_text("Touch off and set X, Y and Z again")

@@ -11,6 +11,13 @@ from pathlib import Path
 from machines.simulated import GRBL_11, SimulatedMill, Traits
 from machines.simulated.endpoints import serve_pty
 
+# With switches: locked at power-up; its homing finds the corner it stands in, quickly.
+WITH_SWITCHES = replace(
+    GRBL_11,
+    homing=True,
+    power_up_machine_mm=(0.0, 0.0, 0.0),
+    settings={20: 1, 21: 1, 24: 1000, 25: 5000, 26: 5, 110: 5000, 111: 5000, 112: 3000},
+)
 AT_ZERO = replace(GRBL_11, power_up_machine_mm=(0.0, 0.0, 0.0))
 
 
@@ -30,6 +37,12 @@ class Bench:
     def stands(self) -> bool:
         """Nothing moves: the stepper has nothing to do."""
         return self.mill.firmware.stepper.next_s == inf
+
+    @property
+    def holds_nothing(self) -> bool:
+        """No line is left in the controller that a cycle start could cut."""
+        firmware = self.mill.firmware
+        return not firmware.stepper.planner.blocks and firmware.task is None and not self.mill.serial.used(inf)
 
     def unplug(self) -> None:
         self.mill.unplug()

@@ -1,6 +1,6 @@
 """`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1.
 
-    python -m tests.trials [clean faults echo kills agent wire big latency estimate renderer interpreter
+    python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate renderer interpreter
                            storm-sqlite storm-postgres]
 
 Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and rates are only written down.
@@ -25,6 +25,8 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "wire": sections.wire,
     "big": sections.big,
     "latency": sections.latency,
+    "orders": sections.orders,
+    "load": sections.load,
     "estimate": sections.estimate,
     "renderer": renderer.figures,
     "interpreter": interpreter.figures,

@@ -167,7 +167,7 @@ def _recover(owner: Mill, mill: SimulatedMill, run_id: str) -> None:
         if plan.ready:
             owner.recover(run_id, Confirmation(ANNA, RECOVER_CHECKS))
             return
-        if "stand still" in codes:
+        if codes & {"wait", "stand still"}:
             owner.abort()
         elif "connect" in codes:
             pass

@@ -135,7 +135,7 @@ class Bench:
                 self.command_done(Home() if self.homing else TrustPosition())
             elif need.code == "stand still" and self.mill.status.state is MillState.HELD and not self.clearing():
                 self.command_done(Reset())
-            elif need.code in ("connect", "stand still"):
+            elif need.code in ("connect", "wait", "stand still"):
                 self.mill.step(0.2)
             else:
                 raise AssertionError(f"not expected: {need}")

@@ -122,7 +122,7 @@ def _go_on(agent: AgentProcess, trial: Trial, run: str, program: Path, began_s: 
     if (state := _state(agent, run)) != "interrupted":
         raise AssertionError(f"after the kill the run is {state}, not interrupted")
     wanted: list[dict[str, Any]] = [{"code": "connect"}]
-    while wanted and wanted[0]["code"] in ("connect", "stand still"):
+    while wanted and wanted[0]["code"] in ("connect", "wait", "stand still"):
         if time.monotonic() > began_s + _PATIENCE_S:
             raise TimeoutError(f"no plan: {wanted}")
         plan = agent.get(f"/v1/runs/{run}/recovery")

@@ -14,14 +14,16 @@ from machines.gcode.program import ProgramReader
 from machines.profiles import load_profile
 from service.preflight import preflight
 from tests.benchmarks.timing import Figure
+from tests.service.fleet.test_order_laws import run_histories
 from tests.trials import estimate as estimates
-from tests.trials import fault_matrix, kill_trial, latency_trial, live
+from tests.trials import fault_matrix, kill_trial, latency_trial, live, load_trial
 from tests.trials.real_kills import real_kills
 from tests.trials.soak import soak
 
 SOAK_LINES = 10_000_000
 SEEDS = range(100)
 KILLS = 1000
+HISTORIES = 2000
 BIG_CUTS = 50_000_000  # lines of 20 bytes: 1 GB
 WIRE_BYTES_PER_S = 11520.0
 # Ten kinds that show on the wire or at the mill; those of one byte to the mill may be silent and come with `echo`.
@@ -152,6 +154,24 @@ def big() -> Iterator[Figure]:
 def latency() -> Iterator[Figure]:
     """A hold from the API call to the wire, while the agent streams."""
     yield from latency_trial.figures(200)
+
+
+def orders() -> Iterator[Figure]:
+    """Orders and stops over a network, a database and people who do as they like."""
+    try:
+        tally = run_histories(HISTORIES, derandomize=False)
+    except AssertionError as error:
+        yield Figure("histories of orders and stops", 0, "histories", _law(str(error)[:500], "every act was for now"))
+        return
+    acts = {what: count for what, count in sorted(tally.items()) if what != "histories"}
+    words = f"none late, none after a later stop, none twice; carried out: {acts}"
+    yield Figure("histories of orders and stops", tally["histories"], "histories", words)
+
+
+def load() -> Iterator[Figure]:
+    """Fifty busy loops, and the job server started anew while a program runs."""
+    yield from load_trial.figures()
+    yield from load_trial.figures(killed=True)
 
 
 def estimate() -> Iterator[Figure]:

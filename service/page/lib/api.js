@@ -11,15 +11,20 @@ const AGREE_MS = 5000;
 const DECLINED_MS = 60_000;
 const PROBE_MS = [500, 1000, 2000, 3000];
 const AWAY_STATUS = new Set([502, 504]);
-const NOBODY = { name: "", scopes: [], anonymous: true, paired: false };
+const NOBODY = { name: "", scopes: [], anonymous: true, paired: false, expires_at: null };
 
-/** A refusal: `detail` in words, `field` and `problems` [{field, detail}] where it belongs. Status 0: no answer. */
+/**
+ * A refusal: `detail` in words, `code` where programs tell it by one, `effect`: what would come of it, `field` and `problems`
+ * [{field, detail}] where it belongs. Status 0: no answer.
+ */
 export class ProblemError extends Error {
-  constructor(status, detail, { field = "", problems = [] } = {}) {
+  constructor(status, detail, { code = "", effect = "", field = "", problems = [] } = {}) {
     super(detail);
     this.name = "ProblemError";
     this.status = status;
     this.detail = detail;
+    this.code = code;
+    this.effect = effect;
     this.field = field;
     this.problems = problems.length ? problems : field ? [{ field, detail }] : [];
   }
@@ -172,7 +177,7 @@ function listen(listeners, fn) {
   return () => listeners.delete(fn);
 }
 
-/** options: headers, body, type, signal, cache, patience_ms (0: none), quiet (a 401 asks nobody for a key). */
+/** options: headers, body, type, signal, cache, keepalive, patience_ms (0: none), quiet (a 401 asks nobody for a key). */
 async function request(method, path, options = {}) {
   const response = await answer(method, path, options);
   if (response.ok) return response;
@@ -191,7 +196,7 @@ async function getsKey() {
   return given;
 }
 
-async function answer(method, path, { headers = {}, body, type, signal, cache, patience_ms = PATIENCE_MS }) {
+async function answer(method, path, { headers = {}, body, type, signal, cache, keepalive, patience_ms = PATIENCE_MS }) {
   const own = { Accept: "application/json", ...headers };
   if (type) own["Content-Type"] = type;
   if (token) own.Authorization = `Bearer ${token}`;
@@ -202,6 +207,7 @@ async function answer(method, path, { headers = {}, body, type, signal, cache, p
       headers: own,
       body,
       cache,
+      keepalive,
       credentials: "omit",
       signal: signals.length ? AbortSignal.any(signals) : undefined,
     });
@@ -235,7 +241,7 @@ async function problemOf(response) {
     // a proxy's page, or nothing: the status must do
   }
   const detail = told.detail ?? `The server answered ${response.status}; its log says why.`;
-  return new ProblemError(response.status, detail, { field: told.field, problems: told.problems });
+  return new ProblemError(response.status, detail, { code: told.code, effect: told.effect, field: told.field, problems: told.problems });
 }
 
 async function readJson(response) {

@@ -54,8 +54,11 @@ export async function confirm({ title, words, yes, no = "Cancel", danger = false
   return (await open({ title, body: paragraphs, actions })) === true;
 }
 
-/** A sentence at the edge of the page, read out by screen readers. kind: "", "good", "bad". */
-export function toast(words, { kind = "", action } = {}) {
+/**
+ * A sentence at the edge of the page, read out by screen readers. kind: "", "good", "bad"; stays: until it is closed.
+ * Returns {close()}.
+ */
+export function toast(words, { kind = "", action, stays = false } = {}) {
   const shown = h(
     "div",
     { class: `toast ${kind}` },
@@ -65,7 +68,8 @@ export function toast(words, { kind = "", action } = {}) {
   );
   shelf().append(shown);
   const leave = () => setTimeout(() => (shown.matches(":hover, :focus-within") ? leave() : shown.remove()), TOAST_MS);
-  leave();
+  if (!stays) leave();
+  return { close: () => shown.remove() };
 }
 
 function shelf() {

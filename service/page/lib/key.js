@@ -5,7 +5,7 @@ import { confirm, open } from "./dialog.js";
 import { freshId, h, replace } from "./dom.js";
 import { sentence } from "./words.js";
 
-const CODE = /^\s*(\d{4})[\s-]?(\d{4})\s*$/;
+const CODE = /^[0-9A-Z]{12}$/;
 const WHAT = {
   "machine:run": "Whoever runs a mill enters the code first.",
   "jobs:write": "Whoever makes or changes jobs enters the code first.",
@@ -24,8 +24,9 @@ function form(scope, close) {
     type: "text",
     required: true,
     autocomplete: "off",
+    autocapitalize: "characters",
     spellcheck: false,
-    placeholder: "0000-0000",
+    placeholder: "XXXX-XXXX-XXXX",
     "aria-describedby": `${hint} ${fault}`,
   });
   const name = h("input", {
@@ -59,7 +60,7 @@ function form(scope, close) {
       { class: "field" },
       h("label", { for: key.id }, "Code"),
       key,
-      h("small", { id: hint }, "Eight digits, printed where the server runs."),
+      h("small", { id: hint }, "Twelve letters and digits, printed where the server runs."),
       wrong,
     ),
     h(
@@ -76,10 +77,10 @@ function form(scope, close) {
 }
 
 async function exchange(text, name) {
-  const code = CODE.exec(text);
-  if (code) return api.pair(`${code[1]}-${code[2]}`, name);
+  const code = text.replace(/[\s-]/g, "").toUpperCase();
+  if (CODE.test(code)) return api.pair(code, name);
   if (text.trim().startsWith("cm_")) return api.useToken(text.trim());
-  throw new Error("A code is eight digits, like 0000-0000.");
+  throw new Error("A code is twelve letters and digits, like XXXX-XXXX-XXXX.");
 }
 
 /** A touch on one's own name must not take the mill out of one's hands. */

@@ -3,9 +3,11 @@
  *
  * A stream that breaks, or says nothing for three heartbeats, is opened again with Last-Event-ID, sooner or later as
  * often as it failed; a restarted server is found again by itself. 204, or a refusal that no waiting mends, is the end.
+ * A page that nobody sees follows nothing; the pages that are seen share one stream.
  */
 
 import { api } from "./api.js";
+import { canShare, nameOf, share } from "./shared_stream.js";
 
 const SILENCE_MS = 46_000;
 const FIRST_WAIT_MS = 500;
@@ -17,64 +19,96 @@ const HOPELESS = new Set([400, 403, 404, 405, 410, 422]);
  * state: "open", "away" (words say so; it is tried again), "ended" (words empty where all went well).
  */
 export function follow(path, { onEvent, onState = () => {} }) {
-  const stop = new AbortController();
-  run(path, onEvent, onState, stop.signal);
-  return { close: () => stop.abort() };
+  let part = null; // of this page in the stream: {token, place, stop}
+  let over = false;
+  const tell = (message) => {
+    if (message.kind === "event") return onEvent(message.name, message.data, message.id);
+    if (message.state === "ended") close();
+    onState(message.state, message.words);
+  };
+  const leave = () => part?.stop.abort();
+  const look = () => {
+    const other = part?.token !== api.token; // which may not read the same
+    if (over || document.hidden || other) leave();
+    if (over || document.hidden || (part && !part.stop.signal.aborted)) return;
+    const place = part && !other ? part.place : { lastId: "", recent: [] };
+    part = { token: api.token, place, stop: new AbortController() };
+    takePart(path, tell, part);
+  };
+  const stopListening = api.onWho(look);
+  document.addEventListener("visibilitychange", look);
+  function close() {
+    over = true;
+    leave();
+    stopListening();
+    document.removeEventListener("visibilitychange", look);
+  }
+  look();
+  return { close };
 }
 
-async function run(path, onEvent, onState, stopped) {
-  const place = { lastId: "" };
+async function takePart(path, tell, { token, place, stop: { signal: stopped } }) {
+  const heard = (message) => stopped.aborted || tell(message);
+  if (!canShare()) return keep(path, place, heard, () => {}, stopped);
+  const name = await nameOf(path, token);
+  if (stopped.aborted) return;
+  share(name, { place, stopped, tell: heard, read: (say, alive, signal) => keep(path, place, say, alive, signal) });
+}
+
+/** Keeps the stream open over all its connections, until `stopped` or its end. */
+async function keep(path, place, say, alive, stopped) {
   let fails = 0;
   while (!stopped.aborted) {
     const began = Date.now();
-    const end = await once(path, place, onEvent, onState, stopped);
+    const end = await once(path, place, say, alive, stopped);
     if (stopped.aborted) return;
-    if (end.over) return onState("ended", end.words);
+    if (end.over) return say({ kind: "state", state: "ended", words: end.words });
     fails = Date.now() - began > 5000 ? 0 : fails + 1;
-    if (end.words) onState("away", end.words);
+    if (end.words) say({ kind: "state", state: "away", words: end.words });
     await pause(Math.min(LONGEST_WAIT_MS, FIRST_WAIT_MS * 2 ** Math.min(fails, 6)), stopped);
   }
 }
 
 /** One connection, to its end: {over, words}. */
-async function once(path, place, onEvent, onState, stopped) {
+async function once(path, place, say, alive, stopped) {
   const broken = new AbortController();
-  const watch = { timer: 0 };
-  const alive = () => {
-    clearTimeout(watch.timer);
-    watch.timer = setTimeout(() => broken.abort(), SILENCE_MS);
+  let timer = 0;
+  const heard = () => {
+    clearTimeout(timer);
+    timer = setTimeout(() => broken.abort(), SILENCE_MS);
+    alive();
   };
-  alive();
+  heard();
   try {
     const headers = { Accept: "text/event-stream", ...(place.lastId && { "Last-Event-ID": place.lastId }) };
     const signal = AbortSignal.any([stopped, broken.signal]);
     const response = await api.request("GET", path, { headers, signal, cache: "no-store", patience_ms: 0 });
     if (response.status === 204) return { over: true, words: "" };
-    onState("open", "");
-    await read(response.body, place, onEvent, alive);
+    say({ kind: "state", state: "open", words: "" });
+    await read(response.body, place, say, heard);
     return { over: false, words: "" };
   } catch (error) {
     if (HOPELESS.has(error.status) || error.status === 401) return { over: true, words: error.detail };
     return { over: false, words: error.detail || "The connection to the server broke; trying again." };
   } finally {
-    clearTimeout(watch.timer);
+    clearTimeout(timer);
   }
 }
 
-async function read(body, place, onEvent, alive) {
+async function read(body, place, say, heard) {
   const reader = body.pipeThrough(new TextDecoderStream()).getReader();
   let rest = "";
   for (;;) {
     const { value, done } = await reader.read();
     if (done) return;
-    alive();
+    heard();
     const blocks = (rest + value).replaceAll("\r\n", "\n").split("\n\n");
     rest = blocks.pop();
-    for (const block of blocks) deliver(block, place, onEvent);
+    for (const block of blocks) deliver(block, place, say);
   }
 }
 
-function deliver(block, place, onEvent) {
+function deliver(block, place, say) {
   const found = { event: "message", data: [] };
   for (const line of block.split("\n")) {
     const [, field, text] = /^([^:]*):? ?(.*)$/s.exec(line);
@@ -82,7 +116,8 @@ function deliver(block, place, onEvent) {
     else if (field === "event") found.event = text;
     else if (field === "data") found.data.push(text);
   }
-  if (found.data.length) onEvent(found.event, parsed(found.data.join("\n")), place.lastId);
+  const { event: name, data } = found;
+  if (data.length) say({ kind: "event", name, data: parsed(data.join("\n")), id: place.lastId });
 }
 
 function parsed(text) {

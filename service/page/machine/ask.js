@@ -14,12 +14,18 @@ export function guarded(label, { words, yes, act, kind = "" }) {
     if (focus) button.focus();
   };
   const ask = () => {
-    const no = h("button", { type: "button", onclick: () => rest({ focus: true }) }, "Cancel");
     const go = () => (rest({ focus: true }), act());
-    const question = typeof words === "function" ? words() : words;
-    replace(place, h("div", { class: "question", role: "group", "aria-label": label }, h("p", {}, question), h("div", { class: "row" }, no, h("button", { type: "button", class: kind || "primary", onclick: go }, yes))));
-    no.focus();
+    const cancel = () => rest({ focus: true });
+    askIn(place, label, { words: typeof words === "function" ? words() : words, yes, go, cancel, kind: kind || "primary" });
   };
   rest({ focus: false });
   return { node: place, button, close: () => place.contains(button) || rest({ focus: false }) };
+}
+
+/** Puts the question into its place; Cancel has the focus. */
+export function askIn(place, label, { words, yes, go, cancel, kind = "primary" }) {
+  const no = h("button", { type: "button", onclick: cancel }, "Cancel");
+  const sure = h("button", { type: "button", class: kind, onclick: go }, yes);
+  replace(place, h("div", { class: "question", role: "group", "aria-label": label }, h("p", {}, words), h("div", { class: "row" }, no, sure)));
+  no.focus();
 }

@@ -10,17 +10,17 @@ import { checkWords } from "./words.js";
  * the mill answered (`words`), so that nothing above the button ever moves. act({operator, checks}) gives the order.
  */
 export function checklist(run, { label, words, act, changed = () => {} }) {
-  const boxes = run.required_checks.map((check) => ({ check, box: h("input", { type: "checkbox", onchange: () => (count(), changed()) }) }));
+  const boxes = run.required_checks.map((check) => ({ check, box: h("input", { type: "checkbox", onchange: () => ((lost = ""), count(), changed()) }) }));
   const operator = h("input", { type: "text", maxLength: 100, autocomplete: "name", value: api.who.paired ? api.who.name : "", oninput: () => count() });
   const go = h("button", { type: "button", class: "big go", onclick: () => act({ operator: operator.value.trim(), checks: boxes.map(({ check }) => check) }) }, label);
   const missing = h("p", { class: "missing", role: "status" });
-  let why = "";
+  let [why, lost] = ["", ""];
   const count = () => {
     const left = boxes.filter(({ box }) => !box.checked).length;
     const named = operator.value.trim() !== "";
     const lacking = left ? `${left} of ${boxes.length} still to tick.` : named ? "" : "Give your name.";
     enable([go], why === "" && lacking === "");
-    write(missing, why || lacking);
+    write(missing, why || lost || lacking);
   };
   count();
   const node = h(
@@ -44,8 +44,9 @@ export function checklist(run, { label, words, act, changed = () => {} }) {
       go.classList.toggle("primary", due);
       count();
     },
-    /** The mill has moved since: what was looked at may not be so any more. */
-    clear() {
+    /** What was looked at may not be so any more; words say why, where a tick is lost by that. */
+    clear(words = "") {
+      if (boxes.some(({ box }) => box.checked)) lost = words;
       for (const { box } of boxes) box.checked = false;
       count();
     },

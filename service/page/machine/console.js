@@ -1,8 +1,9 @@
 /** What happened at the mill, and a line said to it while it stands. */
 
-import { h, write } from "../lib/dom.js";
+import { h, replace } from "../lib/dom.js";
+import { askIn } from "./ask.js";
 import { enable, said } from "./said.js";
-import { plain, RUN_WORDS, stateWord, whyNot } from "./words.js";
+import { logWords, refusal, sentence, whyNot } from "./words.js";
 
 const SHOWN = 200;
 
@@ -12,12 +13,35 @@ export function terminal(link) {
   const empty = h("p", { class: "dim" }, "Nothing yet.");
   const text = h("input", { type: "text", maxLength: 78, autocomplete: "off", autocapitalize: "characters", spellcheck: false, placeholder: "G0 X0 Y0" });
   const send = h("button", { type: "submit" }, "Send");
-  const submit = async (event) => {
+  const question = h("div", { class: "ask" });
+
+  function submit(event) {
     event.preventDefault();
-    if (text.value.trim() && (await words.during(() => link.order("block", { text: text.value.trim() })))) text.value = "";
-  };
+    if (text.value.trim()) give({ text: text.value.trim() });
+  }
+
+  async function give(body) {
+    replace(question);
+    await words.during(async () => {
+      try {
+        await link.order("block", body);
+        text.value = "";
+      } catch (error) {
+        if (error.code !== "confirm") throw error;
+        askAgain(body, error);
+      }
+    });
+  }
+
+  /** A line that changes what the mill is, such as where its travel ends, is sent at the second press only. */
+  function askAgain(body, error) {
+    const cancel = () => (replace(question), text.focus());
+    const go = () => give({ ...body, confirm: true });
+    askIn(question, `Send ${body.text}`, { words: sentence(error.effect || refusal(error)), yes: `Send ${body.text} all the same`, go, cancel });
+  }
+
   const form = h("form", { class: "say", onsubmit: submit }, h("label", { class: "field" }, h("span", {}, "One line to the mill"), text), send);
-  const node = h("section", { class: "card terminal", "aria-labelledby": "terminal-title" }, h("h2", { id: "terminal-title" }, "Console"), empty, lines, form, words.node);
+  const node = h("section", { class: "card terminal", "aria-labelledby": "terminal-title" }, h("h2", { id: "terminal-title" }, "Console"), empty, lines, form, question, words.node);
   let last = null;
   return {
     node,
@@ -44,11 +68,7 @@ function show(list, log, last) {
 function line(entry) {
   const clock = new Date(entry.at_s * 1000).toLocaleTimeString([], { hour12: false });
   const item = h("li", { class: `log-${entry.kind}` });
-  item.append(h("time", {}, clock), " ", h("span", {}));
-  write(item.lastChild, entry.kind === "state" ? stateWord(entry.words) : told(entry.words));
+  item.append(h("time", {}, clock), " ", h("span", {}, logWords(entry)));
+  if (entry.by) item.append(" ", h("small", {}, entry.by));
   return item;
-}
-
-function told(words) {
-  return plain(words).replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
 }

@@ -26,8 +26,9 @@ export function controlBar(link) {
       const control = link.machine?.control;
       const now = link.mine ? "mine" : control ? "other" : "free";
       const words = { mine: "You have control.", other: `${control?.operator} has control (${ago(control?.since)}).`, free: "Nobody has control." }[now];
-      write(who, link.away ? "Who has control is not known now." : words);
-      for (const button of [free, give, over.button]) button.disabled = Boolean(link.away);
+      const unknown = Boolean(link.away) || link.machine?.agent.reachable === false;
+      write(who, unknown ? "Control is unknown." : words);
+      for (const button of [free, give, over.button]) button.disabled = unknown;
       if (now === shown) return;
       shown = now;
       over.close();

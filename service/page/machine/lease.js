@@ -21,6 +21,7 @@ export class Lease {
     this.since = "";
     this.freshUntil = 0;
     this.timer = setInterval(() => this.held && this.renew(), RENEW_MS);
+    this.stopListening = api.onAway((away) => !away && this.held && this.renew());
     this.onHide = () => this.held && this.release({ keepalive: true });
     this.onClose = (event) => this.held && hasLiveRun(link.machine) && event.preventDefault();
     addEventListener("pagehide", this.onHide);
@@ -66,9 +67,9 @@ export class Lease {
     }
   }
 
-  /** What the server says of who has control. What it said before it knew of us may still be on its way. */
-  seen(control) {
-    if (!this.held || Date.now() < this.freshUntil || control?.since === this.since) return;
+  /** Who has control, as the mill says; a server that has lost the mill does not know, and what it said before is late. */
+  seen({ agent, control }) {
+    if (!this.held || !agent.reachable || Date.now() < this.freshUntil || control?.since === this.since) return;
     this.lost(control ? `${control.operator} has taken control.` : "Control has ended: this page was not heard of for a minute.");
   }
 
@@ -80,6 +81,7 @@ export class Lease {
 
   close() {
     clearInterval(this.timer);
+    this.stopListening();
     removeEventListener("pagehide", this.onHide);
     removeEventListener("beforeunload", this.onClose);
     if (this.held) this.leave();
@@ -90,7 +92,7 @@ export class Lease {
     this.operator = operator;
     if (this.since !== since) {
       this.freshUntil = Date.now() + STALE_MS;
-      setTimeout(() => this.seen(this.link.machine?.control ?? null), STALE_MS + 50); // what was passed over until then
+      setTimeout(() => this.link.machine && this.seen(this.link.machine), STALE_MS + 50); // what was passed over until then
     }
     this.since = since;
   }

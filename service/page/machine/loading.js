@@ -17,7 +17,7 @@ export function loading(link, chosen) {
   const jobs = h("select", { onchange: () => ((chosen = { job: jobs.value }), choose(jobs.value)) });
   // An answer that is still on its way must not put another program in the place of the one that was taken.
   const passes = h("select", { onchange: () => (chosen = { job: jobs.value, program: passes.value }) });
-  const load = h("button", { type: "button", onclick: () => words.during(() => link.send(`${link.path}/runs`, { job: jobs.value, program: passes.value })) }, "Load onto the mill");
+  const load = h("button", { type: "button", onclick: () => words.during(() => link.load(jobs.value, passes.value)) }, "Load onto the mill");
   const reason = h("p", { class: "missing", role: "status" });
   const form = h("div", { class: "load-form" }, field("Job", jobs), field("Program", passes), load, reason);
   const none = h("p", { class: "dim" }, "No job has programs yet. ", h("a", { href: "#/new" }, "Make one"), ": its programs can be loaded here.");

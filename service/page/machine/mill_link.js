@@ -1,20 +1,21 @@
 /**
- * All that one machine's screen knows and says: state and log as they come, the run that is on the mill, orders.
- *
- * A browser keeps few connections to one server. A stream takes one, so it is closed while nobody looks at the page,
- * and orders leave one after the other; a hold or a stop that gets no answer at once takes the place of all of them.
+ * All that one machine's screen knows and says: state and log as they come, the run that is on the mill, orders one at a
+ * time, and stops, which have a way of their own and wait for nothing.
  */
 
 import { api } from "../lib/api.js";
 import { follow } from "../lib/sse.js";
+import { sendGranted } from "./granted.js";
 import { Lease } from "./lease.js";
-import { refusal } from "./words.js";
+import { StopSocket } from "./stop_socket.js";
+import { refusal, stands } from "./words.js";
 
 const MOST_LOG = 300;
 const PASSING = new Set(["idle", "run", "jog", "homing", "holding", "connecting"]); // the head of the page says it
-const ROOM_AFTER_MS = 400;
 const ANSWER_MS = 1500; // an order of which the log says nothing by then is no reason to wait
+const OTHER_WAY_MS = 300; // a stop that is not answered by then goes as a request, too
 const URGENT_MS = 6000;
+const BEHIND_MS = 1000;
 const BUTTON = "Use the stop button on the mill itself.";
 
 export class MillLink {
@@ -26,20 +27,29 @@ export class MillLink {
     this.looking = false;
     this.log = [];
     this.commands = 0; // that have ended, as the log tells
-    this.closed = false;
     this.away = "";
     this.gone = "";
+    this.stopped = { count: 0, until: 0 }; // as our own last stop was answered, and how long the stream may be behind that
     this.urgentWords = "";
+    this.urgentRun = ""; // that was on the mill when a stop did not arrive
+    this.urgentLost = false; // whether the mill was out of reach since
     this.listeners = new Set();
-    this.orders = new AbortController();
     this.sending = false;
     this.unanswered = -1; // number of commands that had ended when an order was taken
     this.lease = new Lease(this);
-    this.stopListening = [api.onAway((away) => this.setAway(away ? "The server does not answer." : ""))];
-    const look = () => (document.hidden ? this.pause() : this.listen());
-    document.addEventListener("visibilitychange", look);
-    this.stopListening.push(() => document.removeEventListener("visibilitychange", look));
-    look();
+    this.stops = new StopSocket();
+    const stopListening = api.onAway((away) => this.setAway(away ? "The server does not answer." : ""));
+    const stream = follow(`${this.path}/events`, {
+      onEvent: (kind, data) => this.heard(kind, data),
+      onState: (state, words) => this.streamed(state, words),
+    });
+    this.close = () => {
+      stopListening();
+      stream.close();
+      this.lease.close();
+      this.stops.close();
+      this.listeners.clear();
+    };
   }
 
   /** Whether this page holds control. */
@@ -55,28 +65,7 @@ export class MillLink {
     for (const tell of this.listeners) tell(this);
   }
 
-  close() {
-    this.closed = true;
-    this.pause();
-    this.lease.close();
-    for (const stop of this.stopListening) stop();
-    this.listeners.clear();
-  }
-
   // ---------------------------------------------------------------- what comes
-
-  listen() {
-    if (this.closed) return;
-    this.stream ??= follow(`${this.path}/events`, {
-      onEvent: (kind, data) => this.heard(kind, data),
-      onState: (state, words) => this.streamed(state, words),
-    });
-  }
-
-  pause() {
-    this.stream?.close();
-    this.stream = null;
-  }
 
   heard(kind, data) {
     if (kind === "status") this.told(data);
@@ -86,6 +75,7 @@ export class MillLink {
 
   streamed(state, words) {
     if (state === "ended") this.gone = words || "This machine is not known here.";
+    if (state === "away") this.urgentLost = true;
     this.setAway(state === "away" ? words : "");
   }
 
@@ -98,7 +88,8 @@ export class MillLink {
     const open = machine.run;
     this.machine = machine;
     this.away = "";
-    this.lease.seen(machine.control);
+    this.lease.seen(machine);
+    this.forgetUrgent(machine);
     if (open && open.id === this.run?.id && open.state === this.run.state) {
       Object.assign(this.run, open, { program: this.run.program });
     } else if (open) {
@@ -109,9 +100,17 @@ export class MillLink {
     }
   }
 
+  /** That a stop did not arrive is said until the mill is seen to stand, or is within reach again, or runs another program. */
+  forgetUrgent({ agent, mill, run }) {
+    if (!this.urgentWords) return;
+    if (!agent.reachable || !mill?.connected) this.urgentLost = true;
+    else if (this.urgentLost || stands(this.machine) || (run?.id ?? "") !== this.urgentRun) this.urgentWords = "";
+  }
+
   noted(entry) {
     if (entry.words.startsWith("Read settings: done")) return; // every look at a plan asks for them
     if (entry.kind === "state" && PASSING.has(entry.words)) return;
+    if (entry.kind === "order" && entry.words.endsWith(": taken")) return; // what came of it is said, too
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
     this.log.push(entry);
     if (entry.kind === "command") this.commands += 1;
@@ -135,13 +134,15 @@ export class MillLink {
 
   // ---------------------------------------------------------------- what is said
 
-  /** An order beside a run. Sent once; ProblemError where it was not taken. Over when the log says what came of it. */
-  async order(what, body = {}) {
+  /** An order beside a run. Sent once; an Error where it was not taken. Over when the log says what came of it. */
+  order(what, body = {}) {
     const before = this.commands;
-    const told = await this.send(`${this.path}/control/${what}`, body);
-    this.unanswered = before;
-    setTimeout(() => this.unanswered === before && this.forgetOrder(), ANSWER_MS);
-    return told;
+    return this.alone(async () => {
+      const told = await this.give(`${this.path}/control/${what}`, body);
+      this.unanswered = before; // before anything else may be pressed
+      setTimeout(() => this.unanswered === before && this.forgetOrder(), ANSWER_MS);
+      return told;
+    });
   }
 
   forgetOrder() {
@@ -156,19 +157,41 @@ export class MillLink {
 
   /** start, resume or recover of the run that is shown. */
   async toRun(action, body) {
-    const run = await this.send(`/v1/runs/${this.run.id}:${action}`, body);
-    this.run = run;
+    await this.alone(async () => (this.run = await this.give(`/v1/runs/${this.run.id}:${action}`, body)));
     this.changed();
   }
 
-  /** Anything that needs control: one at a time, and not while one is on its way. */
-  async send(path, body) {
+  /** The run that is shown leaves the mill. Nothing moves by that. */
+  async abandonRun() {
+    await this.alone(async () => (this.run = await api.post(`/v1/runs/${this.run.id}:abort`)));
+    this.changed();
+  }
+
+  /** A program of a job onto the mill, where it waits. Nothing moves by that. */
+  load(job, program) {
+    return this.alone(() => api.post(`${this.path}/runs`, { job, program }, { headers: this.lease.headers() }));
+  }
+
+  /** Whatever can start a motion, or change what one means, goes this way. */
+  async give(path, body) {
+    const told = await sendGranted({ machine: this.path, stops: this.stopCount, headers: this.lease.headers() }, path, body);
+    this.urgentWords = "";
+    return told;
+  }
+
+  /** How often the mill was told to stop, as far as this page knows: an order is refused where it was told so since. */
+  get stopCount() {
+    const told = this.machine?.mill?.stops;
+    return Date.now() < this.stopped.until ? Math.max(told ?? 0, this.stopped.count) : told;
+  }
+
+  /** One at a time, and not while an order is on its way. */
+  async alone(act) {
     if (this.busy) throw new Error("The order before this one is still on its way.");
     this.sending = true;
     this.changed();
     try {
-      const headers = this.lease.headers();
-      return await api.post(path, body, { headers, signal: this.orders.signal });
+      return await act();
     } finally {
       this.sending = false;
       this.changed();
@@ -177,25 +200,35 @@ export class MillLink {
 
   /** hold, abort or jog-cancel: from everybody, at any time, whatever else is on its way. True where it was taken. */
   async urgent(what) {
-    const room = setTimeout(() => this.makeRoom(), ROOM_AFTER_MS);
     try {
-      await api.post(`${this.path}/control/${what}`, {}, { patience_ms: URGENT_MS });
+      await this.sendStop(what);
       this.urgentWords = "";
       return true;
-    } catch (error) {
-      this.urgentWords = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(error)})`;
+    } catch ({ errors }) {
+      this.urgentWords = `${what === "hold" ? "HOLD" : "STOP"} did not arrive. ${BUTTON} (${refusal(errors.at(-1))})`;
+      this.urgentRun = this.machine?.run?.id ?? "";
+      this.urgentLost = false;
       return false;
     } finally {
-      clearTimeout(room);
-      this.listen();
       this.changed();
     }
   }
 
-  /** Gives up whatever else this screen has under way, so that the browser has a connection for what is urgent. */
-  makeRoom() {
-    this.orders.abort();
-    this.orders = new AbortController();
-    this.pause();
+  /** Both ways, the second where the first one does not answer at once: a stop that comes twice does no harm. */
+  sendStop(what) {
+    const patience = new Error("No answer in time.");
+    const note = ({ mill }) => (this.stopped = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
+    const first = Promise.race([this.stops.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(patience))]).then(note);
+    const how = { patience_ms: URGENT_MS, quiet: true, keepalive: true };
+    const post = () => api.post(`${this.path}/control/${what}`, {}, how).then(note);
+    if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
+    let answered = false;
+    first.then(() => (answered = true)).catch(() => {});
+    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || post());
+    return Promise.any([first, second]);
   }
+}
+
+function after(ms) {
+  return new Promise((done) => setTimeout(done, ms));
 }

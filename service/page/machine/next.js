@@ -44,7 +44,7 @@ export function next(link, cards) {
     try {
       await link.order(act.what, act.body);
     } catch (error) {
-      if (error.name !== "AbortError") refusal = refusalOf(error);
+      refusal = refusalOf(error);
     }
     link.changed();
   }

@@ -36,12 +36,25 @@ export function recover(link) {
     link.changed();
   }
 
+  /** By the plan that is shown; where that is another one by now, it is shown, and ticked anew. */
+  async function goOn(given) {
+    try {
+      await link.toRun("recover", { ...given, plan: plan.plan });
+    } catch (error) {
+      if (error.code === "plan_changed") {
+        shown = "";
+        await ask();
+      }
+      throw error;
+    }
+  }
+
   function show(run, found) {
     const now = JSON.stringify(found);
     if (now === shown) return; // the same plan leaves the ticks as they are
     shown = now;
     plan = found;
-    list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.during(() => link.toRun("recover", given)) }) : null;
+    list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.during(() => goOn(given)) }) : null;
     replace(
       steps,
       step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
@@ -126,7 +139,7 @@ function remedy(link, code, words) {
 /** The work zero that the program was cut at, where it is another one now. */
 function zeroRow(link, plan, words) {
   const needed = plan.needs.some((need) => need.code === "zero");
-  const back = () => words.during(() => link.order("block", { text: plan.zero_back }));
+  const back = () => words.during(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
   if (plan.zero_back) return [["The work zero is not where the program was cut.", h("button", { type: "button", onclick: back }, "Put the zero back")]];
   return needed ? [["The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again.", null]] : [];
 }
@@ -145,6 +158,6 @@ function whatHappens(plan) {
 
 function giveUp(link, run, words) {
   if (!run.open) return h("p", { class: "dim" }, "Or load another program: this one can still be gone on with later, as long as the block stays clamped.");
-  const act = () => words.during(() => link.toRun("abort"));
+  const act = () => words.during(() => link.abandonRun());
   return guarded("Give it up", { words: "The mill is free for another program. What was cut stays known.", yes: "Give it up", act }).node;
 }

@@ -18,11 +18,21 @@ export function running(link) {
   let shown = "";
   let list = null;
   let idle = true;
+  let setup = ""; // what the start rests on, as the mill said when the list was last without a tick
+
+  async function start(given) {
+    try {
+      await link.toRun("start", { ...given, setup });
+    } catch (error) {
+      if (error.code === "setup_changed") list?.clear();
+      throw error;
+    }
+  }
 
   const fill = (run) => {
     const parked = run.state === "parked";
-    list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.during(() => link.toRun("start", given)), changed: () => link.changed() }) : null;
-    replace(more, notes(run), parked ? waiting(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
+    list = parked ? checklist(run, { label: `Start ${run.program.name}`, words, act: (given) => words.during(() => start(given)), changed: () => link.changed() }) : null;
+    replace(more, notes(run), aboutSpindle(run, link.machine?.profile), parked ? waiting(link, list, words) : words.node, run.state === "finished" && !run.next && h("p", {}, "That was the last pass: the lens is milled."));
   };
   return {
     node,
@@ -41,8 +51,10 @@ export function running(link) {
       write(title, `${run.program.name}${run.setup?.tool ? `, ball ${ball(run.setup.tool.radius_mm)}` : ""}`);
       progress.update(run, link.machine?.simulated);
       const stands = link.machine?.mill?.state === "idle";
-      if (idle && !stands) list?.clear();
-      idle = stands;
+      const rests = link.machine?.mill?.setup;
+      if (idle && !stands) list?.clear("The mill has moved since: look again.");
+      else if (rests !== setup) list?.clear("Zero or position have changed since: look again.");
+      [idle, setup] = [stands, rests];
       list?.update(whyNot(link) || due.bars, ["tick", "start"].includes(due.step));
     },
   };
@@ -82,11 +94,18 @@ function warned(warnings) {
   return h("details", { class: "warned warn" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
 }
 
+/** What becomes of the spindle in a hold, and without the computer: to be known before one walks away. */
+function aboutSpindle(run, profile) {
+  const words = profile?.spindle?.words ?? [];
+  if (!run.open || !words.length) return null;
+  return h("details", { class: "warned" }, h("summary", {}, "The spindle in a hold, and without the computer"), h("ul", {}, words.map((text) => h("li", {}, sentence(text)))));
+}
+
 function waiting(link, list, words) {
   const back = guarded("Take it off the mill", {
     words: "The program leaves the mill; nothing has been cut by it.",
     yes: "Take it off",
-    act: () => words.during(() => link.toRun("abort")),
+    act: () => words.during(() => link.abandonRun()),
   });
   return [list.node, back.node];
 }

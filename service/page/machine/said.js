@@ -15,7 +15,6 @@ export function said() {
         await order();
         return true;
       } catch (error) {
-        if (error.name === "AbortError") return false;
         write(node, refusal(error));
         node.classList.add("bad");
         node.scrollIntoView({ block: "nearest" }); // the bars over the page keep their distance by scroll-padding

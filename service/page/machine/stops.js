@@ -18,10 +18,11 @@ export function stops(link) {
   const words = said();
   const hold = big("hold", "HOLD", "Space", () => link.urgent("hold"));
   const stop = big("stop", "STOP", "Escape", () => link.urgent("abort"));
-  const resume = big("primary", "Resume", "Shift+R", () => words.during(() => resumed(link)));
+  const goOn = () => words.during(() => resumed(link));
+  const resume = big("primary", "Resume", "Shift+R", goOn);
   const alarm = h("p", { class: "arrived", role: "alert" });
   const node = h("div", { class: "stops", role: "group", "aria-label": "Stop the mill" }, alarm, words.node, h("div", { class: "stop-row" }, hold, stop, h("div", { class: "resume-place" }, resume)));
-  const keys = (event) => onKey(event, link, resume);
+  const keys = (event) => onKey(event, link, { resume, goOn });
   addEventListener("keydown", keys, { capture: true });
   return {
     node,
@@ -50,13 +51,13 @@ function resumed(link) {
   return hasLiveRun(link.machine) ? link.toRun("resume") : link.order("resume");
 }
 
-function onKey(event, link, resume) {
+function onKey(event, link, { resume, goOn }) {
   if (event.repeat || event.ctrlKey || event.altKey || event.metaKey || !mayMove(link.machine)) return;
   const writing = event.target.closest?.(WRITING);
   if (event.key === "Escape") {
     link.urgent("abort");
   } else if (event.key === "R" && event.shiftKey && !writing) {
-    if (!resume.hidden) resume.click(); // nothing, where it is off
+    if (!resume.hidden && !resume.disabled) goOn();
   } else if (event.key === " " && !writing && event.target !== resume) {
     link.urgent("hold");
     event.preventDefault();

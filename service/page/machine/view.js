@@ -9,6 +9,7 @@ import { dueOf } from "./due.js";
 import { loading } from "./loading.js";
 import { MillLink } from "./mill_link.js";
 import { next } from "./next.js";
+import { ordersGiven } from "./orders_given.js";
 import { overrides } from "./overrides.js";
 import { part } from "./part.js";
 import { readout } from "./readout.js";
@@ -51,13 +52,13 @@ export default async function view(root, params, app) {
 function made(link, chosen) {
   const own = { head: head(link), control: controlBar(link), readout: readout(link), jog: jog(link), setup: setup(link), zero: zeroDrawing(link) };
   const load = loading(link, chosen);
-  const others = { program: running(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), stops: stops(link) };
+  const others = { program: running(link), load, recover: recover(link), part: part(link), overrides: overrides(link), terminal: terminal(link), given: ordersGiven(link), stops: stops(link) };
   const cards = { get jog() { return own.jog.node.closest(".tool"); }, load: load.node, program: others.program.node, recover: others.recover.node };
   return { ...own, ...others, next: next(link, cards) };
 }
 
 /** On a narrow screen what is on the mill comes before what sets it up; `arrange` says when. */
-function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, terminal, stops }) {
+function layout({ head, control, next, readout, jog, setup, zero, program, load, recover, part, overrides, terminal, given, stops }) {
   const node = (one) => one.node;
   const stack = (name, ...parts) => h("div", { class: `stack ${name}` }, parts.map(node));
   return h(
@@ -69,7 +70,7 @@ function layout({ head, control, next, readout, jog, setup, zero, program, load,
       "div",
       { class: "machine-columns" },
       h("div", { class: "left" }, stack("tool", readout, jog), stack("zero", setup, zero)),
-      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", terminal)),
+      h("div", { class: "right" }, h("div", { class: "stack work" }, recover.node, h("div", { class: "stack on-mill" }, program.node, part.node), overrides.node, load.node), stack("beside", terminal, given)),
     ),
     stops.node,
   );

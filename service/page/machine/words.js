@@ -23,9 +23,13 @@ const MOVING = new Set(["run", "holding", "jog", "homing"]);
 const LIVE = new Set(["running", "holding", "held", "stopping", "recovering"]);
 const PASSING = new Set(["stopping", "recovering"]);
 
-/** The word for a state that is only named, as in a log. */
-export function stateWord(state) {
-  return STATES[state]?.[1] ?? state;
+const STOPS = { hold: "HOLD", abort: "STOP", "jog-cancel": "End of a jog" };
+
+/** An entry of the mill's log in words. */
+export function logWords({ kind, words }) {
+  if (kind === "state") return STATES[words]?.[1] ?? words;
+  if (kind === "order" && words in STOPS) return STOPS[words];
+  return plain(words).replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
 }
 
 export const RUN_WORDS = {
@@ -76,9 +80,19 @@ export function outOfReach({ agent, remote }) {
   return `${why} ${remote ? "Switch it on, or start causticmill mill on it." : "To connect it again, start the server again."}`;
 }
 
+// What an order was refused for, by the code of the refusal.
+const REFUSALS = {
+  grant_expired: "Not carried out: it came to the mill too late. Look at the mill, then press again.",
+  grant_stopped: "Not carried out: the mill was told to stop after you pressed. Look at the mill, then press again.",
+  grant_lease: "Not carried out: control of the mill has changed since you pressed.",
+  grant_unknown: "Not carried out: the mill does not know this order any more. Look at the mill, then press again.",
+  plan_changed: "Not carried out: the way to go on has changed since it was shown. Read it again, then tick again.",
+  setup_changed: "Not started: zero or position have changed since you looked. Compare the readout with the block, then tick again.",
+};
+
 /** What an order was refused for. */
 export function refusal(error) {
-  return sentence((error.detail ?? error.message).trim());
+  return REFUSALS[error.code] ?? sentence((error.detail ?? error.message).trim());
 }
 
 /** How a machine stands: {kind, word, words}; words say more where there is more to say. */
@@ -117,6 +131,12 @@ export function isConnected(machine) {
 export function mayMove(machine) {
   if (!machine?.mill) return true;
   return MOVING.has(machine.mill.state) || hasLiveRun(machine);
+}
+
+/** Whether the mill is known to stand, and to stay where it is: between two lines of a program it only seems to. */
+export function stands({ mill, run }) {
+  if (["held", "door", "tool", "alarm", "sleep"].includes(mill.state)) return true;
+  return !MOVING.has(mill.state) && !LIVE.has(run?.state);
 }
 
 export function hasLiveRun(machine) {

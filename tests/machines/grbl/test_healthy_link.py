@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from machines.driver import FaultCause, Faulted, MillState, Override, ProgramDone, Stopped
 from machines.errors import NotAllowedError
+from machines.grbl.counting import COUNT_EVERY_S, COUNT_LATE_S
 from machines.grbl.stall import IDLE_S, REPORT_SILENCE_S
-from machines.grbl.watching import COUNT_EVERY_S
-from machines.simulated.faults import Fault
+from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
 
 Block = bytes
@@ -100,7 +100,7 @@ def test_a_controller_that_falls_silent_is_found_whatever_it_does(blocks: list[B
         return
     bench.mill._off = True
     dead_s = bench.mill.now_s
-    assert bench.until(lambda: bench.of(Faulted), 10.0)
+    assert bench.until(lambda: bench.of(Faulted), 2 * REPORT_SILENCE_S)
     assert bench.of(Faulted)[0].cause is FaultCause.STALL
     assert bench.mill.now_s - dead_s < REPORT_SILENCE_S + 0.5
 
@@ -122,6 +122,24 @@ def test_a_lost_answer_is_found_when_answers_are_counted(line: int) -> None:
     assert 0 <= bench.last_whole(points) - (bench.driver.progress.executed_line - 6) <= 17
 
 
+FINE = [b"G21G90G94G17G1F1500", *(b"X%.3fY%.3f" % (0.03 * (k % 997), 0.01 * (k % 2)) for k in range(24000)), b"M2"]
+
+
+@pytest.mark.parametrize("kind", ["lose-reply", "duplicate"])
+def test_in_fine_segments_an_answer_too_few_or_too_many_is_found_within_seconds(kind: str) -> None:
+    """No planner cover for a count there; a doubled line end is answered twice, and the window would overflow."""
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered(FINE)))
+    bench.pass_time(5.0)
+    bench.mill.arm(Faults((Fault(kind=kind, line=5),)))  # of the line end itself, where it is doubled
+    bench.until(lambda: bench.mill.faults.log, 10.0)
+    begin_s = bench.mill.now_s
+    assert bench.until(lambda: bench.of(Faulted), 60.0)
+    assert bench.mill.now_s - begin_s < COUNT_EVERY_S + COUNT_LATE_S + IDLE_S + 2.0
+    assert bench.mill.serial.lost_overflow == 0
+    assert bench.of(Faulted)[0].cause in (FaultCause.STALL, FaultCause.REPLY_COUNT)
+
+
 def test_counting_does_not_slow_the_mill() -> None:
     """The planner holds what is cut meanwhile: the same program without counts takes the same time."""
 
@@ -135,7 +153,7 @@ def test_counting_does_not_slow_the_mill() -> None:
 
     with_counts = seconds()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("machines.grbl.watching.COUNT_EVERY_S", 1e9)
+        patch.setattr("machines.grbl.counting.COUNT_EVERY_S", 1e9)
         assert seconds() == pytest.approx(with_counts, abs=0.15)
     assert with_counts > 4 * COUNT_EVERY_S
 

@@ -175,3 +175,23 @@ def test_executed_never_passes_what_the_mill_has_done(corners: list[tuple[int, i
         sight = tracker.reported((x0 + share * (x1 - x0), y0 + share * (y1 - y0), 0.0))
         assert sight.place is Place.ON_PATH
         assert tracker.executed_line <= max(1 + done, len(corners) + 1 - 17)
+
+
+@pytest.mark.parametrize(
+    ("blocks", "answered", "place", "executed"),
+    [
+        ((b"X10", b"X20", b"Y10", b"X0"), 5, (20.0, 0.0, 0.0), 3),  # the end of line 3 alone
+        ((b"X10", b"X20", b"Y10", b"X0"), 5, (15.0, 0.0, 0.0), 0),  # within a line
+        ((b"X10", b"X20", b"Y10", b"X0"), 2, (20.0, 0.0, 0.0), 0),  # that line was never answered
+        ((b"X10", b"X20", b"X10", b"Y9"), 5, (10.0, 0.0, 0.0), 0),  # lines 2 and 4 end there
+        ((b"X10", b"Y9", b"X0Y4", b"X20"), 5, (10.0, 9.0, 0.0), 3),
+        ((b"X10", b"Y9", b"Y0", b"X20"), 5, (10.0, 0.0, 0.0), 0),  # and back again
+        ((b"X10", b"X20", b"X5", b"Y9"), 5, (10.0, 0.0, 0.0), 0),  # line 4 comes by
+    ],
+)
+def test_standing_at_the_end_of_one_line_and_no_other_proves_it(
+    blocks: tuple[bytes, ...], answered: int, place: tuple[float, float, float], executed: int
+) -> None:
+    tracker = tracker_of(*blocks, answered=answered)
+    tracker.stands_at(place, exact_mm=0.005)
+    assert tracker.executed_line == executed

@@ -93,6 +93,21 @@ def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
     said("Line M3 S1000: done")
 
 
+def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: AgentProcess) -> None:
+    """It goes only where "confirm" is said, and what it would do is told."""
+    refusal = agent.post("/v1/control/block", 409, text="G10 L20 P1 X5")
+    assert (refusal["code"], refusal["field"]) == ("confirm", "confirm")
+    assert (
+        refusal["effect"]
+        == "'G10 L20 P1 X5' sets a work zero or a tool's length: what is cut afterwards lies elsewhere"
+    )
+    assert refusal["detail"].startswith(refusal["effect"]) and '"confirm": true' in refusal["detail"]
+    assert agent.post("/v1/control/block", 422, text="G10 L20 P1 X5", confirm="yes")["field"] == "confirm"
+    assert agent.status()["status"]["work_mm"] == [0.0, 0.0, 0.0]
+    agent.post("/v1/control/block", 202, text="G10 L20 P1 X5", confirm=True)
+    agent.until(lambda status: status["status"]["work_mm"] == [5.0, 0.0, 0.0])
+
+
 @pytest.mark.thorough
 @pytest.mark.parametrize(
     ("path", "body", "status", "field"),
@@ -152,7 +167,7 @@ def test_a_program_that_changed_on_disk_since_preflight_is_not_started(
     run = agent.post("/v1/runs", 201, program=sha256, name="p")["id"]
     stored = agent.folder / "programs" / f"{sha256}.nc"
     stored.write_bytes(stored.read_bytes().replace(b"X7.000", b"X8.000"))
-    answer = agent.http.post(f"/v1/runs/{run}:start", json={"operator": "Ada", "checks": CHECKS})
+    answer = agent.give(f"/v1/runs/{run}:start", {"operator": "Ada", "checks": CHECKS})
     assert answer.status_code in (202, 409, 422)
     state = agent.until(lambda status: status["run"]["state"] in ("parked", "interrupted"))
     assert "chang" in (answer.text + state["run"]["words"])
@@ -227,8 +242,10 @@ def test_two_who_start_at_once_start_one_run(agent: AgentProcess, mill: Bench, t
     sha256 = agent.upload(program(tmp_path / "p.nc", LONG))
     runs = [agent.post("/v1/runs", 201, program=sha256, name=name)["id"] for name in ("one", "two")]
     body = {"operator": "Ada", "checks": CHECKS}
+    orders = [(f"/v1/runs/{run}:start", agent.granted()) for run in runs]
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
-        codes = list(pool.map(lambda run: agent.http.post(f"/v1/runs/{run}:start", json=body).status_code, runs))
+        answers = pool.map(lambda order: agent.http.post(order[0], json=body, headers=order[1]), orders)
+        codes = [answer.status_code for answer in answers]
     assert sorted(codes) == [202, 409]
 
 
@@ -357,8 +374,8 @@ def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_p
     assert agent.status()["status"]["state"] == "idle"
 
 
-def test_an_address_that_others_reach_needs_a_token_file(mill: Bench) -> None:
-    assert "--token-file" in refused("--port", mill.url, "--host", "0.0.0.0")
+def test_an_address_that_others_reach_is_refused_without_tls(mill: Bench) -> None:
+    assert "--behind-proxy" in refused("--port", mill.url, "--host", "0.0.0.0")
 
 
 def test_a_token_that_others_can_read_is_refused(mill: Bench, tmp_path: Path) -> None:

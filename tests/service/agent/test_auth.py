@@ -98,17 +98,25 @@ def test_a_token_file_that_others_can_read_is_refused(tmp_path: Path, mode: int)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "192.168.1.7", "::", "mill.shop"])
-def test_an_address_others_can_reach_needs_a_token_of_the_person(tmp_path: Path, host: str) -> None:
-    def settings(token_file: Path | None) -> str:
-        return agent_settings(
-            machine="m", port_url="p", own_port=None, host=host, bind_port=1, data=tmp_path, token_file=token_file
-        ).token
+def test_an_address_others_can_reach_needs_tls_and_a_token_of_the_person(tmp_path: Path, host: str) -> None:
+    """As the job server does: in the clear, whoever listens on the wire has the token, and the mill with it."""
 
+    def settings(token_file: Path | None, *, behind_proxy: bool) -> str:
+        return agent_settings(
+            machine="m", port_url="p", own_port=None, host=host, bind_port=1, data=tmp_path / "data",
+            token_file=token_file, behind_proxy=behind_proxy,
+        ).token  # fmt: skip
+
+    token_file = tmp_path / "t"
+    token_file.write_text(TOKEN)
+    token_file.chmod(0o600)
+    for given in (None, token_file):
+        with pytest.raises(InputError, match="--behind-proxy"):
+            settings(given, behind_proxy=False)
     with pytest.raises(InputError, match="--token-file"):
-        settings(None)
-    (tmp_path / "t").write_text(TOKEN)
-    (tmp_path / "t").chmod(0o600)
-    assert settings(tmp_path / "t") == TOKEN
+        settings(None, behind_proxy=True)
+    assert not (tmp_path / "data").exists(), "nothing is made before the address is allowed"
+    assert settings(token_file, behind_proxy=True) == TOKEN
 
 
 def test_a_certain_mill_keeps_its_name_and_a_general_one_its_port(monkeypatch: pytest.MonkeyPatch) -> None:

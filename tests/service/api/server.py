@@ -20,6 +20,7 @@ from PIL import Image
 from service.api.main import open_services, server_of
 from service.api.services import Services
 from service.host import address
+from service.jobs.counters import Counter, add_to_counters
 from service.jobs.database import connect, writing
 from service.jobs.events import write_event
 from service.jobs.schema import upgrade_schema
@@ -64,6 +65,7 @@ class ApiServer:
         row |= {"executor": "test", "fence": 1, "started_at": time.time() - 1, "ended_at": time.time()}
         with writing(self.services.database) as connection:
             connection.execute(stage_runs.insert().values(**row))
+            add_to_counters(connection, {Counter("stage_runs", stage, state): 1})
 
     def put_state(self, job_id: str, state: str, **values: Any) -> None:
         with writing(self.services.database) as connection:

@@ -18,7 +18,7 @@ from service.errors import InputError
 from service.jobs.database import reading
 from service.jobs.tokens import TokenBook
 from service.settings import ServerSettings
-from tests.service.api.server import ApiServer, api_server, problem
+from tests.service.api.server import ApiServer, api_server, png, problem
 from tests.waiting import PATIENCE_S
 
 
@@ -49,6 +49,19 @@ def test_a_token_opens_until_it_expires_or_is_revoked(database: sa.Engine) -> No
     assert book.find(secret) is None
     with pytest.raises(LookupError):
         book.revoke("none")
+
+
+def test_a_new_token_of_an_old_name_sees_nothing_by_the_old_ones_keys(own: ApiServer) -> None:
+    """Were a key bound to the name, the second caller would get the first one's job, or a refusal that tells of it."""
+    book, picture, made = own.services.tokens, png(), []
+    for _ in range(2):
+        token, secret = book.create("Ada", ["jobs:write"])
+        headers = {"Authorization": f"Bearer {secret}", "Idempotency-Key": "order-1"}
+        made += [own.client.post("/v1/jobs", files={"image": picture}, headers=headers) for _ in range(2)]
+        assert book.revoke(token.id).name == "Ada"
+    ids = [answer.json()["id"] for answer in made]
+    assert ids[0] == ids[1] != ids[2] == ids[3]
+    assert {own.services.book.get(job_id).created_by for job_id in ids} == {"Ada"}
 
 
 def test_the_database_holds_no_token(database: sa.Engine) -> None:
@@ -216,6 +229,8 @@ def test_the_commands_make_list_and_revoke(tmp_path: Path) -> None:
     assert "revoked" in causticmill("token", "list", data=data).stdout
     with sqlite3.connect(data / "causticmill.sqlite") as database:
         assert database.execute("SELECT count(*) FROM tokens WHERE revoked_at IS NOT NULL").fetchone() == (1,)
+    assert causticmill("token", "create", "a", "--scope", "admin", data=data).returncode == 0
+    assert "1 of them" in causticmill("token", "revoke", "--all", data=data).stdout
 
 
 @pytest.mark.thorough
@@ -226,6 +241,8 @@ def test_the_commands_make_list_and_revoke(tmp_path: Path) -> None:
         (("create", "a", "--scope", "admin", "--expires", "soon"), "--expires"),
         (("create", "a", "--scope", "admin", "--expires", "0d"), "--expires"),
         (("revoke", "none"), "none"),
+        (("revoke",), "--all"),
+        (("revoke", "none", "--all"), "--all"),
     ],
 )
 def test_the_commands_refuse_in_one_line(tmp_path: Path, arguments: tuple[str, ...], word: str) -> None:

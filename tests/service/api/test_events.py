@@ -12,7 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from service.api import feed
 from service.jobs.database import writing
+from service.jobs.records import Event
 from service.jobs.tables import events, jobs, progress
 from tests.service.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S, until
@@ -172,6 +174,18 @@ def test_a_reader_that_does_not_read_is_dropped_and_holds_nobody_up(server: ApiS
         thread.join(PATIENCE_S)
         assert seen.over and seen.ids == list(range(1, 9001))
         until(lambda: server.services.feed.followers == 0)  # the stuck one as well
+
+
+def test_a_reader_that_is_dropped_gets_nothing_out_of_order(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it lacks is what follows the last that it got; it used to lose the oldest of its queue."""
+    monkeypatch.setattr(feed, "_QUEUE", 10)
+    follower, stream = feed.Follower("job", 0), feed.Feed(None)  # type: ignore[arg-type]
+    stream._followers.add(follower)
+    events = [Event(job_id="job", seq=seq, at=0.0, kind="started", data={}) for seq in range(1, 16)]
+    stream._hand_events(follower, events, whole=True)
+    got = [follower.queue.get_nowait() for _ in range(follower.queue.qsize())]
+    assert [message and message.seq for message in got] == [None]
+    assert stream.followers == 0
 
 
 class stuck_reader:

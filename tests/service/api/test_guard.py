@@ -117,3 +117,19 @@ def test_depth_is_refused(closed: tuple[ApiServer, str], depth: bytes) -> None:
     headers = {"Authorization": f"Bearer {admin}", "Content-Type": "application/json"}
     for path in ("/v1/tokens", f"/v1/runs/{RUN}:start", "/v1/machines/m/runs"):
         assert server.client.post(path, content=depth, headers=headers).status_code in (400, 422)
+
+
+@pytest.mark.parametrize("path", ["/livez", "/readyz", "/metrics"])
+@pytest.mark.parametrize("site", ["cross-site", "same-site"])
+def test_a_foreign_page_cannot_have_health_checked(closed: tuple[ApiServer, str], path: str, site: str) -> None:
+    """A picture in any page can send such a request, as often as it likes."""
+    assert sent(closed[0], f"GET {path} HTTP/1.1", "Host: localhost", f"Sec-Fetch-Site: {site}") == 403
+    assert sent(closed[0], f"GET {path} HTTP/1.1", "Host: localhost", "Origin: https://evil.example") == 403
+    assert sent(closed[0], f"GET {path} HTTP/1.1", "Host: localhost", "Sec-Fetch-Site: none") != 403
+
+
+def test_health_checks_are_charged_like_other_requests(tmp_path: Path) -> None:
+    with api_server(tmp_path / "data", requests_per_s=0.01) as server:
+        assert server.client.get("/livez").status_code == 200
+        for path in ("/livez", "/readyz", "/metrics"):
+            problem(server.client.get(path), 429)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import resource
 import shutil
+import sqlite3
+import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 
+from service.api import readiness
 from service.jobs.database import writing
 from service.jobs.tables import executors
 from tests.service.api.server import ApiServer, api_server, png, problem
+from tests.waiting import PATIENCE_S, until
 
 
 @pytest.fixture
@@ -41,6 +46,52 @@ def test_a_worker_that_was_not_heard_of_is_named(own: ApiServer) -> None:
     beat(own, ago_s=own.services.settings.lease_s + 1)
     body = problem(own.client.get("/readyz"), 503, "worker")
     assert body["type"].endswith(":not-ready") and body["checks"]["database"] == "ok"
+
+
+def test_twenty_who_ask_while_the_database_is_locked_share_one_check(
+    own: ApiServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each used to hold a thread of the pool that everything else needs, for as long as the lock lasted."""
+    checks: list[object] = []
+
+    def noted_writing(database: sa.Engine) -> Any:
+        checks.append(database)
+        return writing(database)
+
+    monkeypatch.setattr(readiness, "writing", noted_writing)
+    monkeypatch.setattr(readiness, "_WAIT_S", 1.0)
+    with sqlite3.connect(own.services.settings.data / "causticmill.sqlite", isolation_level=None) as other:
+        other.execute("BEGIN IMMEDIATE")
+        with ThreadPoolExecutor(20) as pool:
+            answers = list(pool.map(lambda _: own.client.get("/readyz"), range(20)))
+        late = own.client.get("/readyz")
+        assert len(checks) == 1
+        other.execute("ROLLBACK")
+    for answer in (*answers, late):
+        assert problem(answer, 503, "database")["checks"] == {
+            "database": "no answer in 1 s", "store": "ok", "worker": "ok", "disk": "ok"
+        }  # fmt: skip
+    until(lambda: own.client.get("/readyz").status_code == 200)
+
+
+def test_scrapes_at_the_same_time_count_once(own: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    counted: list[None] = []
+    go_on = threading.Event()
+
+    def noted_count(*_: object) -> list[Any]:
+        counted.append(None)
+        go_on.wait(PATIENCE_S)
+        return []
+
+    monkeypatch.setattr("service.api.metrics._jobs", noted_count)
+    with ThreadPoolExecutor(10) as pool:
+        asked = [pool.submit(own.client.get, "/metrics") for _ in range(10)]
+        until(lambda: len(counted) > 0)
+        assert own.client.get("/livez").status_code == 200
+        time.sleep(0.3)  # the others have come, too
+        go_on.set()
+        assert {one.result().status_code for one in asked} == {200}
+    assert len(counted) == 1
 
 
 def test_no_space_means_no_new_job_and_says_so(tmp_path: Path) -> None:
@@ -128,7 +179,6 @@ def test_a_full_database_is_told_and_nothing_is_left(own: ApiServer) -> None:
 
 def test_metrics_count_jobs_and_requests(own: ApiServer) -> None:
     job_id = own.submit()["id"]
-    own.put_artifact(job_id, "lens.stl", b"12345")
     own.put_stage(job_id, "image")
     own.put_stage(job_id, "map", "interrupted")
     own.client.get("/v1/jobs/unknown")
@@ -136,7 +186,7 @@ def test_metrics_count_jobs_and_requests(own: ApiServer) -> None:
     for line in (
         'causticmill_jobs{state="queued"} 1.0',
         'causticmill_jobs{state="failed"} 0.0',
-        "causticmill_artifact_bytes 5.0",
+        "causticmill_artifact_bytes 0.0",
         "causticmill_interruptions 1.0",
         'causticmill_stage_runs{stage="map",state="interrupted"} 1.0',
         'causticmill_request_seconds_count{method="POST",route="/v1/jobs",status="202"} 1.0',

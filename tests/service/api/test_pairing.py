@@ -19,7 +19,7 @@ from service.api.auth import refuse_foreign_bind
 from service.api.schemas_control import PairingBody
 from service.api.terminal import CodeOnTerminal
 from service.errors import InputError
-from service.jobs.codes import code_of, new_offer
+from service.jobs.codes import ALPHABET, code_of, new_offer, read_code
 from service.jobs.database import reading, writing
 from service.jobs.pairing import CODE_LIFE_S, NoCodeError, PairingBook, WrongCodeError
 from service.jobs.tables import pairings, tokens
@@ -27,8 +27,10 @@ from service.jobs.tokens import TokenBook
 from service.jobs.tries import ALL, EACH, TooManyTriesError
 from service.settings import ServerSettings
 from tests.service.api.server import ApiServer, api_server, problem
+from tests.service.host.processes import CODE
+from tests.service.terminal import Terminal
 
-WRONG = "0000-0000"
+WRONG = "0000-0000-0000"
 
 
 class Clock:
@@ -51,8 +53,17 @@ def other_than(code: str) -> str:
 
 def test_the_documented_example_looks_like_a_code() -> None:
     examples = PairingBody.model_json_schema()["properties"]["code"]["examples"]
-    shapes = {re.sub(r"\d", "0", code) for code in [*examples, code_of(new_offer())]}
-    assert len(shapes) == 1, examples
+    assert all(re.fullmatch(CODE, code) for code in [*examples, code_of(new_offer())]), examples
+
+
+def test_a_code_is_sixty_bits_and_read_as_people_type_it() -> None:
+    """At 10^6 slow digests a second a day is too short to find one, by a factor of 10^7."""
+    assert len(set(ALPHABET)) == 32 and not set("OIL") & set(ALPHABET)
+    seen = [code_of(new_offer()) for _ in range(200)]
+    assert set("".join(seen)) == set(ALPHABET) | {"-"} and len(set(seen)) == 200
+    assert 32**12 / (1e6 * CODE_LIFE_S) > 1e7
+    for typed in ("7k3d0qxm91tz", " 7K3D 0QXM 91TZ ", "7k3d-oqxm-9ltz", "7K3D-OQXM-9iTZ", "7K-3D-0Q-XM-91-TZ"):
+        assert read_code(typed) == "7K3D-0QXM-91TZ"
 
 
 def paired(server: ApiServer, code: str, name: str = "Ada", **headers: str) -> httpx.Response:
@@ -79,6 +90,7 @@ def test_the_code_makes_an_operator_and_no_administrator(own: ApiServer) -> None
     code = offered(own)
     assert whoami(own) == {
         "name": "anonymous", "scopes": ["jobs:read", "jobs:write"], "anonymous": True, "paired": False,
+        "expires_at": None,
     }  # fmt: skip
     ada = bearer(paired(own, code))
     told = whoami(own, ada)
@@ -87,9 +99,10 @@ def test_the_code_makes_an_operator_and_no_administrator(own: ApiServer) -> None
     problem(own.client.get("/v1/tokens", headers=ada), 403)
 
 
-@pytest.mark.parametrize("form", ["{0}-{1}", "{0}{1}", " {0} {1} ", "{0} - {1}"])
+@pytest.mark.parametrize("form", ["{0}-{1}-{2}", "{0}{1}{2}", " {0} {1} {2} ", "{0} - {1}{2}"])
 def test_a_code_is_taken_as_people_type_it(own: ApiServer, form: str) -> None:
-    assert paired(own, form.format(*offered(own).split("-"))).status_code == 201
+    code = form.format(*offered(own).split("-"))
+    assert [paired(own, spelled).status_code for spelled in (code, code.lower())] == [201, 201]
 
 
 def through(server: ApiServer, address: str, code: str) -> httpx.Response:
@@ -166,7 +179,7 @@ def test_tries_at_once_are_counted_one_by_one(database: sa.Engine) -> None:
 def test_a_crowd_of_addresses_is_slowed_down_but_not_shut_out(
     database: sa.Engine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Whoever guesses all day wherever they can has 1 chance in 5000; who sits at the server never waits for them."""
+    """Whoever guesses all day wherever they can has no chance; who sits at the server never waits for them."""
     clock = Clock()
     book, offer = PairingBook(database, TokenBook(database), clock=clock), other_than(WRONG)
     monkeypatch.setattr("service.jobs.pairing._digest", lambda code, salt: code)  # the slow one is not what is tested
@@ -177,7 +190,7 @@ def test_a_crowd_of_addresses_is_slowed_down_but_not_shut_out(
     clock.now += ALL.refill_s
     assert tried(book, code_of(offer), "10.1.1.1") == "right", "a right one uses nothing up"
     assert [tried(book, WRONG, f"10.2.2.{n}") for n in range(2)] == ["wrong", "too many"]
-    assert 4 * (ALL.most + 86400 / ALL.refill_s) / 10**8 < 1 / 5000
+    assert 4 * (ALL.most + 86400 / ALL.refill_s) / 32**12 < 1e-13
 
 
 def test_with_time_tries_come_back_one_by_one(database: sa.Engine) -> None:
@@ -258,11 +271,15 @@ def test_a_pairing_outlives_a_restart_and_ends_after_a_day(tmp_path: Path) -> No
         assert whoami(server, ada) == 401
         assert server.client.get("/v1/jobs").status_code == 200
         bearer(paired(server, offered(server)))
-        assert len(server.services.tokens.listed()) == 1, "what has ended is forgotten"
+        assert len(server.services.tokens.listed()) == 2, "what has just ended may still stop a mill"
+        with writing(server.services.database) as connection:
+            connection.execute(tokens.update().values(expires_at=tokens.c.created_at - 15 * 86400))
+        bearer(paired(server, offered(server)))
+        assert len(server.services.tokens.listed()) == 1, "what ended long ago is forgotten"
 
 
 def test_two_pages_of_one_name_are_two_callers(own: ApiServer) -> None:
-    """By name a caller's Idempotency-Keys and runs are told apart."""
+    """By name it is seen who made a job, and who gave a program to a mill."""
     code = offered(own)
     names = [paired(own, code, "Ada").json()["name"] for _ in range(3)]
     assert names == ["Ada", "Ada 2", "Ada 3"]
@@ -272,9 +289,15 @@ def test_two_pages_of_one_name_are_two_callers(own: ApiServer) -> None:
 
 
 def test_the_command_prints_a_code_that_works(own: ApiServer) -> None:
-    command = [sys.executable, "-m", "service.cli", "token", "pair", "--data", str(own.services.settings.data)]
-    code = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
-    assert paired(own, code).status_code == 201
+    """On a terminal; into a pipe it prints nothing, and makes none."""
+    arguments = ("token", "pair", "--data", str(own.services.settings.data))
+    refused = subprocess.run([sys.executable, "-m", "service.cli", *arguments], capture_output=True, text=True)
+    assert (refused.returncode, refused.stdout) == (2, "") and "terminals only" in refused.stderr
+    with reading(own.services.database) as connection:
+        assert connection.execute(sa.select(pairings)).all() == []
+    with Terminal(*arguments) as person:
+        assert person.ends() == 0
+    assert paired(own, person.text.strip()).status_code == 201
 
 
 class Screen(io.StringIO):
@@ -302,7 +325,7 @@ def test_the_code_is_shown_again_on_a_terminal_only(database: sa.Engine) -> None
     assert screen.getvalue().count(code_of(offer)) == 1
     clock.now += CODE_LIFE_S + 1
     assert shown.show()
-    (newest,) = re.findall(r"\d{4}-\d{4}", screen.getvalue())[1:]
+    (newest,) = re.findall(CODE, screen.getvalue())[1:]
     assert newest != code_of(offer) and tried(book, newest) == "right"
 
 

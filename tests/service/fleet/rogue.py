@@ -14,11 +14,14 @@ Answer = tuple[int, dict[str, str], bytes]
 
 
 class Rogue:
-    """`answers` gives the answer to a method and path; None: the connection hangs."""
+    """`answers` gives the answer to a method and path; None: the connection hangs. It takes anybody's word for control
+    and gives grants for the asking, where `answers` is not asked for these, too (`strict`).
+    """
 
     def __init__(self, name: str) -> None:
         self.asked: list[tuple[str, str]] = []
         self.answers: Callable[[str, str], Answer | None] = lambda _method, _path: (404, {}, b"{}")
+        self.strict = False
         self.over = threading.Event()
         rogue = self
 
@@ -30,7 +33,9 @@ class Rogue:
             def answer(self) -> None:
                 rogue.asked.append((self.command, self.path))
                 self.rfile.read(int(self.headers.get("Content-Length") or 0))
-                told = as_json({"name": name}) if self.path == "/v1/machine" else rogue.answers(self.command, self.path)
+                known = None if rogue.strict else KNOWN.get(self.path)
+                told = as_json({"name": name}) if self.path == "/v1/machine" else known
+                told = told or rogue.answers(self.command, self.path)
                 if told is None:
                     rogue.over.wait(HANGS_S)
                     self.close_connection = True
@@ -43,7 +48,7 @@ class Rogue:
                 with contextlib.suppress(OSError):
                     self.wfile.write(body)
 
-            do_GET = do_POST = do_PUT = answer
+            do_GET = do_POST = do_PUT = do_DELETE = answer
 
         self.server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
         self.server.daemon_threads = True
@@ -66,3 +71,10 @@ def rogue_agent(name: str) -> Iterator[Rogue]:
 
 def as_json(values: object, status: int = 200) -> Answer:
     return status, {"Content-Type": "application/json"}, json.dumps(values).encode()
+
+
+KNOWN = {
+    "/v1/lease": as_json({"operator": "Ada", "since_s": 1.0, "control": "s" * 24, "expires_s": 60.0}, 201),
+    "/v1/lease/check": (204, {}, b""),
+    "/v1/grants": as_json({"grant": "g" * 24, "valid_s": 3.0, "stops": 0}, 201),
+}

@@ -20,7 +20,7 @@ from service.fleet.run_book import (
 )
 from service.jobs.book import JobBook
 from service.jobs.database import reading, writing
-from service.jobs.records import KeyReusedError, NewJob, UnknownJobError
+from service.jobs.records import ClientKey, KeyReusedError, NewJob, UnknownJobError
 from service.jobs.tables import jobs
 
 
@@ -65,11 +65,12 @@ def test_of_many_at_once_one_gets_the_mill(book: RunBook, new: NewRun) -> None:
 
 
 def test_one_key_makes_one_run(book: RunBook, new: NewRun) -> None:
-    keyed = replace(new, key="k", request_sha256="r")
+    keyed = replace(new, key=ClientKey("t", "k"), request_sha256="r")
     run, first = book.create(keyed)
     assert first and book.create(keyed) == (run, False)
     with pytest.raises(KeyReusedError):
         book.create(replace(keyed, request_sha256="other"))
+    assert book.made_before(ClientKey("another token", "k"), "r") is None
     book.close(run.id, "refused", "no", forget_key=True)
     assert book.create(keyed)[0].id != run.id
 
@@ -140,3 +141,18 @@ def test_pages_are_newest_first_and_do_not_overlap(book: RunBook, new: NewRun) -
     assert book.listed(job="none") == [] == book.listed(machine="none")
     with pytest.raises(UnknownRunError):
         book.listed(before="none")
+
+
+def test_what_cannot_be_written_down_is_told_all_the_same(book: RunBook, new: NewRun, database: sa.Engine) -> None:
+    """A full disk must not hide from a person what the mill does; the next look writes it down."""
+    run = made(book, new, "running")
+
+    def refuse(*_: object) -> None:
+        raise sa.exc.OperationalError("UPDATE", {}, Exception("database or disk is full"))
+
+    sa.event.listen(database, "before_cursor_execute", refuse)
+    told = book.told(run, view("held", words="by hand"))
+    sa.event.remove(database, "before_cursor_execute", refuse)
+    assert (told.state, told.words, told.open) == ("held", "by hand", True)
+    assert book.get(run.id).state == "running"
+    assert book.told(run, view("held")).state == book.get(run.id).state == "held"

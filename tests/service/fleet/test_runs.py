@@ -187,6 +187,8 @@ def test_an_aborted_run_frees_the_mill_and_can_still_be_recovered(floor: Shop) -
     assert gone["open"] is False and "position" in gone["required_checks"]
     other = floor.park(job)
     said = {"operator": "Ada", "checks": gone["required_checks"]}
+    assert "plan" in floor.post(f"/v1/runs/{run['id']}:recover", 409, **said)["field"]
+    said["plan"] = floor.get(f"/v1/runs/{run['id']}/recovery")["plan"]
     assert other["id"] in floor.post(f"/v1/runs/{run['id']}:recover", 409, **said)["detail"]
     floor.post(f"/v1/runs/{other['id']}:abort", 202)
     floor.until_idle()

@@ -12,9 +12,15 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 
+from service.jobs.codes import ALPHABET, code_of, new_offer
+from service.jobs.database import open_database
+from service.jobs.pairing import PairingBook
+from service.jobs.tokens import TokenBook
+from service.settings import ServerSettings
 from tests.waiting import PATIENCE_S, until
 
 HERE = Path(__file__).parent
+CODE = rf"(?:[{ALPHABET}]{{4}}-){{2}}[{ALPHABET}]{{4}}"
 STAND_INS = ("worker=stand_in_worker", "API=stand_in_api", "agents=stand_in_agents")
 
 
@@ -92,6 +98,14 @@ class Serving:
     def _read(self, stream: Iterator[str], lines: list[str]) -> None:
         for line in stream:
             lines.append(line.rstrip("\n"))
+
+
+def offer_code(data: Path) -> str:
+    """A code for pairing a page, as `causticmill token pair` makes it: a server without a terminal prints none."""
+    database, offer = open_database(ServerSettings(data=data), migrate=True), new_offer()
+    PairingBook(database, TokenBook(database)).offer(offer)
+    database.dispose()
+    return code_of(offer)
 
 
 @contextlib.contextmanager

@@ -18,6 +18,10 @@ from service.errors import FailedError, InputError
 from service.host.backup import back_up
 from service.host.restore import restore
 from service.host.verifying import verify_store
+from service.jobs.codes import new_offer
+from service.jobs.database import open_database
+from service.jobs.pairing import PairingBook
+from service.jobs.tokens import TokenBook
 from service.settings import ServerSettings
 from service.store.local import LocalStore
 from tests.waiting import PATIENCE_S
@@ -91,6 +95,29 @@ def test_every_object_that_is_named_is_there_however_much_is_written_meanwhile(
         again = ServerSettings(data=tmp_path / f"again-{number}")
         restore(tmp_path / f"{number}.tar", again)
         assert named(again.data) <= held(again.data)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_a_restored_backup_revives_no_revoked_token(tmp_path: Path, keep: bool) -> None:
+    """It cannot know which were revoked after it was made; so none opens anything, unless a person says otherwise."""
+    server, again = ServerSettings(data=tmp_path / "data"), ServerSettings(data=tmp_path / "again")
+    database = open_database(server, migrate=True)
+    book, offer = TokenBook(database), new_offer()
+    made, secret = book.create("lost laptop", ["machine:run"])
+    PairingBook(database, book).offer(offer)
+    LocalStore(server.data / "objects")
+    back_up(server, tmp_path / "backup.tar")
+    book.revoke(made.id)
+    database.dispose()
+    words = " ".join(restore(tmp_path / "backup.tar", again, keep_tokens=keep))
+    assert not (again.data / "causticmill.sqlite-wal").exists()
+    database = open_database(again)
+    book = TokenBook(database)
+    assert (book.find(secret) is not None) is keep and book.any_ever(), "nobody becomes anonymous by it"
+    assert PairingBook(database, book).is_live(offer) is keep
+    database.dispose()
+    assert f"token {'list' if keep else 'create NAME --scope ...'} --data {again.data}" in words
+    assert ("revoked since opens again" if keep else "1 of which were live") in words
 
 
 def test_a_folder_that_holds_something_is_not_touched(server: ServerSettings, tmp_path: Path) -> None:

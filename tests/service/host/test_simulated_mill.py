@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,7 +11,7 @@ import httpx
 import pytest
 
 from service.cli import run
-from tests.service.host.processes import Serving, descendants, is_alive, served
+from tests.service.host.processes import Serving, descendants, is_alive, offer_code, served
 from tests.waiting import PATIENCE_S, until
 
 HERE = "/v1/machines/simulated"
@@ -21,15 +20,15 @@ MILL, AGENT = "service.host.simulated_mill", "service.host.simulated_agent"
 
 @pytest.fixture(scope="module")
 def workshop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Serving, httpx.Client]]:
-    """A server with a simulated mill, and a page paired with the code that it printed, which has control."""
+    """A server with a simulated mill, and a paired page, which has control."""
     folder = tmp_path_factory.mktemp("workshop")
     config = {"CAUSTICMILL_CONFIG_DIR": str(folder / "config")}
     with served("--no-worker", "--with-simulated-mill", data=folder / "data", **config) as serving:
         _tables(folder / "data")
-        until(lambda: len(serving.out) == 2, what="the second line")
+        serving.until_ready()
         with httpx.Client(base_url=serving.url, timeout=PATIENCE_S) as client:
-            code = re.findall(r"\d{4}-\d{4}", serving.out[1])[0]
-            token = client.post("/v1/pairings", json={"code": code, "name": "Ada"}).json()["token"]
+            given = {"code": offer_code(folder / "data"), "name": "Ada"}
+            token = client.post("/v1/pairings", json=given).json()["token"]
             client.headers["Authorization"] = f"Bearer {token}"
             until(lambda: mill(client)["state"] == "alarm", what="a mill")
             control = client.post(f"{HERE}/control", json={"operator": "Ada"}).json()["control"]

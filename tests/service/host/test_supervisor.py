@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.host.processes import Serving, is_alive, supervised
+from tests.service.host.processes import CODE, Serving, is_alive, supervised
 from tests.waiting import PATIENCE_S, until
 
 API, WORKER = "stand_in_api", "stand_in_worker"
@@ -27,12 +27,13 @@ def children_of(serving: Serving) -> tuple[int, int]:
 
 
 def test_two_lines_when_it_is_ready(tmp_path: Path) -> None:
-    """Where it is, and the code for running mills from the page."""
+    """Where it is, and how to get a code for running mills from the page; the code itself goes to terminals only."""
     with supervised(tmp_path) as serving:
         serving.until_ready()
         until(lambda: len(serving.out) == 2, what="the second line")
         assert str(tmp_path) in serving.out[0]
-        assert serving.url in serving.out[1] and re.search(r"\d{4}-\d{4}$", serving.out[1])
+        assert serving.url in serving.out[1] and serving.out[1].endswith(f"token pair --data {tmp_path}")
+        assert not re.search(CODE, "\n".join(serving.out + serving.err))
         assert urllib.request.urlopen(serving.url).status == 200
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from service.host.notice import framed
-from tests.service.host.processes import HERE, STAND_INS
+from tests.service.host.processes import CODE, HERE, STAND_INS
 from tests.waiting import PATIENCE_S, until
 
 LOG = """
@@ -73,7 +73,7 @@ def test_on_a_terminal_address_and_code_stand_in_a_frame(tmp_path: Path) -> None
         serving.communicate(timeout=PATIENCE_S)
         os.close(ours)
     rows = [line.strip() for line in seen.decode().splitlines() if line.startswith("│")]
-    assert re.search(r"http://127\.0\.0\.1:\d+ ", rows[0]) and re.search(r"Code +\d{4}-\d{4} ", rows[1])
+    assert re.search(r"http://127\.0\.0\.1:\d+ ", rows[0]) and re.search(rf"Code +{CODE} ", rows[1])
     assert len({len(row) for row in rows}) == 1
 
 

@@ -12,7 +12,7 @@ import sqlalchemy as sa
 from service.fleet.run_book import NewRun, RunBook
 from service.jobs.book import JobBook
 from service.jobs.database import writing
-from service.jobs.records import KeyReusedError, NewJob, UnknownArtifactError, UnknownJobError
+from service.jobs.records import ClientKey, KeyReusedError, NewJob, UnknownArtifactError, UnknownJobError
 from service.jobs.states import JobState, JobStateError, StageState
 from service.jobs.tables import artifacts
 from service.jobs.work_book import Claim, StageClose, WorkBook
@@ -22,6 +22,7 @@ from service.worker.engine import Fenced, Ticket
 NEW = NewJob(
     name="a.png", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r", priority=100
 )
+KEY = ClientKey("token", "k")
 FILE = FileRef("a" * 64, 10)
 
 
@@ -52,7 +53,7 @@ def commit(work: WorkBook, claim: Claim, stage: str, key: str, made: StageResult
 
 
 def test_twenty_requests_with_one_key_make_one_job(book: JobBook) -> None:
-    new = replace(NEW, key="k")
+    new = replace(NEW, key=KEY)
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda _: book.create(new), range(20)))
     assert len({job.id for job, _ in made}) == 1
@@ -60,11 +61,11 @@ def test_twenty_requests_with_one_key_make_one_job(book: JobBook) -> None:
     assert len(book.listed()) == 1
 
 
-def test_a_key_is_for_one_request_of_one_caller(book: JobBook) -> None:
-    book.create(replace(NEW, key="k"))
+def test_a_key_is_for_one_request_of_one_token(book: JobBook) -> None:
+    book.create(replace(NEW, key=KEY))
     with pytest.raises(KeyReusedError):
-        book.create(replace(NEW, key="k", request_sha256="other"))
-    _, first = book.create(replace(NEW, key="k", created_by="somebody else"))
+        book.create(replace(NEW, key=KEY, request_sha256="other"))
+    _, first = book.create(replace(NEW, key=ClientKey("another token", "k")))
     assert first
 
 
@@ -130,7 +131,7 @@ def test_the_list_goes_from_new_to_old_in_pages(book: JobBook) -> None:
 
 def test_the_queue_goes_by_priority_then_by_age(book: JobBook) -> None:
     slow, first, second = (book.create(replace(NEW, priority=p))[0].id for p in (1000, 10, 10))
-    assert [book.queue_position(job_id) for job_id in (first, second, slow)] == [1, 2, 3]
+    assert book.queue_positions() == {first: 1, second: 2, slow: 3}
 
 
 def test_programs_are_offered_once_checked_and_internal_files_never(book: JobBook, work: WorkBook) -> None:

@@ -55,6 +55,12 @@ def test_same_content_is_stored_once(store: Store, written: Written) -> None:
     assert [item.sha256 for item in store.list()] == [first.sha256]
 
 
+def test_a_part_of_the_list_is_that_of_the_first_digits(store: Store, written: Written) -> None:
+    hashes = {store.put_file(written(b"%d" % number)).sha256 for number in range(10)}
+    for part in {sha256[:2] for sha256 in hashes} | {"00"}:
+        assert {one.sha256 for one in store.list(part)} == {sha256 for sha256 in hashes if sha256[:2] == part}
+
+
 def test_a_large_file_goes_up_in_parts(store: Store, written: Written) -> None:
     content = CONTENT * 16  # 20 MB: three parts
     stored = store.put_file(written(content))

@@ -41,7 +41,7 @@ def test_a_file_beside_the_store_is_linked_and_read_only(tmp_path: Path, written
     store, path = LocalStore(tmp_path / "objects"), written(b"lens")
     stored = store.put_file(path)
     assert path.stat().st_ino == store.path(stored.sha256).stat().st_ino  # type: ignore[union-attr]
-    assert path.stat().st_mode & 0o777 == 0o444
+    assert path.stat().st_mode & 0o777 == 0o400
 
 
 def test_a_file_that_grows_meanwhile_is_refused(
@@ -62,7 +62,7 @@ def test_copies_where_no_link_can_be(tmp_path: Path, written: Written, monkeypat
     stored = store.put_file(path)
     there = store.path(stored.sha256)
     assert there is not None and there.stat().st_ino != path.stat().st_ino
-    assert there.stat().st_mode & 0o777 == 0o444
+    assert there.stat().st_mode & 0o777 == 0o400
     assert list((tmp_path / "objects/incoming").iterdir()) == []
 
 

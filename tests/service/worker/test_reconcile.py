@@ -12,6 +12,7 @@ from service.jobs.states import JobState, StageState
 from service.jobs.tables import executors, jobs
 from service.jobs.work_book import WorkBook
 from service.settings import ServerSettings
+from service.worker import reconcile
 from service.worker.dbos_engine import DbosEngine
 from service.worker.engine import Fenced, Ticket
 from service.worker.leases import Lease
@@ -134,3 +135,15 @@ def test_a_claim_in_the_same_moment_is_not_let_go(stand: Stand) -> None:
     loop = Reconciler(stand.database, stand.engine, executor="me", lease_s=10.0, in_hand=in_hand)
     loop.let_go()
     assert stand.book.get(job.id).owner == "me"
+
+
+def test_a_long_queue_is_looked_through_a_part_at_a_time(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A turn costs the same whatever waits; after the end of the queue it is looked at from its head again."""
+    monkeypatch.setattr(reconcile, "CHUNK", 2)
+    tickets = [Ticket(stand.job().id, 1) for _ in range(5)]
+    for known in (2, 4, 5):
+        stand.loop.turn()
+        assert len(stand.engine.known(tickets)) == known
+    late = stand.job(age_s=1000.0)  # its place is at the head
+    stand.loop.turn()
+    assert stand.engine.known([Ticket(late.id, 1)])

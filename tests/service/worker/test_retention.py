@@ -11,10 +11,11 @@ import sqlalchemy as sa
 
 from service.fleet.run_book import NewRun, RunBook
 from service.jobs.book import JobBook
-from service.jobs.database import clock, writing
+from service.jobs.counters import ARTIFACT_BYTES, read_counters
+from service.jobs.database import clock, reading, writing
 from service.jobs.records import NewJob, UnknownJobError
 from service.jobs.states import JobState
-from service.jobs.tables import jobs, stage_results
+from service.jobs.tables import artifacts, jobs, stage_results
 from service.jobs.work_book import WorkBook
 from service.settings import ServerSettings
 from service.stages.order import FileRef, StageResult
@@ -157,3 +158,52 @@ def test_the_engine_forgets_what_was_deleted(stand: Stand) -> None:
     stand.engine.cancel(ticket)  # in place of a worker that has run it
     stand.turn(keep_days=7.0)
     assert stand.engine.known([ticket]) == set()
+
+
+def test_what_the_engine_has_forgotten_is_not_asked_for_again(stand: Stand, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It used to be looked at every five minutes for two days."""
+    first, _ = stand.job(1, ended_days_ago=0.5)
+    asked: list[list[Ticket]] = []
+    monkeypatch.setattr(stand.engine, "forget", asked.append)
+    retention = Retention(stand.database, stand.store, stand.engine, stand.settings)
+    for _ in range(3):
+        retention.turn()
+    assert asked == [[Ticket(first, 1)]]
+
+
+def test_the_store_is_swept_a_part_at_a_time(stand: Stand) -> None:
+    """All of it once, to know its size; then a sixteenth each turn, so that all of it has its turn."""
+    named, made = stand.job(1, ended_days_ago=1)
+    retention = Retention(stand.database, stand.store, stand.engine, stand.settings)
+    retention.turn()
+    orphans = [stand.file(b"orphan %d" % number) for number in range(20)]
+    stand.age_files()
+    retention.turn()
+    assert any(stand.has(one) for one in orphans)
+    for _ in range(15):
+        retention.turn()
+    assert not any(stand.has(one) for one in orphans)
+    assert stand.lives(named) and stand.has(made)
+
+
+def test_the_bytes_of_all_artifacts_are_counted(stand: Stand) -> None:
+    """Each content once, with the pictures that jobs were made from."""
+    stand.job(1, ended_days_ago=1)
+    stand.job(2, ended_days_ago=1)
+    stand.file(b"named by nobody")
+    stand.turn()
+    with reading(stand.database) as connection:
+        assert read_counters(connection)[ARTIFACT_BYTES] == 2 * (1_000_000 + len(b"picture 1"))
+
+
+def test_files_that_another_job_names_stay(stand: Stand) -> None:
+    """The same result was offered by both: it goes with the second of them."""
+    (old, made), (young, _) = stand.job(1, ended_days_ago=8), stand.job(2, ended_days_ago=1)
+    with writing(stand.database) as connection:
+        row = {"job_id": young, "name": "b.png", "sha256": made.sha256, "bytes": made.bytes}
+        connection.execute(artifacts.insert().values(**row, stage="image", created_at=0.0))
+    stand.age_files()
+    stand.turn(keep_days=7.0)
+    assert not stand.lives(old) and stand.has(made)
+    stand.turn(keep_days=0.5)
+    assert not stand.has(made)

@@ -1,0 +1,293 @@
+"""May this order still be carried out? Grants, the stop count and the lease of one mill.
+
+An order is anything that can start motion or change what a motion means. It is carried out under a grant: a word that
+is handed out when a person asks for it and that one order may use, once, within `GRANT_S` on this clock. A grant ends
+with the next stop (the stop count has risen), with a change of the lease (somebody else has control), and with this
+process, which is why neither a slow network nor a duplicate nor a restart can make an old order come true. Nothing here
+compares the clocks of two computers.
+
+A stop asks for nothing and waits for nobody: it raises the count, whatever else is going on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import secrets
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+from machines.errors import NotAllowedError
+
+GRANT_S = 3.0  # from the moment a person asks to the moment the order is begun
+CARRY_OUT_S = 10.0  # a start asks the controller first: until its first byte leaves
+LEASE_S = 60.0
+_MOST_GRANTS = 1000
+
+
+def suspend_aware_clock_s() -> float:
+    """Return seconds of a clock that nobody sets and that runs while the computer is suspended."""
+    return time.clock_gettime(time.CLOCK_BOOTTIME) if hasattr(time, "CLOCK_BOOTTIME") else time.monotonic()
+
+
+class Stop(StrEnum):
+    """What ends motion; asked for by anybody, at any time."""
+
+    HOLD = "hold"
+    ABORT = "abort"
+    JOG_CANCEL = "jog-cancel"
+
+
+class Refusal(StrEnum):
+    """Why an order is not carried out, for programs."""
+
+    MISSING = "grant_missing"
+    UNKNOWN = "grant_unknown"  # never handed out here, or used already
+    EXPIRED = "grant_expired"
+    STOPPED = "grant_stopped"
+    LEASE = "grant_lease"
+    HELD = "control_held"  # by somebody else
+    LOST = "control_lost"  # by the caller, to nobody
+    NOBODY = "control_needed"
+    PLAN = "plan_changed"
+    SETUP = "setup_changed"
+
+
+class OrderRefusedError(NotAllowedError):
+    """An order that is not carried out; `code` says why. holder: who has control, where that is the reason."""
+
+    def __init__(self, code: Refusal, words: str, holder: Lease | None = None) -> None:
+        super().__init__(words)
+        self.code = code
+        self.holder = holder
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Lease:
+    """Control of a mill. since_s: seconds since 1970; number: counts the changes of control."""
+
+    operator: str
+    principal: str
+    since_s: float
+    number: int
+    digest: str
+
+    def as_dict(self) -> dict[str, object]:
+        """Return what others may know of it."""
+        return {"operator": self.operator, "principal": self.principal, "since_s": self.since_s}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Grant:
+    """What one order may still rest on."""
+
+    word: str
+    issued_s: float
+    stops: int
+    lease: int | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Caller:
+    """Whose word an order is. origin: where it came from; grant: under which it is given."""
+
+    name: str = ""
+    origin: str = ""
+    grant: str = ""
+
+
+NOBODY = Caller()
+
+
+class OrderGate:
+    """Hands out grants and redeems them; may be used from any thread. No call waits.
+
+    clock : seconds that pass while the computer is suspended, too. wall_clock : seconds since 1970
+    """
+
+    def __init__(
+        self,
+        clock: Callable[[], float] = suspend_aware_clock_s,
+        wall_clock: Callable[[], float] = time.time,
+        make_secret: Callable[[], str] = lambda: secrets.token_urlsafe(18),
+    ) -> None:
+        self._clock = clock
+        self._wall = wall_clock
+        self._make_secret = make_secret
+        self._lock = threading.Lock()
+        self._stops = 0
+        self._grants: dict[str, Grant] = {}
+        self._lease: Lease | None = None
+        self._renewed_s = 0.0
+        self._leases = 0
+
+    # ------------------------------------------------------------------ stops
+
+    @property
+    def stops(self) -> int:
+        return self._stops
+
+    def count_stop(self) -> int:
+        """End every grant that was handed out so far."""
+        with self._lock:
+            self._stops += 1
+            return self._stops
+
+    # ------------------------------------------------------------------ control
+
+    def get_lease(self) -> Lease | None:
+        """Return who has control now."""
+        with self._lock:
+            return self._live_lease()
+
+    def take_lease(
+        self, operator: str, principal: str, shown: str = "", *, take_over: bool = False
+    ) -> tuple[str, Lease, bool]:
+        """Return the secret, the lease and whether it is new. OrderRefusedError where somebody else has control."""
+        with self._lock:
+            lease = self._live_lease()
+            if lease is not None and _is_secret_of(lease, shown):
+                self._renewed_s = self._clock()
+                return shown, lease, False
+            if lease is not None and not take_over:
+                raise _held_by(lease)
+            secret = self._make_secret()
+            self._leases += 1
+            self._lease = Lease(
+                operator=operator,
+                principal=principal,
+                since_s=round(self._wall(), 3),
+                number=self._leases,
+                digest=_digest(secret),
+            )
+            self._renewed_s = self._clock()
+            return secret, self._lease, True
+
+    def release_lease(self, shown: str) -> bool:
+        """Return whether it was this holder's, and is nobody's now."""
+        with self._lock:
+            lease = self._live_lease()
+            if lease is None or not _is_secret_of(lease, shown):
+                return False
+            self._lease = None
+            return True
+
+    def require_free(self, shown: str = "") -> None:
+        """OrderRefusedError where somebody else has control."""
+        with self._lock:
+            self._require_own_lease(shown)
+
+    # ------------------------------------------------------------------ grants
+
+    def issue_grant(self, shown: str = "", *, stops_seen: int | None = None) -> Grant:
+        """Hand out a grant to the holder of control, or to anybody where nobody has it; a holder is renewed by it.
+
+        stops_seen : the stop count as the person saw it when they pressed; a stop that has overtaken the asking for
+                     the grant was pressed later, and is the last word
+        """
+        with self._lock:
+            lease = self._require_own_lease(shown)
+            if lease is None and shown:
+                raise OrderRefusedError(
+                    Refusal.LOST, "you had control and have not been heard of for too long: take control again"
+                )
+            if stops_seen is not None and stops_seen != self._stops:
+                raise OrderRefusedError(Refusal.STOPPED, "not carried out: the mill was stopped since")
+            now_s = self._clock()
+            if lease is not None:
+                self._renewed_s = now_s
+            self._forget_old(now_s)
+            grant = Grant(
+                word=self._make_secret(),
+                issued_s=now_s,
+                stops=self._stops,
+                lease=None if lease is None else lease.number,
+            )
+            self._grants[grant.word] = grant
+            return grant
+
+    def redeem(self, word: str, doing: str, *, needs_lease: bool = False) -> Permit:
+        """Use a grant up: the permit that holds until the order is carried out. OrderRefusedError.
+
+        needs_lease : not even where nobody has control may it be ordered without
+        """
+        if not word:
+            raise OrderRefusedError(Refusal.MISSING, f"{doing}: a grant is needed: ask for one first")
+        with self._lock:
+            grant = self._grants.pop(word, None)
+        if grant is None:
+            raise OrderRefusedError(
+                Refusal.UNKNOWN, f"{doing}: not carried out: it came twice, is too old, or the agent was started anew"
+            )
+        permit = Permit(self, grant, doing, needs_lease=needs_lease)
+        permit.require()
+        return permit
+
+    def _forget_old(self, now_s: float) -> None:
+        for word, grant in list(self._grants.items()):
+            if now_s > grant.issued_s + GRANT_S or len(self._grants) >= _MOST_GRANTS:
+                del self._grants[word]
+            else:
+                break
+
+    def _require_own_lease(self, shown: str) -> Lease | None:
+        """The caller's lease, or None where nobody has control; OrderRefusedError where somebody else has."""
+        lease = self._live_lease()
+        if lease is not None and not _is_secret_of(lease, shown):
+            raise _held_by(lease, lost=bool(shown))
+        return lease
+
+    def _live_lease(self) -> Lease | None:
+        if self._lease is not None and self._clock() >= self._renewed_s + LEASE_S:
+            self._lease = None
+        return self._lease
+
+
+class Permit:
+    """An order under way: `require` raises as soon as it may not be carried out any more."""
+
+    def __init__(self, gate: OrderGate, grant: Grant, doing: str, *, needs_lease: bool) -> None:
+        self._gate = gate
+        self._grant = grant
+        self._doing = doing
+        self._needs_lease = needs_lease
+        self._limit_s = GRANT_S
+
+    def extend(self) -> None:
+        """The order was begun in time; what it asks of the controller first may take a while."""
+        self._limit_s = CARRY_OUT_S
+
+    def require(self) -> None:
+        gate, grant = self._gate, self._grant
+        lease = gate.get_lease()
+        if gate.stops != grant.stops:
+            raise OrderRefusedError(Refusal.STOPPED, f"{self._doing}: not carried out: the mill was stopped since")
+        age_s = gate._clock() - grant.issued_s
+        if age_s > self._limit_s:
+            raise OrderRefusedError(
+                Refusal.EXPIRED, f"{self._doing}: not carried out: it was given {age_s:.1f} s ago; give it again"
+            )
+        if grant.lease != (None if lease is None else lease.number):
+            raise OrderRefusedError(
+                Refusal.LEASE, f"{self._doing}: not carried out: control has changed hands since", lease
+            )
+        if self._needs_lease and lease is None:
+            raise OrderRefusedError(Refusal.NOBODY, f"{self._doing}: nobody has control: take control first")
+
+
+def _held_by(lease: Lease, *, lost: bool = False) -> OrderRefusedError:
+    begin = "you have lost control: " if lost else ""
+    since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(lease.since_s))
+    words = f"{begin}{lease.operator} has had control since {since}; ask them, or take over"
+    return OrderRefusedError(Refusal.HELD, words, lease)
+
+
+def _is_secret_of(lease: Lease, shown: str) -> bool:
+    return hmac.compare_digest(lease.digest, _digest(shown))
+
+
+def _digest(secret: str) -> str:
+    return hashlib.sha256(secret.encode()).hexdigest()

@@ -1,0 +1,62 @@
+/**
+ * Says long before it happens that this page's token ends, so that nobody stands at a mill without one. A server renews
+ * the token of a page that watches a running program, so it is asked first.
+ */
+
+import { api } from "./api.js";
+import { toast } from "./dialog.js";
+import { hours } from "./words.js";
+
+const WARN_S = [2 * 3600, 1800, 600, 0]; // before the end; said once each
+const LOOK_MS = 60_000;
+
+/** Watches over the end of the token. enter(): asks a person for a new code. */
+export function watchKeyEnd(enter) {
+  let warned = Infinity; // seconds before the end at which it was said last
+  let said = { close() {} };
+
+  async function look() {
+    const before = api.who;
+    if (dueWarning(before, warned) === null) return;
+    await api.hello().catch(() => {});
+    const due = before.name && !api.who.name ? 0 : dueWarning(api.who, warned);
+    if (due === null) return;
+    warned = due;
+    const words = inWords(due && secondsLeft(api.who), await findLiveRun());
+    said.close();
+    said = toast(words, { kind: "bad", stays: true, action: { words: "Enter a new code", run: enter } });
+  }
+
+  api.onWho((who) => {
+    if (!who.name) return; // ended; the token is kept, for the mill is still stopped by it
+    if (secondsLeft(who) <= WARN_S[0]) return void setTimeout(look);
+    said.close();
+    warned = Infinity;
+  });
+  setInterval(look, LOOK_MS);
+}
+
+/** Seconds that the token of `who` is still good for; Infinity for one that does not end. */
+function secondsLeft({ expires_at: end }) {
+  return end ? (new Date(end) - api.now()) / 1000 : Infinity;
+}
+
+/** The warning that is due now and was not given yet; null where none is. */
+function dueWarning(who, warned) {
+  const due = WARN_S.findLast((limit) => secondsLeft(who) <= limit);
+  return due !== undefined && due < warned ? due : null;
+}
+
+function inWords(left_s, run) {
+  const end = left_s > 0 ? `ends in ${hours(left_s)}` : "has ended";
+  if (run) return `The code on this page ${end}, and ${run.program} is on ${run.machine}. Enter a new one: without it this page can only HOLD and STOP.`;
+  return `The code on this page ${end}. Enter a new one, and everything goes on.`;
+}
+
+/** {machine, program} of a program that is under way on any mill; null where none is, or nobody can say. */
+async function findLiveRun() {
+  const { hasLiveRun } = await import("../machine/words.js");
+  const { machines } = await api.get("/v1/machines", { quiet: true }).catch(() => ({ machines: [] }));
+  const found = machines.find(hasLiveRun);
+  return found ? { machine: found.name, program: found.run.program } : null;
+}

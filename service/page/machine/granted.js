@@ -1,0 +1,45 @@
+/**
+ * An order to a mill: under a grant that is asked for at the press, or not at all. The mill's own computer takes it within
+ * seconds of giving the grant, and not after a stop; here it is not sent where the grant came too late.
+ */
+
+import { api } from "../lib/api.js";
+
+const WITHIN_MS = 2000;
+const HEADER = "Causticmill-Grant";
+const LATE = "Not sent: the mill did not answer within 2 s. Look at it, then press again.";
+
+/** The order was not sent. */
+export class NotSentError extends Error {}
+
+/**
+ * Sends an order of now; once, or never: NotSentError, or ProblemError where it was refused.
+ * machine: its path; stops: how often it was told to stop, as the person could know; headers: who has control.
+ */
+export async function sendGranted({ machine, stops, headers }, path, body) {
+  const elapsed_ms = stopwatch();
+  const grant = await askGrant(`${machine}/grants`, { stops }, headers, WITHIN_MS - elapsed_ms());
+  if (!grant || elapsed_ms() > WITHIN_MS) throw new NotSentError(LATE);
+  return api.post(path, body, { headers: { ...headers, [HEADER]: grant } });
+}
+
+/** The word of the grant; "" where none came in time. */
+async function askGrant(path, body, headers, left_ms) {
+  const patience = AbortSignal.timeout(Math.max(0, left_ms));
+  try {
+    return (await api.post(path, body, { headers, signal: patience, patience_ms: 0 })).grant;
+  } catch (error) {
+    if (patience.aborted) return "";
+    throw error;
+  }
+}
+
+/**
+ * How long ago the press was, ms: by the clock that ran on, for one of them may stand still while the computer sleeps,
+ * and the other may be set. A press that had to wait for a busy page is as old as the press.
+ */
+function stopwatch() {
+  const pressed = globalThis.event?.timeStamp ?? performance.now();
+  const wall = Date.now() - (performance.now() - pressed);
+  return () => Math.max(performance.now() - pressed, Date.now() - wall);
+}

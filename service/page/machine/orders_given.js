@@ -1,0 +1,52 @@
+/** Who told the mill what, and what came of it: the newest first, older ones on demand. Asked for while it is unfolded. */
+
+import { api } from "../lib/api.js";
+import { h, replace } from "../lib/dom.js";
+import { enable, said } from "./said.js";
+import { logWords } from "./words.js";
+
+const PAGE = 25;
+
+export function ordersGiven(link) {
+  const words = said();
+  const rows = h("ol", { class: "given", tabIndex: 0, "aria-label": "Orders and stops" });
+  const older = h("button", { type: "button", onclick: () => words.during(() => add(next)) }, "Show older ones");
+  const fold = h("details", { ontoggle: () => look() }, h("summary", {}, h("h2", { id: "given-title" }, "Orders")), rows, older, words.node);
+  const node = h("section", { class: "card orders", "aria-labelledby": "given-title" }, fold);
+  let next = null;
+  let seen = ""; // of the log, when they were asked for last
+  older.hidden = true;
+
+  function look() {
+    const now = `${link.commands} ${link.machine?.run?.state} ${link.machine?.mill?.state}`;
+    if (!fold.open || now === seen) return;
+    seen = now;
+    words.during(() => add(null));
+  }
+
+  /** Those before this number; the newest ones in place of all where there is none. */
+  async function add(before) {
+    const found = await api.get(`${link.path}/orders?limit=${PAGE}${before ? `&before=${before}` : ""}`);
+    const made = found.orders.map(row);
+    if (before) rows.append(...made);
+    else replace(rows, made.length ? made : h("li", { class: "dim" }, "Nobody has told this mill anything yet."));
+    next = found.next;
+    older.hidden = !next;
+  }
+
+  return {
+    node,
+    update() {
+      look();
+      enable([older], !link.away);
+    },
+  };
+}
+
+function row(entry) {
+  const when = new Date(entry.at_s * 1000);
+  const clock = `${when.toLocaleDateString([], { day: "numeric", month: "short" })} ${when.toLocaleTimeString([], { hour12: false })}`;
+  const who = [entry.by, entry.from && `from ${entry.from}`].filter(Boolean).join(" ");
+  const bad = entry.kind === "fault" || entry.words.includes(": refused");
+  return h("li", { class: bad ? "refused" : "" }, h("time", { dateTime: when.toISOString() }, clock), " ", h("span", { class: "dim" }, who), h("span", {}, logWords(entry)));
+}

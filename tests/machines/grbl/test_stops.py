@@ -1,0 +1,205 @@
+"""A stop is the last word: nothing that starts motion leaves the session after it until a person asks for something."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+
+import pytest
+from grbl_bench import Bench, numbered, spiral
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from machines.driver import (
+    CommandDone,
+    Faulted,
+    Home,
+    Jog,
+    JogCancel,
+    MillState,
+    Override,
+    ProbeZ,
+    ProgramDone,
+    Reset,
+    SendBlock,
+    SetZero,
+    Stopped,
+    Unlock,
+)
+from machines.errors import NotAllowedError
+from machines.simulated.traits import GRBL_11
+
+# What a person may do; "hold", "abort" and "jog-cancel" are stops. "write" lets bytes leave, "hear" brings answers.
+ORDERS: dict[str, Callable[[Bench], None]] = {
+    "jog": lambda b: b.driver.command(Jog((0.5, 0.0, 0.0), 600.0)),
+    "probe": lambda b: b.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=900.0)),
+    "home": lambda b: b.driver.command(Home()),
+    "zero": lambda b: b.driver.command(SetZero("Z")),
+    "block": lambda b: b.driver.command(SendBlock("G1X1F600")),
+    "unlock": lambda b: b.driver.command(Unlock()),
+    "reset": lambda b: b.driver.command(Reset()),
+    "override": lambda b: b.driver.command(Override("feed", 90)),
+    "start": lambda b: b.driver.start(iter(spiral(60)[0])),
+    "resume": lambda b: b.driver.resume(),
+}
+STOPS: dict[str, Callable[[Bench], None]] = {
+    "hold": lambda b: b.driver._session.hold(b.mill.now_s),  # without the driver's own write
+    "abort": lambda b: b.driver._session.abort(b.mill.now_s),
+    "jog-cancel": lambda b: b.driver.command(JogCancel()),
+}
+QUESTIONS = (b"$I", b"$$", b"$#", b"$G", b"")
+
+
+def write(bench: Bench) -> None:
+    session, now_s = bench.driver._session, bench.mill.now_s
+    data = session.output(now_s)
+    if data:
+        bench.tap.write(data)
+
+
+def hear(bench: Bench) -> None:
+    session = bench.driver._session
+    session.receive(bench.tap.read(0.02), bench.mill.now_s)
+    bench.events += session.take_events()
+
+
+TIMES: dict[str, Callable[[Bench], None]] = {
+    "write": write,
+    "hear": hear,
+    "look": lambda b: b.driver._session.tick(b.mill.now_s),
+    "pass": lambda b: b.pass_time(0.3),
+}
+NAMES = st.sampled_from([*ORDERS, *STOPS, *STOPS, *TIMES, *TIMES])
+
+
+@settings(max_examples=250, deadline=None)
+@given(st.lists(NAMES, max_size=40), st.booleans())
+@example(["start", "pass", "hold", "pass", "resume", "hold", "write", "pass", "pass"], False)
+@example(["jog", "hold", "pass", "write"], False)
+@example(["jog", "jog-cancel", "pass"], False)
+@example(["probe", "pass", "hold", "pass", "pass", "pass"], False)
+@example(["home", "hold", "pass"], True)
+@example(["start", "pass", "hold", "pass", "resume", "abort", "pass"], False)
+def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list[str], homing: bool) -> None:
+    bench = Bench(GRBL_11.with_settings({22: float(homing)})).connected()
+    stopped, mark = "", 0
+    for name in script:
+        if name in STOPS:
+            if name == "jog-cancel" and bench.driver._session._stream is not None:
+                continue  # is for jogs; a program goes on
+            with contextlib.suppress(NotAllowedError):
+                STOPS[name](bench)
+                stopped, mark = name, len(bench.tap.written)
+        elif name in ORDERS:
+            before = bench.driver._session._urgent[:], bench.driver._session._text[:]
+            try:
+                ORDERS[name](bench)
+            except NotAllowedError:
+                assert before == (bench.driver._session._urgent, bench.driver._session._text)
+            else:
+                stopped = ""
+        else:
+            TIMES[name](bench)
+        if stopped:
+            written = b"".join(data for _, data in bench.tap.written[mark:])
+            assert b"~" not in written and b"\xa3" not in written, (stopped, written)
+            if stopped != "jog-cancel":  # which ends a jog; a probe's next line may follow
+                for line in written.translate(None, bytes(range(0x80, 0x100)) + b"?!\x18").split(b"\n"):
+                    assert line in QUESTIONS, (stopped, written)
+
+
+def test_hold_is_the_last_word_before_a_waiting_resume() -> None:
+    """Seen on a real mill: '!' was put before a '~' that waited, "!~" went out, and the mill ran."""
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.pass_time(2.0)
+    bench.driver.hold()
+    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    reached = bench.mill.recording.count
+    session = bench.driver._session  # the driver itself writes it at once
+    session.resume(bench.mill.now_s)
+    bench.driver.hold()
+    bench.pass_time(3.0)
+    assert bench.mill.recording.count == reached and bench.state() is MillState.HELD
+    bench.driver.resume()
+    assert bench.until(lambda: bench.of(ProgramDone), 120.0) and not bench.of(Faulted)
+
+
+def test_a_jog_cancelled_before_it_was_sent_never_runs() -> None:
+    bench = Bench().connected()
+    bench.driver.command(Jog((5.0, 0.0, 0.0), 600.0))
+    bench.driver.command(JogCancel())
+    bench.pass_time(2.0)
+    assert not bench.mill.recording.segments
+    assert "before it was sent" in bench.of(CommandDone)[0].failure
+
+
+def test_a_probe_that_was_held_sets_no_zero_and_does_not_go_back_up() -> None:
+    bench = Bench().connected()
+    bench.driver.command(ProbeZ(depth_mm=10.0, feed_mm_per_min=300.0))
+    bench.pass_time(0.5)
+    bench.driver.hold()
+    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    assert "hold" in bench.of(CommandDone)[0].failure
+    with pytest.raises(NotAllowedError, match=r"G38\.2.*reset"):
+        bench.driver.resume()
+    bench.driver.command(Reset())
+    assert bench.until(lambda: bench.of(Stopped) and bench.state() is MillState.IDLE, 5.0)
+    assert bench.of(Stopped)[-1] == Stopped(position_kept=True)
+    assert max(segment.end[2] for segment in bench.mill.recording.segments) < 0.0
+    bench.driver.command(Jog((0.0, 0.0, 1.0), 600.0))
+    assert bench.until(lambda: len(bench.of(CommandDone)) == 3, 10.0) and not bench.of(CommandDone)[-1].failure
+
+
+def test_a_hold_during_the_handshake_does_not_end_the_link() -> None:
+    bench = Bench()
+    bench.driver.connect()
+    bench.until(lambda: b"$$" in b"".join(data for _, data in bench.tap.written), 5.0)
+    bench.driver.hold()
+    bench.pass_time(60.0)
+    assert bench.state() is MillState.HELD
+    bench.driver.resume()
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 5.0)
+
+
+def test_a_hold_asked_for_in_an_alarm_does_not_colour_later_jogs() -> None:
+    bench = Bench(GRBL_11.with_settings({22: 1.0})).connected()
+    bench.driver.hold()
+    bench.pass_time(0.5)
+    bench.driver.command(Unlock())
+    assert bench.until(lambda: bench.state() is MillState.IDLE, 3.0)
+    bench.driver.command(Jog((20.0, 0.0, 0.0), 600.0))
+    bench.pass_time(1.0)
+    assert bench.state() is MillState.JOG
+
+
+@pytest.mark.parametrize("again_s", [0.01, 0.033])
+def test_a_resume_key_held_down_postpones_no_poll(again_s: float) -> None:
+    """Key repeat on a held mill: each press put the next '?' off by 0.05 s, until the link was given up."""
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(300)[0]))
+    bench.pass_time(1.0)
+    bench.driver.hold()
+    assert bench.until(lambda: bench.state() is MillState.HELD, 3.0)
+    bench.mill.press("door")  # stays held whatever is pressed
+    bench.pass_time(1.0)
+    bench.mill.press("close-door")
+    bench.pass_time(0.5)
+    reports = bench.driver._session.view.reports
+    end_s = bench.mill.now_s + 3.0
+    while bench.mill.now_s < end_s:
+        with contextlib.suppress(NotAllowedError):
+            bench.driver._session.resume(bench.mill.now_s)
+            bench.driver._session._urgent = bench.driver._session._urgent.replace(b"~", b"")  # its wire is cut
+        bench.events += bench.driver.poll(again_s)
+    assert bench.driver._session.view.reports > reports + 20
+    assert not bench.of(Faulted)
+
+
+def test_an_order_refused_leaves_nothing_behind() -> None:
+    bench = Bench().connected()
+    bench.driver.start(iter(numbered([b"G21G90G94G17", b"G1X50F300", b"M2"])))
+    bench.pass_time(1.0)
+    with pytest.raises(NotAllowedError):
+        bench.driver.resume()
+    assert bench.driver._session._urgent.count(b"~") == 0
