@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
+import time
+from collections.abc import Iterator
 
 from playwright.sync_api import Locator, Page, expect
 
@@ -74,11 +78,19 @@ def give_up(page: Page) -> None:
     expect(loading).to_be_visible()
 
 
+@contextlib.contextmanager
+def logged(page: Page, words: str) -> Iterator[None]:
+    """Until the page's log has an entry of this (a regular expression) made since; older ones may come late."""
+    begun_s = math.floor(time.time() * 1000) / 1000
+    yield
+    since = """([words, begunMs]) => [...document.querySelectorAll(".log li")].some((one) =>
+        new RegExp(words).test(one.innerText) && Date.parse(one.querySelector("time").dateTime) >= begunMs)"""
+    page.wait_for_function(since, arg=[words, 1000 * begun_s])
+
+
 def homed(page: Page) -> None:
-    done = page.locator(".log li", has_text="Home: done")
-    before = done.count()
-    setup(page).get_by_role("button", name="Home", exact=True).click()
-    expect(done).to_have_count(before + 1)
+    with logged(page, "Home: done"):
+        setup(page).get_by_role("button", name="Home", exact=True).click()
     expect(machine_state(page)).to_have_text("idle")
 
 

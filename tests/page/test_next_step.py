@@ -184,8 +184,8 @@ def test_no_program_goes_while_the_line_says_to_raise_the_tool(opened: Opened, s
     expect(go).to_be_disabled()
     expect(listed.locator(".missing")).to_have_text("Raise Z first.")
     told(page, state, operator="Ada", mill=RAISED | {"needs": []}, plan=ready)
-    expect(go).to_be_enabled()
     expect(listed.locator(".missing")).to_have_text("")
+    expect(go).to_be_enabled()
 
 
 def test_a_tick_is_for_the_plan_of_the_mill_as_it_stands(opened: Opened) -> None:

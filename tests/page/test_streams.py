@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Request, expect
 
 from tests.page.browser import Watched
 from tests.page.conftest import sign_in
-from tests.page.driving import machine_state
+from tests.page.driving import logged, machine_state
 from tests.page.shop import MILL, SMALL_SPEC, Shop
 from tests.waiting import until
 
@@ -75,10 +75,8 @@ def test_six_tabs_with_a_job_leave_hold_free(tabs: Tabs, shop: Shop, slow_job: s
     tabs.await_streams(pages[0], 1)
     mill = tabs.add(f"#/machines/{MILL}", shop.key("Ada"))
     expect(machine_state(mill)).not_to_have_text("asking the server")
-    told = mill.locator(".log li", has_text="HOLD")
-    before = told.count()
-    mill.get_by_role("button", name="HOLD").click()
-    expect(told).to_have_count(before + 1)
+    with logged(mill, "HOLD"):
+        mill.get_by_role("button", name="HOLD").click()
     mill.get_by_role("button", name="STOP").click()
     tabs.await_streams(mill, 2)
 
@@ -97,10 +95,8 @@ def test_who_leads_may_close_or_hide_and_the_others_hear_on(tabs: Tabs, shop: Sh
         tabs.await_streams(pages[0], 1)
         assert tabs.leader(path) is not first
         for page in pages:
-            told = page.locator(".log li", has_text="HOLD")
-            before = told.count()
-            pages[0].get_by_role("button", name="HOLD").click()
-            expect(told).to_have_count(before + 1)
+            with logged(page, "HOLD"):
+                pages[0].get_by_role("button", name="HOLD").click()
     pages[0].get_by_role("button", name="STOP").click()
 
 

@@ -66,9 +66,10 @@ function show(list, log, last) {
 }
 
 function line(entry) {
-  const clock = new Date(entry.at_s * 1000).toLocaleTimeString([], { hour12: false });
+  const when = new Date(entry.at_s * 1000);
+  const clock = when.toLocaleTimeString([], { hour12: false });
   const item = h("li", { class: `log-${entry.kind}` });
-  item.append(h("time", {}, clock), " ", h("span", {}, logWords(entry)));
+  item.append(h("time", { dateTime: when.toISOString() }, clock), " ", h("span", {}, logWords(entry)));
   if (entry.by) item.append(" ", h("small", {}, entry.by));
   return item;
 }
