@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable
 
-from machines.driver import Command, CommandDone, Home, Reset, TrustPosition, Unlock
+from machines.driver import Command, CommandDone, Home, Reset, SendBlock, TrustPosition, Unlock
 from machines.errors import MachineError, NotAllowedError
 from machines.grbl.hail import SILENT
 from machines.mill.command_words import command_words
@@ -29,8 +29,10 @@ _TAKEN_S = 2.0  # the driver may still be busy with the reset after an alarm
 _LINK_S = 12.0  # a link on which nothing answers is given up and opened again meanwhile
 _LOOK_S = 0.1
 
-_HOME = ("h", "home: the mill MOVES to its switches, and knows its position again", Home())
-_REMEDIES: dict[str, tuple[tuple[str, str, Command], ...]] = {
+Remedy = tuple[str, str, Command]  # the key, what it does, how
+
+_HOME: Remedy = ("h", "home: the mill MOVES to its switches, and knows its position again", Home())
+_REMEDIES: dict[str, tuple[Remedy, ...]] = {
     "unlock": (_HOME, ("u", "unlock: nothing moves, and the position is taken as it is", Unlock())),
     "position": (_HOME, ("t", "trust: you know that the position is right, you have measured it", TrustPosition())),
     "stand still": (("x", "reset: nothing moves, what the controller still holds is forgotten", Reset()),),
@@ -65,35 +67,45 @@ def meet_needs(
     buffers: Buffers,
     needs: Callable[[], Iterable[Need]],
     *,
+    zero_back: Callable[[], str] = str,
     person: bool,
     vouched: bool = False,
 ) -> bool:
     """Meet one need after the other until none is left; whether anything was done.
 
-    person  : somebody is at the terminal, is asked, and may try again what has failed
-    vouched : --confirm-position was given; without a person nothing is done twice
+    zero_back : the block that puts the work zero back to where the program was cut, "" where nobody knows it
+    person    : somebody is at the terminal, is asked, and may try again what has failed
+    vouched   : --confirm-position was given; without a person nothing is done twice
     """
     done: set[str] = set()
     while (need := next(iter(needs()), None)) is not None:
         if need.code in ("connect", "wait"):
             _wait_for(thread, buffers, need)
             continue
-        if need.code not in _REMEDIES or not (person or (vouched and need.code not in done)):
-            asked = "" if person or need.code not in _REMEDIES else "; on a terminal this command offers that itself"
+        remedies = _remedies(thread, need, zero_back())
+        if not remedies or not (person or (vouched and need.code in _BY_OPTION and need.code not in done)):
+            asked = "" if person or not remedies else "; on a terminal this command offers that itself"
             raise FailedError(f"first: {need.words}{asked}")
         print_lines([f"first:      {need.words}"])
-        command = _BY_OPTION[need.code] if vouched and need.code not in done else _ask(thread, need)
+        by_option = _BY_OPTION.get(need.code) if vouched and need.code not in done else None
+        command = by_option or _ask(thread, need, remedies)
         done.add(need.code)
         print_lines([f"mill:       {carry_out(thread, buffers, command)}"])
         _await_report(thread, need)
     return bool(done)
 
 
-def _ask(thread: MillThread, need: Need) -> Command:
-    """Which command meets the need: the person's word, never a guess."""
+def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
+    """What a person may choose from; nothing where it takes hands at the mill."""
+    if need.code == "zero" and zero_back:
+        return [("b", f"put the zero back where this program was cut: {zero_back}; nothing moves", SendBlock(zero_back))]
     settings = thread.snapshot.settings
     switches = settings is None or settings.homing is not False
-    offered = [one for one in _REMEDIES[need.code] if switches or one is not _HOME]
+    return [one for one in _REMEDIES.get(need.code, ()) if switches or one is not _HOME]
+
+
+def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
+    """Which command meets the need: the person's word, never a guess."""
     for key, words, _ in offered:
         print(f"            {key} {words}")
     print("            anything else: stop here > ", end="", flush=True)

@@ -39,7 +39,7 @@ def ready_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bo
             raise FailedError(*(f"this run cannot go on: {words}" for words in plan.refusals))
         return plan.needs
 
-    meet_needs(thread, buffers, needs, person=person, vouched=vouched)
+    meet_needs(thread, buffers, needs, zero_back=lambda: plan.zero_back, person=person, vouched=vouched)
     print_lines(plan_lines(plan, run))
     return plan
 

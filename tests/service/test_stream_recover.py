@@ -144,6 +144,29 @@ def test_an_untrusted_position_is_asked_for_and_refuses_nothing(tmp_path: Path) 
         assert ends_on_the_mill(high_mm) <= set(mill.cut)
 
 
+def test_a_zero_that_was_set_elsewhere_is_put_back(tmp_path: Path) -> None:
+    path = program(tmp_path / "p.nc", LINES)
+    with bench(6.0, traits=WITH_SWITCHES) as mill:
+        zeroed(mill)
+        with Terminal("stream", str(path), "--port", mill.url) as person:
+            home(person)
+            answer(person)
+            until(lambda: len(mill.cut) > 5)
+            mill.mill.press("reset")
+            assert person.ends() == 1
+        zeroed(mill, (-100.0, *ZERO_MM[1:]))
+        with Terminal("stream", str(path), "--port", mill.url, "--recover") as person:
+            home(person)
+            before = person.sees(ASKED)
+            assert "G54 differs" in before
+            assert "b put the zero back where this program was cut: G10 L2 P1 X-200.000 Y-150.000 Z-40.000" in before
+            person.types("b\n")
+            answer(person, "position is right")
+            person.sees("finished")
+            assert person.ends() == 0
+        assert ends_on_the_mill() <= set(mill.cut)
+
+
 def test_a_locked_mill_is_offered_home_and_unlock_before_the_questions(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LINES)
     with bench(6.0, traits=WITH_SWITCHES) as mill:
