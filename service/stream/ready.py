@@ -98,7 +98,8 @@ def meet_needs(
 def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
     """What a person may choose from; nothing where it takes hands at the mill."""
     if need.code == "zero" and zero_back:
-        return [("b", f"put the zero back where this program was cut: {zero_back}; nothing moves", SendBlock(zero_back))]
+        words = f"put the zero back where this program was cut: {zero_back}; nothing moves"
+        return [("b", words, SendBlock(zero_back))]
     settings = thread.snapshot.settings
     switches = settings is None or settings.homing is not False
     return [one for one in _REMEDIES.get(need.code, ()) if switches or one is not _HOME]
