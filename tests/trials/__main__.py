@@ -1,5 +1,5 @@
-"""`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1. docs/soak.md says of
-each when it was last run, on which commit, and what was seen.
+"""`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1. docs/soak.md says
+of each when it was last run, on which commit, and what was seen.
 
     python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate renderer interpreter
                            storm-sqlite storm-postgres]
