@@ -12,7 +12,7 @@ import structlog
 
 from machines.mill.orders import Stop
 from service.errors import printable
-from service.fleet.agent_link import AgentAwayError
+from service.fleet.agent_link import AgentAwayError, require_answer
 from service.fleet.controls import Controls, RunOrder
 from service.fleet.core import FleetCore, Seen
 from service.fleet.events import RunEvents
@@ -133,6 +133,7 @@ class Fleet:
         return await self._controls.recovery(run_id, caller)
 
     async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+        context = await self._controls.require_grant(run_id, context)
         run = await self._controls.row(run_id)
         return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
 
@@ -150,10 +151,7 @@ class Fleet:
         """Who ordered what at this mill, newest first."""
         link = self._core.link(await self._core.machine(machine))
         from_number = "" if before is None else f"&before={before}"
-        try:
-            return await link.get(f"/v1/orders?limit={limit}{from_number}")
-        except AgentAwayError as away:
-            raise away.problem() from None
+        return await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
 
     async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """The run's server-sent events; None where it was over when the reader last heard of it."""
