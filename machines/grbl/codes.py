@@ -49,8 +49,8 @@ ERRORS: dict[int, str] = {
 }
 
 ALARMS: dict[int, str] = {
-    1: "hard limit hit, position lost: free the axis, reset, home again",
-    2: "move would leave the travel (soft limit), position kept: reset, unlock, check zero and program",
+    1: "hard limit hit, position lost: free the axis, home again",
+    2: "move would leave the travel (soft limit), position kept: unlock, check zero and program",
     3: "reset while moving, position lost: home or set the zero again",
     4: "probe was already touching, or not connected: check the probe",
     5: "probe did not touch within its travel: move closer and repeat",

@@ -182,6 +182,8 @@ class SessionKnown:
             return "stopping: buffers are cleared when the mill stands"
         if state is MillState.TOOL:
             return "the program waits for a person (M0, M1 or a tool change): resume when ready"
+        if state is MillState.ALARM and self.view.locked_by:
+            return alarm_words(self.view.locked_by)
         return detail_words(self.view.report) if self.view.report else ""
 
     @property

@@ -62,6 +62,7 @@ class GrblSession(SessionWatching):
         self._text.clear()
         self.view.new_epoch(position_kept=False)
         self.view.judge_place()
+        self.view.locked_by = 0
         self.view.spindle_on = None  # no banner has stopped it: whoever was here before may have left it on
         self.failure, self._banner, self._echoes = "", "", False
         self._hail = Hail()

@@ -21,6 +21,7 @@ class MachineView:
         self.report_at_s = float("-inf")
         self.reports = 0
         self.alarm = 0  # number of the alarm that stands, 0 for none
+        self.locked_by = 0  # the same, beyond the banner that ends it: as long as the controller stays locked
         self.work_offset: Triple | None = None  # report units
         self.overrides = (100, 100, 100)
         self.override_reports = 0  # reports with Ov so far
@@ -74,7 +75,7 @@ class MachineView:
         return kept
 
     def alarmed(self, number: int) -> None:
-        self.alarm = number
+        self.alarm = self.locked_by = number
         if number in POSITION_LOST_ALARMS:
             self.position_lost()
         if number not in SPINDLE_ON_ALARMS:
@@ -88,7 +89,7 @@ class MachineView:
         self.spindle_stopped = False
         self.reports += 1
         if report.state != "Alarm":
-            self.alarm = 0
+            self.alarm = self.locked_by = 0
         if report.work_offset is not None:
             x, y, z = report.work_offset[:3]
             self.work_offset = (x, y, z)

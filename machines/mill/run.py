@@ -116,14 +116,14 @@ class Run:
             "executed_line": executed,
             "in_flight_bytes": progress.bytes_in_flight,
             "in_flight_lines": progress.lines_in_flight,
-            "machine_mm": status.machine_mm,
-            "work_mm": status.work_mm,
             "work_offset_mm": status.work_offset_mm,
             "mill_state": status.state.value,
             "position_trusted": status.position_trusted,
             "epoch": status.epoch,
             "overrides": status.overrides,
         }
+        if self.live:  # afterwards the mill may be anywhere: where the run ended stays
+            fields |= {"machine_mm": status.machine_mm, "work_mm": status.work_mm}
         content = tuple(fields.values())
         if not moving and content == self._marked:
             return  # a run held over the weekend needs no mark

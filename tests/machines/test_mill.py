@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from machines.driver import MillState, Override, SendBlock, SetZero, TrustPosition
+from machines.driver import Jog, MillState, Override, SendBlock, SetZero, TrustPosition, Unlock
 from machines.errors import JournalError, NotAllowedError, ProgramChangedError
 from machines.gcode.limits import AT_PRESENT_ZERO
 from machines.journal.disk import InlineSyncer
@@ -185,6 +185,24 @@ def test_a_power_cycle_demands_the_position(shop: Shop) -> None:
         shop.mill.recover(shop.id, YES_ALL)
     shop.bench.command_done(TrustPosition())
     assert shop.mill.plan_recovery(shop.id).ready
+
+
+def test_where_a_run_ended_is_remembered_whatever_the_mill_does_then(shop: Shop) -> None:
+    """The plan tells of it: it would be another one half a second after a person has read it."""
+    epoch = shop.started().mill.status.epoch
+    shop.bench.sim.press("reset")
+    shop.until(RunState.INTERRUPTED)
+    shop.bench.until(lambda: shop.mill.status.epoch > epoch)
+    shop.bench.until_state(MillState.ALARM)
+    ended = [words for words in shop.mill.plan_recovery(shop.id).words if "last position" in words]
+    shop.bench.command_done(Unlock())
+    shop.bench.until_state(MillState.IDLE)
+    shop.bench.command_done(Jog((0.0, 0.0, 3.0), 900.0))
+    shop.bench.until_state(MillState.IDLE)
+    plan = shop.mill.plan_recovery(shop.id)
+    shop.pass_s(2.0)
+    assert shop.mill.plan_recovery(shop.id).digest == plan.digest
+    assert ended and ended[0] in plan.words
 
 
 def test_what_was_zeroed_and_homed_is_told_until_the_position_is_lost(shop: Shop) -> None:

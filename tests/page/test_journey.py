@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.conftest import Opened
-from tests.page.driving import give_up, load, machine_state, release, start, take_control, zeroed
+from tests.page.driving import give_up, homed, load, machine_state, release, start, take_control, zeroed
 from tests.page.shop import LONG_PROGRAM, MILL, PICTURE, Shop
 from tests.waiting import PATIENCE_MS, until
 
@@ -125,6 +125,35 @@ def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Sho
     expect(at_mill.locator(".running .mark")).to_have_text("running")
     goes_on(at_mill)
     assert cut_lines(at_mill) > stopped_at
+
+
+def test_a_mill_that_an_alarm_locks_in_the_cut_is_homed_and_gone_on_with(
+    at_mill: Page, shop: Shop, picture: Callable[[Page, str], Path | None]
+) -> None:
+    spindle = at_mill.locator(".pace div", has_text="Spindle").locator("dd")
+    running(at_mill, shop)
+    goes_on(at_mill)
+    expect(spindle).to_have_text(re.compile("^on"))
+    with shop.mill.lock:
+        shop.mill.mill.firmware.settings[21] = 1.0
+        shop.mill.mill.press("limit")
+    expect(machine_state(at_mill)).to_have_text("locked")
+    expect(spindle).to_have_text("off")
+    expect(at_mill.locator(".running .mark")).to_have_text("interrupted")
+    picture(at_mill, "locked")
+    line = at_mill.locator(".next")
+    expect(line).to_contain_text("Locked: hard limit hit.")
+    homed(at_mill)
+    raised(at_mill)
+    stopped_at = cut_lines(at_mill)
+    picture(at_mill, "homed")
+    start(at_mill)
+    expect(at_mill.locator(".running .mark")).to_have_text("running")
+    expect(spindle).to_have_text(re.compile("^on"))
+    goes_on(at_mill)
+    assert cut_lines(at_mill) > stopped_at
+    expect(at_mill.locator(".running .mark")).to_have_text("finished", timeout=PATIENCE_MS)
+    expect(spindle).to_have_text("off")
 
 
 def test_the_page_recovers_by_itself_from_restarts_while_the_mill_runs(at_mill: Page, shop: Shop) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import inf
@@ -19,6 +19,7 @@ WITH_SWITCHES = replace(
     settings={20: 1, 21: 1, 24: 1000, 25: 5000, 26: 5, 110: 5000, 111: 5000, 112: 3000},
 )
 AT_ZERO = replace(GRBL_11, power_up_machine_mm=(0.0, 0.0, 0.0))
+ZERO_MM = (-200.0, -150.0, -40.0)  # G54 in machine coordinates, as a touch-off has left it
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,3 +76,42 @@ def program(path: Path, lines: int, *, step_mm: float = 1.0, feed_mm_per_min: in
 def ends(lines: int, step_mm: float = 1.0) -> list[tuple[float, float, float]]:
     """Where the cuts of `program` end."""
     return [place(i, step_mm) for i in range(lines)]
+
+
+def zeroed(mill: Bench, zero_mm: tuple[float, float, float] = ZERO_MM) -> None:
+    """The zero of the work, kept in the controller's memory."""
+    interpreter = mill.mill.firmware.interpreter
+    interpreter.stored["G54"] = zero_mm
+    interpreter.refresh()
+
+
+def ends_on_the_mill(lines: int, zero_mm: tuple[float, float, float] = ZERO_MM) -> set[tuple[float, ...]]:
+    """Where the cuts of `program` end, in machine coordinates."""
+    return {tuple(round(p + z, 3) for p, z in zip(place(i), zero_mm, strict=True)) for i in range(lines)}
+
+
+def is_homing(mill: Bench) -> bool:
+    return mill.mill.firmware.state == "Home"
+
+
+def fail_homing(mill: Bench, number: int) -> None:
+    firmware = mill.mill.firmware
+    firmware.traits = replace(firmware.traits, homing_alarm=number)
+
+
+def leave_the_travel(mill: Bench) -> None:
+    """Soft limits see the next lines beyond the end of X."""
+    mill.mill.firmware.settings[130] = 100.0
+
+
+IN_THE_CUT: dict[int, Callable[[Bench], None]] = {
+    1: lambda mill: mill.mill.press("limit"),
+    2: leave_the_travel,
+    3: lambda mill: mill.mill.press("reset"),
+    4: lambda mill: mill.mill.firmware.raise_alarm(4),
+    5: lambda mill: mill.mill.firmware.raise_alarm(5),
+}
+WHILE_HOMING: dict[int, Callable[[Bench], None]] = {
+    6: lambda mill: mill.mill.press("reset"),
+    7: lambda mill: mill.mill.press("door"),
+}

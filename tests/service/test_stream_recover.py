@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from machines.simulated.traits import Traits
-from tests.service.mills import AT_ZERO, WITH_SWITCHES, Bench, bench, place, program
+from tests.service.mills import (
+    AT_ZERO,
+    IN_THE_CUT,
+    WHILE_HOMING,
+    WITH_SWITCHES,
+    ZERO_MM,
+    Bench,
+    bench,
+    ends_on_the_mill,
+    fail_homing,
+    is_homing,
+    program,
+    zeroed,
+)
 from tests.service.terminal import Terminal
 from tests.waiting import until
 
 LINES = 60
-ZERO_MM = (-200.0, -150.0, -40.0)  # G54 in machine coordinates, as a touch-off has left it
 QUESTIONS = ("tool is in", "zero is set", "stock is clamped", "in the way")
 ASKED = "stop here > "
 
@@ -23,17 +33,6 @@ ASKED = "stop here > "
 def own_state(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
     monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path / "config"))
-
-
-def zeroed(mill: Bench, zero_mm: tuple[float, float, float] = ZERO_MM) -> None:
-    """The zero of the work, kept in the controller's memory."""
-    interpreter = mill.mill.firmware.interpreter
-    interpreter.stored["G54"] = zero_mm
-    interpreter.refresh()
-
-
-def ends_on_the_mill(zero_mm: tuple[float, float, float] = ZERO_MM) -> set[tuple[float, ...]]:
-    return {tuple(round(p + z, 3) for p, z in zip(place(i), zero_mm, strict=True)) for i in range(LINES)}
 
 
 def answer(person: Terminal, *more: str) -> None:
@@ -46,33 +45,6 @@ def home(person: Terminal) -> None:
     person.sees("h home")
     person.sees(ASKED)
     person.types("h\n")
-
-
-def is_homing(mill: Bench) -> bool:
-    return mill.mill.firmware.state == "Home"
-
-
-def fail_homing(mill: Bench, number: int) -> None:
-    firmware = mill.mill.firmware
-    firmware.traits = dataclasses.replace(firmware.traits, homing_alarm=number)
-
-
-def leave_the_travel(mill: Bench) -> None:
-    """Soft limits see the next lines beyond the end of X."""
-    mill.mill.firmware.settings[130] = 100.0
-
-
-IN_THE_CUT: dict[int, Callable[[Bench], None]] = {
-    1: lambda mill: mill.mill.press("limit"),
-    2: leave_the_travel,
-    3: lambda mill: mill.mill.press("reset"),
-    4: lambda mill: mill.mill.firmware.raise_alarm(4),
-    5: lambda mill: mill.mill.firmware.raise_alarm(5),
-}
-WHILE_HOMING: dict[int, Callable[[Bench], None]] = {
-    6: lambda mill: mill.mill.press("reset"),
-    7: lambda mill: mill.mill.press("door"),
-}
 
 
 def spindle_words(mill: Bench) -> str:
@@ -116,7 +88,7 @@ def test_after_every_alarm_a_person_gets_back_to_cutting(tmp_path: Path, number:
             assert person.ends() == 0
             assert spindle_words(mill) == "spindle off"
             assert "spindle off" in person.text
-        assert ends_on_the_mill() <= set(mill.cut)
+        assert ends_on_the_mill(LINES) <= set(mill.cut)
         assert not mill.mill.firmware.position_lost
 
 
@@ -141,7 +113,7 @@ def test_an_untrusted_position_is_asked_for_and_refuses_nothing(tmp_path: Path) 
             assert person.ends() == 0
             assert "cannot go on" not in person.text
             assert "elsewhere" not in person.text
-        assert ends_on_the_mill(high_mm) <= set(mill.cut)
+        assert ends_on_the_mill(LINES, high_mm) <= set(mill.cut)
 
 
 def test_a_zero_that_was_set_elsewhere_is_put_back(tmp_path: Path) -> None:
@@ -179,7 +151,7 @@ def test_a_locked_mill_is_offered_home_and_unlock_before_the_questions(tmp_path:
             answer(person)
             person.sees("finished")
             assert person.ends() == 0
-        assert ends_on_the_mill() == set(mill.cut)
+        assert ends_on_the_mill(LINES) == set(mill.cut)
 
 
 @pytest.mark.parametrize("yes", [True, False])

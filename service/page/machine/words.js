@@ -190,6 +190,6 @@ export function checkWords(check, run) {
 /** The same as a sentence, without the codes of the controller in them. */
 export function sentence(words) {
   if (!words) return "";
-  const alarm = plain(words).replaceAll(/\bALARM:\d+ \(([^()]*)\)/g, "$1").replaceAll(/\bALARM:\d+ /g, "");
+  const alarm = plain(words).replaceAll(/\bALARM:\d+ \(((?:[^()]|\([^()]*\))*)\)/g, "$1").replaceAll(/\bALARM:\d+ /g, "");
   return inWords(alarm.replaceAll(/ \(\$\w+\)/g, ""));
 }

@@ -122,8 +122,10 @@ def test_back_to_work_after(number: int) -> None:
         assert bench.until(lambda: bench.driver.status.epoch > epoch, 5.0)
         assert bench.until(ready, 10.0), bench.driver.status
     assert bench.driver.status.position_trusted is (row.trusted and not failing)
+    assert f"ALARM:{number} " in bench.driver.status.detail  # why it is locked, until it is no more
     assert not done(bench, Unlock()).failure
     assert bench.until(lambda: bench.state() is MillState.IDLE, 3.0)
+    assert not bench.driver.status.detail
     assert not done(bench, Jog((0.0, 0.0, 0.5), 600.0)).failure
 
 

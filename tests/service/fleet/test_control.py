@@ -19,7 +19,7 @@ from service.fleet.launching import start_agents
 from tests.service.api.server import api_server, problem
 from tests.service.fleet.shop import CHECKS, MACHINE, Shop, await_agent, kill_agents, shop
 from tests.service.mills import Bench
-from tests.waiting import PATIENCE_S, until
+from tests.waiting import PATIENCE_S, seen, until
 
 HEADER = "Causticmill-Control"
 HERE = f"/v1/machines/{MACHINE}/control"
@@ -48,8 +48,11 @@ class Person:
         return self.http.post(f"{HERE}/{name}", json=body, headers=self.headers)
 
     def until_taken(self, name: str, /, **body: Any) -> None:
-        """A controller that still answers the order before refuses the next; the person tries again."""
-        until(lambda: (answer := self.order(name, **body)).status_code == 202 or "busy" not in answer.text)
+        """A controller that is busy, or has just restarted, refuses an order; the person tries again."""
+        wait = ("busy", "connecting")
+        order = lambda: ((answer := self.order(name, **body)).status_code, answer.text)  # noqa: E731
+        code, words = seen(order, lambda got: got[0] == 202 or not any(one in got[1] for one in wait))
+        assert code == 202, words
 
     def jog(self, x_mm: float, feed: float = 5000) -> httpx.Response:
         return self.order("jog", by_mm=[x_mm, 0, 0], feed_mm_per_min=feed)

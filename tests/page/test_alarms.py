@@ -1,0 +1,65 @@
+"""What a person is told and offered after each alarm in the middle of a program."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from playwright.sync_api import Route, expect
+
+from machines.grbl.codes import SPINDLE_ON_ALARMS, alarm_words
+from tests.page.conftest import Opened
+from tests.page.driving import machine_state
+from tests.page.machine_states import PLAN, told, with_control
+from tests.page.test_next_step import RAISED, after, orders_of
+
+SAID = {
+    1: "hard limit hit",
+    2: "move would leave the travel",
+    3: "reset while moving",
+    4: "probe was already touching",
+    5: "probe did not touch within its travel",
+    6: "homing stopped by a reset",
+    7: "homing stopped by the safety door",
+    8: "homing could not leave the switch",
+    9: "homing did not find the switch",
+    10: "homing of a second motor failed",
+}
+LOST = {"position_trusted": False, "zeroed": ""}
+
+
+def way_on(number: int) -> Callable[[Route], None]:
+    """Answers whoever asks how to go on."""
+    plan = PLAN | {"ready": True, "needs": [], "words": [f"the way on after alarm {number}"]}
+    return lambda route: route.fulfill(json=plan)
+
+
+def test_after_every_alarm_its_words_the_spindle_home_and_the_way_on_are_on_the_page(opened: Opened) -> None:
+    page = with_control(opened, "interrupted")
+    spindle = page.locator(".pace div", has_text="Spindle").locator("dd")
+    line, go = page.locator(".next"), page.get_by_role("button", name="Go on from line 8,640")
+    for number, words in SAID.items():
+        on = number in SPINDLE_ON_ALARMS
+        turns = {"spindle_on": on, "spindle_rpm": 18000 if on else 0}
+        alarm = LOST | turns | {"state": "alarm", "detail": alarm_words(number)}
+        told(page, "interrupted", operator="Ada", mill=alarm)
+        expect(line).to_contain_text(f"Locked: {words}.")
+        assert "(" not in line.text_content().split(words)[0], number
+        expect(machine_state(page)).to_have_text("locked")
+        expect(page.locator(".running .mark")).to_have_text("interrupted")
+        expect(spindle).to_have_text("on, 18000 rpm" if on else "off")
+        expect(go).to_be_hidden()
+        sent = orders_of(page)
+        line.get_by_role("button", name="Home", exact=True).click()
+        after(sent, 1, page)
+        assert sent == [("home", {})]
+        homed = RAISED | {"state": "idle", "detail": "", "spindle_on": False, "needs": []}
+        told(page, "interrupted", operator="Ada", mill=homed, plan=way_on(number))
+        expect(line).to_contain_text("go on with it")
+        expect(page.locator(".recover")).to_contain_text(f"the way on after alarm {number}")
+        for box in page.locator(".recover input[type=checkbox]").all():
+            box.check()
+        page.get_by_label("Operator").fill("Ada")
+        sent = orders_of(page)
+        go.click()
+        after(sent, 1, page)
+        assert [(name.partition(":")[2], body["plan"]) for name, body in sent] == [("recover", PLAN["plan"])]
