@@ -39,7 +39,8 @@ SMALL_SPEC: dict[str, Any] = {
     ],
 }
 LONG_PROGRAM = "pass-1-finish.nc"
-LONG_LINES = 8000
+LONG_LINES = 8000  # at this feed, minutes of the mill's time even twenty times as fast: longer than any test looks on
+LONG_FEED = 150
 # Power-up where a homing cycle would have left it, room for the lens around it, and switches to home by.
 _MILL = replace(AT_ZERO, power_up_machine_mm=(-150.0, -150.0, -20.0), homing=True)
 _PROFILE = 'extends = "grbl"\ndescription = "the mill by the window"\nhoming = true\n[link]\nport = "{port}"\n'
@@ -124,6 +125,12 @@ class Shop:
             self._job = self.succeeded(self.submit())
         return self._job
 
+    def told(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """This job and its files, as the API tells them."""
+        with self.client() as client:
+            address = f"/v1/jobs/{self.job()}"
+            return client.get(address).json(), client.get(f"{address}/artifacts").json()["artifacts"]
+
     def long_job(self) -> str:
         """A job with one program, of some minutes of the mill's time, as it is once its stages are done."""
         if not self._long_job:
@@ -131,7 +138,7 @@ class Shop:
             with self.client() as client:
                 client.post(f"/v1/jobs/{job}:cancel")
             self._until_ended(job)
-            path = program(self.folder / "long.nc", LONG_LINES, step_mm=0.1)
+            path = program(self.folder / "long.nc", LONG_LINES, step_mm=0.1, feed_mm_per_min=LONG_FEED)
             made = Made(ServerSettings(data=self.data))
             made.put_artifact(job, LONG_PROGRAM, path.read_bytes(), stage="pass-1")
             made.put_stage(job, "check")

@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
+from tests.page.answers import problem
 from tests.page.conftest import Opened
 from tests.page.driving import setup
-from tests.page.machine_states import GRANT, PLAN, STOPS, machine_in, told, with_control
-from tests.page.shop import MILL
+from tests.page.machine_states import GRANT, PLAN, STOPS, taken, told, with_control
+from tests.page.machine_states import NAME as MILL
 from tests.page.test_words import JARGON
 from tests.waiting import until
 
@@ -27,8 +28,7 @@ Sent = list[tuple[str, dict[str, Any], dict[str, str]]]
 
 def refusal(code: str, detail: str = "the server's own words") -> dict[str, Any]:
     """What a route is fulfilled with where an order is refused."""
-    body = json.dumps({"status": 409, "detail": detail, "code": code})
-    return {"status": 409, "body": body, "content_type": "application/problem+json"}
+    return problem(409, detail=detail, code=code)
 
 
 def record_orders(page: Page, answer: Callable[[Route], Any] | None = None) -> Sent:
@@ -40,7 +40,7 @@ def record_orders(page: Page, answer: Callable[[Route], Any] | None = None) -> S
         name = re.split("[/:]", asked.url)[-1]
         sent.append((name, json.loads(asked.post_data or "{}"), asked.headers))
         if answer is None:
-            route.fulfill(status=202, json=machine_in("held")[1])
+            route.fulfill(status=202, json=taken(route))
         else:
             answer(route)
 
@@ -85,16 +85,25 @@ def at_mill(opened: Opened, state: str, **how: Any) -> Page:
     mill = RAISED if state == "stopped" else None
     page = with_control(opened, state, mill=mill, **how)
     if state == "stopped":
-        page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=READY))
-        page.get_by_role("button", name="Look again").click()
-        expect(page.get_by_role("button", name="Go on from line 8,640")).to_be_visible()
+        plan_to_go_on(page)
     return page
 
 
-@pytest.mark.parametrize("what", PRESSES)
-def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened, what: str) -> None:
-    state, press = PRESSES[what]
-    page = at_mill(opened, state)
+def stand(page: Page, state: str) -> None:
+    """From now on the mill of this page, which has control, is in this state; every order goes to the record."""
+    told(page, state, operator="Ada", mill=RAISED if state == "stopped" else None)
+    if state == "stopped":
+        plan_to_go_on(page)
+
+
+def plan_to_go_on(page: Page) -> None:
+    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=READY))
+    page.get_by_role("button", name="Look again").click()
+    expect(page.get_by_role("button", name="Go on from line 8,640")).to_be_visible()
+
+
+def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened) -> None:
+    page = with_control(opened, "idle")
     sent, asked = record_orders(page), []
 
     def grant(route: Route) -> None:
@@ -102,12 +111,16 @@ def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: O
         asked.append((route.request.headers["causticmill-control"], route.request.post_data_json))
         route.fulfill(status=201, json=GRANT)
 
-    page.route("**/grants", grant)
-    press(page)
-    await_orders(page, sent)
-    assert asked == [("a secret", {"stops": 7})]
-    name, _, headers = sent[0]
-    assert (name, headers["causticmill-grant"], headers["causticmill-control"]) == (what, "a word", "a secret")
+    for what, (state, press) in PRESSES.items():
+        stand(page, state)
+        page.route("**/grants", grant)
+        press(page)
+        await_orders(page, sent)
+        assert asked == [("a secret", {"stops": 7})], what
+        name, _, headers = sent[0]
+        assert (name, headers["causticmill-grant"], headers["causticmill-control"]) == (what, "a word", "a secret")
+        sent.clear()
+        asked.clear()
 
 
 def test_an_order_whose_grant_comes_too_late_is_not_sent(opened: Opened) -> None:
@@ -149,13 +162,12 @@ def test_a_press_that_a_busy_page_hears_too_late_sends_no_order(opened: Opened) 
     assert sent == []
 
 
-def test_every_refusal_of_an_order_is_one_plain_sentence(opened: Opened) -> None:
-    page = opened("#/machines")
+def test_every_refusal_of_an_order_is_one_plain_sentence(modules: Page) -> None:
     script = """async (codes) => {
         const { refusal } = await import("/page/machine/words.js");
         return codes.map((code) => refusal({code, detail: code}));
     }"""
-    found = page.evaluate(script, list(CODES))
+    found = modules.evaluate(script, list(CODES))
     assert len(set(found)) == len(CODES)
     for code, words in zip(CODES, found, strict=True):
         assert code not in words
@@ -256,7 +268,12 @@ def test_a_stop_without_an_answer_goes_the_other_way_too(opened: Opened, answer:
 def test_an_order_after_our_own_stop_is_no_order_before_it(opened: Opened) -> None:
     """The answer to the stop counts, where what the mill says comes later."""
     page = at_mill(opened, "held")
-    page.route("**/control/hold", lambda route: route.fulfill(status=202, json={"mill": {"stops": 8}}))
+
+    def stopped(route: Route) -> dict[str, Any]:
+        answer = taken(route)
+        return answer | {"mill": answer["mill"] | {"stops": 8}}
+
+    page.route("**/control/hold", lambda route: route.fulfill(status=202, json=stopped(route)))
     asked: list[dict[str, Any]] = []
 
     def grant(route: Route) -> None:
@@ -325,7 +342,7 @@ def test_a_line_that_changes_the_mill_itself_is_asked_for_once_more(opened: Open
 
     def answer(route: Route) -> None:
         if json.loads(route.request.post_data or "{}").get("confirm"):
-            route.fulfill(status=202, json={})
+            route.fulfill(status=202, json=taken(route))
         else:
             route.fulfill(**refusal("confirm", words))
 
