@@ -1,4 +1,4 @@
-"""A finished job as a server tells it, and its files: written as a job writes them, of a surface that nobody designed."""
+"""A finished job as a server tells it, and its files: written as a job writes them, of a surface nobody designed."""
 
 from __future__ import annotations
 

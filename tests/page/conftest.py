@@ -38,7 +38,7 @@ def launched() -> Iterator[tuple[Browser, asyncio.AbstractEventLoop]]:
 
 @pytest.fixture(scope="module")
 def browser(launched: tuple[Browser, asyncio.AbstractEventLoop]) -> Iterator[Browser]:
-    """The one of this process. Its driver's loop counts as running only meanwhile, so that other files may run theirs."""
+    """The one of this process. Its driver's loop counts as running only meanwhile: other files may run theirs."""
     found, loop = launched
     asyncio._set_running_loop(loop)
     yield found
@@ -85,7 +85,7 @@ def watched(browser: Browser, stub: Stub) -> Iterator[Callable[..., Watched]]:
 
 @pytest.fixture
 def opened(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Iterator[Opened]:
-    """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",)): in place of the one before."""
+    """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",)), instead of the last."""
     stub.lies.clear()
     with contextlib.ExitStack() as stack:
 

@@ -206,7 +206,9 @@ def told(
     page.route("**/v1/machines/shop/grants", lambda route: route.fulfill(status=201, json=GRANT))
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
     page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": last, "next": None}))
-    page.route("**/v1/runs/*", lambda route: route.fulfill(json=run))
+    page.route(
+        "**/v1/runs/*", lambda route: route.fulfill(status=200 if route.request.method == "GET" else 202, json=run)
+    )
     page.route("**/v1/runs/*/recovery", plan)
     page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json=_job()))
     page.route(f"**/v1/jobs/{_JOB}/artifacts", lambda route: route.fulfill(json={"artifacts": []}))

@@ -1,8 +1,8 @@
 """A server for tests of the page that does nothing: the page's own files as they are served, and canned answers.
 
 It knows one finished job, two mills that stand idle, and everybody. What it says is what the API's document allows
-(tests/page/answers.py); what another state would say, tests tell their page by `page.route`. A stream stays open. A stop
-is told in the mill's stream, and moves nothing.
+(tests/page/answers.py); what another state would say, tests tell their page by `page.route`. A stream stays open. A
+stop is told in the mill's stream, and moves nothing.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class Stub:
 
     def key(self, name: str = "Ada") -> str:
         """A token of this person."""
-        return f"token-of-{name}"
+        return f"cm_{name}"
 
     # ------------------------------------------------------------ answers
 
@@ -63,10 +63,10 @@ class Stub:
         scheme, _, token = request.headers.get("authorization", "").partition(" ")
         if not scheme:
             return _ANYBODY
-        if not token.startswith("token-of-"):
+        if not token.startswith("cm_"):
             raise Problem(401, "this token is not known", field="Authorization")
         scopes = ["jobs:read", "jobs:write", "machine:run"]
-        name = token.removeprefix("token-of-")
+        name = token.removeprefix("cm_")
         return {"name": name, "scopes": scopes, "anonymous": False, "paired": True, "expires_at": None}
 
     def jobs(self, _request: Request) -> dict[str, Any]:
@@ -148,7 +148,11 @@ class Stub:
             ("GET", "/v1/jobs", self.jobs),
             ("GET", job, self.job_told),
             ("GET", f"{job}/request", lambda _request, _job: canned_job.request()),
-            ("GET", f"{job}/artifacts", lambda _request, _job: {"artifacts": canned_job.artifacts()}),
+            (
+                "GET",
+                f"{job}/artifacts",
+                lambda _request, job: {"artifacts": [] if job == GOING else canned_job.artifacts()},
+            ),
             ("GET", f"{job}/artifacts/([a-z0-9.-]+)", self.file),
             ("GET", f"{job}/programs/([0-9]+)", self.program),
             ("GET", f"{job}/events", self.job_events),
@@ -156,6 +160,7 @@ class Stub:
             ("GET", "/v1/machines", lambda _: {"machines": [_SIMULATED, MACHINE], "problems": []}),
             ("GET", machine, lambda _request, name: _SIMULATED if name == "simulated" else MACHINE),
             ("GET", f"{machine}/events", self.machine_events),
+            ("GET", f"{machine}/orders", lambda _request, _name: {"orders": [_entry(1, "connected")], "next": None}),
             ("POST", f"{machine}/control/(hold|abort)", self.stop),
             ("GET", "/v1/profiles", lambda _: {"profiles": _PROFILES}),
             ("GET", "/v1/runs", lambda _: {"runs": [], "next": None}),

@@ -65,7 +65,7 @@ def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(modules: P
 
 
 def test_only_an_older_question_of_the_same_tab_is_ended(opened: Opened) -> None:
-    """Each tab has a name of its own, which the server tells them apart by; a page that is loaded anew is another tab."""
+    """Each tab has a name of its own, by which the server knows it; a page that is loaded anew is another tab."""
     page = opened("#/machines")
     asked: list[str] = []
 

@@ -85,25 +85,16 @@ def at_mill(opened: Opened, state: str, **how: Any) -> Page:
     mill = RAISED if state == "stopped" else None
     page = with_control(opened, state, mill=mill, **how)
     if state == "stopped":
-        plan_to_go_on(page)
+        page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=READY))
+        page.get_by_role("button", name="Look again").click()
+        expect(page.get_by_role("button", name="Go on from line 8,640")).to_be_visible()
     return page
 
 
-def stand(page: Page, state: str) -> None:
-    """From now on the mill of this page, which has control, is in this state; every order goes to the record."""
-    told(page, state, operator="Ada", mill=RAISED if state == "stopped" else None)
-    if state == "stopped":
-        plan_to_go_on(page)
-
-
-def plan_to_go_on(page: Page) -> None:
-    page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=READY))
-    page.get_by_role("button", name="Look again").click()
-    expect(page.get_by_role("button", name="Go on from line 8,640")).to_be_visible()
-
-
-def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened) -> None:
-    page = with_control(opened, "idle")
+@pytest.mark.parametrize("what", PRESSES)
+def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened, what: str) -> None:
+    state, press = PRESSES[what]
+    page = at_mill(opened, state)
     sent, asked = record_orders(page), []
 
     def grant(route: Route) -> None:
@@ -111,16 +102,12 @@ def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: O
         asked.append((route.request.headers["causticmill-control"], route.request.post_data_json))
         route.fulfill(status=201, json=GRANT)
 
-    for what, (state, press) in PRESSES.items():
-        stand(page, state)
-        page.route("**/grants", grant)
-        press(page)
-        await_orders(page, sent)
-        assert asked == [("a secret", {"stops": 7})], what
-        name, _, headers = sent[0]
-        assert (name, headers["causticmill-grant"], headers["causticmill-control"]) == (what, "a word", "a secret")
-        sent.clear()
-        asked.clear()
+    page.route("**/grants", grant)
+    press(page)
+    await_orders(page, sent)
+    assert asked == [("a secret", {"stops": 7})]
+    name, _, headers = sent[0]
+    assert (name, headers["causticmill-grant"], headers["causticmill-control"]) == (what, "a word", "a secret")
 
 
 def test_an_order_whose_grant_comes_too_late_is_not_sent(opened: Opened) -> None:
@@ -308,12 +295,7 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
 def test_nothing_can_be_loaded_while_an_order_is_on_its_way(opened: Opened) -> None:
     """Taken is not carried out: between the two the button said that it could, and then that it could not."""
     page = opened("#/machines", key="Ada")
-    job = {"id": "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d", "name": "logo.png", "state": "succeeded"}
-    job |= {"created_at": "2026-11-21T08:00:00.000Z", "progress": 1}
-    programs = [{"name": "pass-1-rough.nc", "number": 1, "sha256": "9f" * 32}]
-    page.route("**/v1/jobs?**", lambda route: route.fulfill(json={"jobs": [job], "next": None}))
     told(page, "idle", operator="Ada")
-    page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(json=job | {"programs": programs}))
     page.evaluate(f"location.hash = '{SCREEN}'")
     page.get_by_role("button", name="Take over").click()
     page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()

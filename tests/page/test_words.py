@@ -41,8 +41,8 @@ def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
 
 
 def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(modules: Page) -> None:
-    modules = [ROOT / "service" / f"{name}.py" for name in SPEAKERS] + sorted((ROOT / "machines/mill").glob("*.py"))
-    said = [text for path in modules for text in spoken(path) if "owns this mill" not in text]
+    paths = [ROOT / "service" / f"{name}.py" for name in SPEAKERS] + sorted((ROOT / "machines/mill").glob("*.py"))
+    said = [text for path in paths for text in spoken(path) if "owns this mill" not in text]
     assert len(said) > 15, said
     shown = modules.evaluate(SENTENCES, said)
     assert not [pair for pair in zip(said, shown, strict=True) if JARGON.search(pair[1])]

@@ -11,8 +11,7 @@ from playwright.sync_api import Route, expect
 
 from tests.page.conftest import Opened
 from tests.page.form import choose, fill, make_it, picture
-from tests.page.shop import SMALL_SPEC, Shop
-from tests.waiting import PATIENCE_MS
+from tests.page.shop import JOB_MS, Shop
 
 AWAY = (r"net::ERR_", r"status of 50[234]")
 
@@ -70,12 +69,12 @@ def test_pressed_twice_and_with_the_answer_lost_it_makes_one_job(opened: Opened,
 @pytest.mark.thorough
 def test_a_job_is_followed_to_its_end_though_the_server_dies_meanwhile(opened: Opened, shop: Shop) -> None:
     """Progress, pictures, figures and programs come without a reload, across a crash of the API."""
-    job = shop.submit(SMALL_SPEC | {"image": {"pixels": 32}, "optics": {"width_mm": 6.0, "height_mm": 6.0}})
+    job = shop.begin()
     page = opened(f"#/jobs/{job}", errors=AWAY)
     words = page.locator(".progress-words")
-    expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=PATIENCE_MS)
+    expect(words).to_have_text(re.compile(r"\d+ %: (?!Read)"), timeout=JOB_MS)
     shop.kill_api()
-    expect(words).to_contain_text("Made", timeout=PATIENCE_MS)
+    expect(words).to_contain_text("Made", timeout=JOB_MS)
     expect(page.locator(".job-state")).to_have_text("done")
     expect(page.get_by_role("img", name="As milled: with all marks of the tool").last).to_be_visible()
     expect(page.locator(".facts")).to_contain_text("will blur")

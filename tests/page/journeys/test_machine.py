@@ -10,6 +10,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.page.conftest import Opened
 from tests.page.driving import homed, logged, machine_state, readout, release, setup, take_control
+from tests.page.machine_states import taken
 from tests.page.shop import MILL, Shop
 
 SCREEN = f"#/machines/{MILL}"
@@ -103,6 +104,6 @@ def test_a_stop_does_not_wait_for_anything(at_mill: Page) -> None:
         at_mill.get_by_role("button", name="X minus").click()
     press_stop(at_mill, "HOLD")
     for route in hanging:
-        route.fulfill(status=202, json={})
+        route.fulfill(status=202, json=taken(route))
     at_mill.get_by_role("button", name="STOP").click()  # held, the mill would be of no use to the next test
     expect(machine_state(at_mill)).to_have_text("idle")

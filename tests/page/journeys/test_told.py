@@ -1,4 +1,4 @@
-"""What the stub tells a page has the form of what a server tells it: every key, where the API's document leaves it open."""
+"""What the stub tells a page has the form of what a server tells, where the API's document leaves that open."""
 
 from __future__ import annotations
 
