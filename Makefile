@@ -7,7 +7,7 @@ READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
 MILL := out/demo-mill.txt
 
-.PHONY: demo serve test lint bench soak paper format lock clean
+.PHONY: demo serve test test-all lint bench soak paper format lock clean
 
 # The locked environments, made anew whenever a lock or the project file changes: what the product needs, then what its
 # developers need on top. Compiled after pip, on all cores and without the packages' own tests: half of the time
@@ -43,8 +43,13 @@ serve: $(INSTALLED)
 	@exec $(BIN)/causticmill serve --data $(DATA) --port $(PORT) --with-simulated-mill
 
 # A file of tests stays in one process, so that what its tests share is made once (tests/order.py).
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --dist loadfile
 test: $(READY)
-	$(BIN)/python -m pytest --numprocesses auto --dist loadfile
+	$(PYTEST)
+
+# With the thorough ones, as in .ci/run.
+test-all: $(READY)
+	CAUSTICMILL_SLOW=1 $(PYTEST)
 
 lint: $(READY)
 	$(BIN)/ruff check .

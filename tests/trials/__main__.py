@@ -1,4 +1,5 @@
-"""`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1.
+"""`make soak`: the long trials, as figures in out/soak.md and out/soak.json; a broken law is exit 1. docs/soak.md says
+of each when it was last run, on which commit, and what was seen.
 
     python -m tests.trials [clean faults echo kills agent wire big latency orders load estimate renderer interpreter
                            storm-sqlite storm-postgres]
@@ -8,10 +9,12 @@ Laws (nothing lost, nothing doubled, nothing foreign) are asserted; times and ra
 
 from __future__ import annotations
 
+import subprocess
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
 
-from tests.benchmarks.reporting import run_sections
+from tests.benchmarks.reporting import machine, run_sections
 from tests.benchmarks.timing import Figure
 from tests.trials import interpreter, renderer, sections
 from tests.trials.server import sections as server
@@ -34,6 +37,48 @@ SECTIONS: dict[str, Callable[[], Iterable[Figure]]] = {
     "storm-postgres": server.postgres_storm,
 }
 
+LAST_RUNS = Path("docs/soak.md")
+_HEAD = """# When each long trial was last run
+
+`make soak` runs them all, `python -m tests.trials SECTION` one; each writes its row here.
+
+| trial | commit | when | machine | seen |
+|---|---|---|---|---|
+"""
+
+
+def noted(name: str, trial: Callable[[], Iterable[Figure]]) -> Callable[[], Iterator[Figure]]:
+    """The same trial, whose end is written down."""
+
+    def run() -> Iterator[Figure]:
+        about, seen = machine(), []
+        for figure in trial():
+            seen.append(figure)
+            yield figure
+        words = "; ".join(f"{one.name}: {one.value:,.4g} {one.unit}, {one.note}".rstrip(", ") for one in seen)
+        where = f"{about['machine']}, load {about['load before'].split()[0]}"
+        write_last_run(name, [commit(), about["date"], where, words.replace("|", "/")])
+
+    return run
+
+
+def write_last_run(name: str, cells: list[str]) -> None:
+    """A row of each trial that was ever run, in the order of SECTIONS."""
+    text = LAST_RUNS.read_text() if LAST_RUNS.exists() else _HEAD
+    rows = {row.split("|")[1].strip(): row for row in text.removeprefix(_HEAD).splitlines()}
+    rows[name] = f"| {' | '.join([name, *cells])} |"
+    LAST_RUNS.write_text(_HEAD + "".join(f"{rows[one]}\n" for one in SECTIONS if one in rows))
+
+
+def commit() -> str:
+    """Of what is run; with a star where it is not all committed."""
+    found = subprocess.run(
+        ["git", "describe", "--always", "--dirty=*", "--exclude=*"], capture_output=True, text=True, check=True
+    )
+    return found.stdout.strip()
+
+
 if __name__ == "__main__":
-    broken = [figure for figure in run_sections("soak", SECTIONS, sys.argv[1:]) if figure.note.startswith("BROKEN")]
+    trials = {name: noted(name, trial) for name, trial in SECTIONS.items()}
+    broken = [figure for figure in run_sections("soak", trials, sys.argv[1:]) if figure.note.startswith("BROKEN")]
     sys.exit(1 if broken else 0)
