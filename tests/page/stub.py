@@ -50,9 +50,6 @@ class Stub:
         self._streams: set[asyncio.Queue[str]] = set()
         self._numbers = itertools.count(2)
 
-    def job(self) -> str:
-        return canned_job.JOB_ID
-
     def key(self, name: str = "Ada") -> str:
         """A token of this person."""
         return f"cm_{name}"

@@ -48,7 +48,7 @@ class Tabs:
         return pages[0]
 
     def await_streams(self, page: Page, count: int) -> None:
-        until(lambda: (page.wait_for_timeout(50), len(self.open) == count)[1], what=f"{count} streams", within_s=60)
+        until(lambda: (page.wait_for_timeout(50), len(self.open) == count)[1], what=f"{count} streams")
         page.wait_for_timeout(300)
         assert len(self.open) == count
 
