@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator, Mapping
+from functools import cache
 from typing import Any
 
+from machines.profiles import load_profile
 from service.errors import SpecError
+from service.passes import LoadProfile
 from service.spec_files import resolve_spec
 
 Json = dict[str, Any]
@@ -24,10 +27,11 @@ def asked_spec(resolved: Mapping[str, Any]) -> Json:
     if profile is not None:
         light["profile"] = _SOME_PROFILE
     try:
-        wanted = _resolved(asked)
+        load = cache(load_profile)  # each try resolves the whole spec, and would read the machine's profile again
+        wanted = _resolve(asked, load)
         for place in _places(asked):
             shorter = _without(asked, place)
-            if _resolves_to(shorter, wanted):
+            if shorter is not None and _resolves_to(shorter, wanted, load):
                 asked = shorter
     except SpecError:
         pass
@@ -47,26 +51,29 @@ def _places(spec: Mapping[str, Any]) -> Iterator[Place]:
                 yield from ((*start, *rest) for rest in _places(table))
 
 
-def _without(spec: Json, place: Place) -> Json:
-    """A copy that lacks what lies at a place; it may be gone already."""
-    found: Any = (copied := copy.deepcopy(spec))
-    for step in place[:-1]:
+def _without(spec: Json, place: Place) -> Json | None:
+    """A copy that lacks what lies at a place; None where that has gone with its table."""
+    found: Any = spec
+    for step in place:
         if isinstance(found, Mapping) and step not in found:
-            return copied
+            return None
         found = found[step]
-    found.pop(place[-1], None)
+    found = copied = copy.deepcopy(spec)
+    for step in place[:-1]:
+        found = found[step]
+    del found[place[-1]]
     return copied
 
 
-def _resolves_to(spec: Json, wanted: Json) -> bool:
+def _resolves_to(spec: Json, wanted: Json, load: LoadProfile) -> bool:
     try:
-        return _resolved(spec) == wanted
+        return _resolve(spec, load) == wanted
     except SpecError:
         return False
 
 
-def _resolved(spec: Json) -> Json:
-    return resolve_spec(base=spec).model_dump(mode="json")
+def _resolve(spec: Json, load: LoadProfile) -> Json:
+    return resolve_spec(base=spec, load=load).model_dump(mode="json")
 
 
 def _without_nulls(value: Any) -> Any:

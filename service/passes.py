@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -13,6 +13,7 @@ from machines.profiles import MachineProfile, ProfileError, UnknownProfileError,
 from service.errors import SpecError
 from service.spec import JobSpec, PassRow
 
+LoadProfile = Callable[[str], MachineProfile]
 _MATERIALS: dict[str, Material] = {"pmma": PMMA}
 _PROFILE_KEYS = {
     "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
@@ -32,10 +33,10 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
     return rows
 
 
-def machine_of(spec: JobSpec) -> MachineProfile:
+def machine_of(spec: JobSpec, load: LoadProfile = load_profile) -> MachineProfile:
     """The named profile with the job's own figures in place of its."""
     try:
-        profile = load_profile(spec.machine.profile)
+        profile = load(spec.machine.profile)
     except UnknownProfileError as error:
         allowed = ", ".join(f"'{name}'" for name in error.known)
         raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
@@ -49,14 +50,14 @@ def machine_of(spec: JobSpec) -> MachineProfile:
     return replace(profile, **own)
 
 
-def with_feeds(spec: JobSpec) -> JobSpec:
+def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
     """The same spec with every speed, feed and step-down filled in from the material's start values, and the ball that
     the lens is shaped for.
 
     What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
     spindle taking the feed down with it.
     """
-    machine = machine_of(spec)
+    machine = machine_of(spec, load)
     rows, problems = [], []
     for number, row in enumerate(spec.passes):
         problems += _beyond_the_mill(row, machine, f"passes.{number}")

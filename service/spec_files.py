@@ -11,9 +11,10 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from machines.profiles import load_profile
 from service.errors import SpecError, sentence_of_os_error
 from service.job_files import SPEC
-from service.passes import preset_rows, with_feeds, without_derived
+from service.passes import LoadProfile, preset_rows, with_feeds, without_derived
 from service.spec import PRESETS, JobSpec
 from service.spec_errors import as_spec_error, known_keys, unknown_key
 
@@ -29,14 +30,15 @@ def resolve_spec(
     overrides: Sequence[str] = (),
     base: Mapping[str, Any] | None = None,
     light_picture: Path | None = None,
+    load: LoadProfile = load_profile,
 ) -> JobSpec:
     """The complete spec: defaults, then base, then file, then preset, then overrides ('key.key=value').
 
-    light_picture is a measured picture of the light, which becomes optics.light.profile.
+    light_picture is a measured picture of the light, which becomes optics.light.profile; load reads a mill's profile.
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
-    return with_feeds(validated(data))
+    return with_feeds(validated(data), load)
 
 
 def spec_data(

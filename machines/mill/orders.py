@@ -153,7 +153,7 @@ class OrderGate:
                 self._renewed_s = self._clock()
                 return shown, lease, False
             if lease is not None and not take_over:
-                raise _held_by(lease)
+                raise _make_held_error(lease)
             secret = self._make_secret()
             self._leases += 1
             self._lease = Lease(
@@ -237,7 +237,7 @@ class OrderGate:
         """The caller's lease, or None where nobody has control; OrderRefusedError where somebody else has."""
         lease = self._live_lease()
         if lease is not None and not _is_secret_of(lease, shown):
-            raise _held_by(lease, lost=bool(shown))
+            raise _make_held_error(lease, lost=bool(shown))
         return lease
 
     def _live_lease(self) -> Lease | None:
@@ -278,7 +278,7 @@ class Permit:
             raise OrderRefusedError(Refusal.NOBODY, f"{self._doing}: nobody has control: take control first")
 
 
-def _held_by(lease: Lease, *, lost: bool = False) -> OrderRefusedError:
+def _make_held_error(lease: Lease, *, lost: bool = False) -> OrderRefusedError:
     begin = "you have lost control: " if lost else ""
     since = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(lease.since_s))
     words = f"{begin}{lease.operator} has had control since {since}; ask them, or take over"

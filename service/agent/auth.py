@@ -35,7 +35,7 @@ def read_token(path: Path) -> str:
     return token
 
 
-def made_token(folder: Path) -> tuple[str, Path]:
+def make_token(folder: Path) -> tuple[str, Path]:
     """The token of this data folder, made on first use and readable by its owner only."""
     path = keep_private(folder) / TOKEN_FILE
     try:

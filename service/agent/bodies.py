@@ -29,21 +29,21 @@ class Fields:
     def text(self, name: str, default: str | None = None, *, allowed: Collection[str] = (), longest: int = 500) -> str:
         value = self._take(name, default)
         if not isinstance(value, str) or not value.strip() or len(value) > longest:
-            raise Problem(422, f"{name} is {_shown(value)}; allowed: a text of 1 to {longest} characters", field=name)
+            raise Problem(422, f"{name} is {_shorten(value)}; allowed: a text of 1 to {longest} characters", field=name)
         if allowed and value not in allowed:
-            raise Problem(422, f"{name} is {_shown(value)}; allowed: {', '.join(sorted(allowed))}", field=name)
+            raise Problem(422, f"{name} is {_shorten(value)}; allowed: {', '.join(sorted(allowed))}", field=name)
         return value
 
     def number(self, name: str, low: float, high: float, default: float | None = None) -> float:
         value = self._take(name, default)
         if isinstance(value, bool) or not isinstance(value, int | float) or not _within(value, low, high):
-            raise Problem(422, f"{name} is {_shown(value)}; allowed: {low:g} to {high:g}", field=name)
+            raise Problem(422, f"{name} is {_shorten(value)}; allowed: {low:g} to {high:g}", field=name)
         return float(value)
 
     def flag(self, name: str, default: bool | None = None) -> bool:
         value = self._take(name, default)
         if not isinstance(value, bool):
-            raise Problem(422, f"{name} is {_shown(value)}; allowed: true, false", field=name)
+            raise Problem(422, f"{name} is {_shorten(value)}; allowed: true, false", field=name)
         return value
 
     def triple(self, name: str, limit: float) -> tuple[float, float, float]:
@@ -56,7 +56,7 @@ class Fields:
             for number in numbers
         ):
             raise Problem(
-                422, f"{name} is {_shown(value)}; allowed: three numbers, {-limit:g} to {limit:g}", field=name
+                422, f"{name} is {_shorten(value)}; allowed: three numbers, {-limit:g} to {limit:g}", field=name
             )
         x, y, z = (float(number) for number in numbers)
         return (x, y, z)
@@ -66,7 +66,7 @@ class Fields:
         value = self._take(name, None)
         if not isinstance(value, list) or not all(isinstance(word, str) and word in allowed for word in value):
             words = ", ".join(sorted(allowed))
-            raise Problem(422, f"{name} is {_shown(value)}; allowed: a list of {words}", field=name)
+            raise Problem(422, f"{name} is {_shorten(value)}; allowed: a list of {words}", field=name)
         return frozenset(value)
 
     def done(self) -> None:
@@ -106,6 +106,6 @@ def _within(value: float, low: float, high: float) -> bool:
     return math.isfinite(value) and low <= value <= high
 
 
-def _shown(value: object) -> str:
+def _shorten(value: object) -> str:
     text = json.dumps(value, default=str)
     return text if len(text) <= 60 else f"{text[:57]}..."

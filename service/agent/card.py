@@ -44,7 +44,7 @@ def read_card(folder: Path) -> AgentCard | None:
 
 
 @contextlib.contextmanager
-def announced(folder: Path, *, machine: str, address: tuple[str, int], token_file: Path) -> Iterator[None]:
+def announce(folder: Path, *, machine: str, address: tuple[str, int], token_file: Path) -> Iterator[None]:
     """The card is there while the block runs. A disk that refuses costs the server's finding us, not the mill."""
     card = AgentCard(
         machine=machine,

@@ -86,16 +86,16 @@ class ProgramStore:
         hidden = self._folder / f"{sha256}.{secrets.token_hex(4)}{_PART}"
         try:
             with await asyncio.to_thread(hidden.open, "wb") as file:
-                found = await self._written(file, pieces)
+                found = await self._write(file, pieces)
                 if found != sha256:
                     raise Problem(422, f"what came has SHA-256 {found}, not {sha256}; nothing is kept", field="sha256")
-                await asyncio.to_thread(_synced, file)
-            await asyncio.to_thread(self._named, hidden, sha256)
+                await asyncio.to_thread(_sync, file)
+            await asyncio.to_thread(self._publish, hidden, sha256)
         finally:
             hidden.unlink(missing_ok=True)
         return self.entry(sha256), True
 
-    async def _written(self, file: BinaryIO, pieces: AsyncIterator[bytes]) -> str:
+    async def _write(self, file: BinaryIO, pieces: AsyncIterator[bytes]) -> str:
         digest, size, waiting = hashlib.sha256(), 0, bytearray()
 
         def store(data: bytes) -> None:
@@ -129,7 +129,7 @@ class ProgramStore:
                 field="program",
             )
 
-    def _named(self, hidden: Path, sha256: str) -> None:
+    def _publish(self, hidden: Path, sha256: str) -> None:
         hidden.replace(self._path(sha256))
         descriptor = os.open(self._folder, os.O_RDONLY)
         try:
@@ -141,6 +141,6 @@ class ProgramStore:
         return self._folder / f"{sha256}{_SUFFIX}"
 
 
-def _synced(file: BinaryIO) -> None:
+def _sync(file: BinaryIO) -> None:
     file.flush()
     os.fsync(file.fileno())

@@ -48,7 +48,7 @@ class ControlRoutes:
         access, caller = self._agent.access, read_caller(request)
         if what in _STOPS:  # before the body is looked at: nothing in it could matter
             await access.halt(Stop(what), caller)
-            return self._accepted()
+            return self._accept()
         if what not in _COMMANDS and what != "resume":
             allowed = ", ".join(sorted([*_STOPS, *_COMMANDS, "resume"]))
             raise Problem(404, f"no control '{what}'; allowed: {allowed}")
@@ -56,13 +56,13 @@ class ControlRoutes:
         if what == "resume":
             fields.done()
             await access.order("resume", Mill.resume, caller, needs_lease=True)
-            return self._accepted()
+            return self._accept()
         command = _COMMANDS[what](fields)
         fields.done()
         await access.order(what, lambda mill: mill.command(command), caller, needs_lease=True)
-        return self._accepted()
+        return self._accept()
 
-    def _accepted(self) -> Response:
+    def _accept(self) -> Response:
         return JSONResponse(self._agent.access.status(), status_code=202)
 
 

@@ -23,26 +23,26 @@ class ProgramRoutes:
 
     def routes(self) -> list[Route]:
         return [
-            Route("/v1/programs", self.listed, methods=["GET"]),
-            Route("/v1/programs", self.fetched, methods=["POST"]),
-            Route("/v1/programs/{sha256}", self.shown, methods=["GET"]),
-            Route("/v1/programs/{sha256}", self.brought, methods=["PUT"]),
-            Route("/v1/programs/{sha256}", self.removed, methods=["DELETE"]),
+            Route("/v1/programs", self.list_programs, methods=["GET"]),
+            Route("/v1/programs", self.fetch, methods=["POST"]),
+            Route("/v1/programs/{sha256}", self.show, methods=["GET"]),
+            Route("/v1/programs/{sha256}", self.receive, methods=["PUT"]),
+            Route("/v1/programs/{sha256}", self.delete, methods=["DELETE"]),
         ]
 
-    async def listed(self, _request: Request) -> Response:
+    async def list_programs(self, _request: Request) -> Response:
         return JSONResponse({"programs": [entry.as_dict() for entry in self._agent.store.entries()]})
 
-    async def shown(self, request: Request) -> Response:
+    async def show(self, request: Request) -> Response:
         return JSONResponse(self._agent.store.entry(request.path_params["sha256"]).as_dict())
 
-    async def brought(self, request: Request) -> Response:
+    async def receive(self, request: Request) -> Response:
         length = request.headers.get("content-length", "")
         announced = int(length) if length.isdigit() else None
         sha256 = valid_sha256(request.path_params["sha256"])
-        return _stored(*await self._agent.store.receive(sha256, _body(request), announced_bytes=announced))
+        return _program_response(*await self._agent.store.receive(sha256, _body(request), announced_bytes=announced))
 
-    async def removed(self, request: Request) -> Response:
+    async def delete(self, request: Request) -> Response:
         """Delete a copy; one that a run may still need stays."""
         sha256 = self._agent.store.entry(request.path_params["sha256"]).sha256
 
@@ -56,12 +56,12 @@ class ProgramRoutes:
         await self._agent.access.call(remove)
         return Response(status_code=204)
 
-    async def fetched(self, request: Request) -> Response:
+    async def fetch(self, request: Request) -> Response:
         fields = await fields_of(request)
         url, sha256 = fields.text("url", longest=2000), valid_sha256(fields.text("sha256"))
         token = fields.text("token") if fields.has("token") else None
         fields.done()
-        return _stored(*await fetch_program(self._agent.store, url, sha256, token=token))
+        return _program_response(*await fetch_program(self._agent.store, url, sha256, token=token))
 
 
 async def _body(request: Request) -> AsyncIterator[bytes]:
@@ -72,5 +72,5 @@ async def _body(request: Request) -> AsyncIterator[bytes]:
         raise Problem(400, "the connection ended before the program did; nothing is kept", field="program") from None
 
 
-def _stored(entry: StoredProgram, new: bool) -> Response:
+def _program_response(entry: StoredProgram, new: bool) -> Response:
     return JSONResponse(entry.as_dict(), status_code=201 if new else 200)

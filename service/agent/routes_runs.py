@@ -28,24 +28,24 @@ class RunRoutes:
 
     def routes(self) -> list[Route]:
         return [
-            Route("/v1/runs", self.listed, methods=["GET"]),
-            Route("/v1/runs", self.parked, methods=["POST"]),
-            Route("/v1/runs/{run}:start", self.started, methods=["POST"]),
-            Route("/v1/runs/{run}:recover", self.recovered, methods=["POST"]),
+            Route("/v1/runs", self.list_runs, methods=["GET"]),
+            Route("/v1/runs", self.park, methods=["POST"]),
+            Route("/v1/runs/{run}:start", self.start, methods=["POST"]),
+            Route("/v1/runs/{run}:recover", self.recover, methods=["POST"]),
             Route("/v1/runs/{run}:hold", self.halt(Stop.HOLD), methods=["POST"]),
             Route("/v1/runs/{run}:abort", self.halt(Stop.ABORT), methods=["POST"]),
-            Route("/v1/runs/{run}:resume", self.resumed, methods=["POST"]),
+            Route("/v1/runs/{run}:resume", self.resume, methods=["POST"]),
             Route("/v1/runs/{run}/recovery", self.recovery, methods=["GET"]),
-            Route("/v1/runs/{run}", self.shown, methods=["GET"]),
+            Route("/v1/runs/{run}", self.show, methods=["GET"]),
         ]
 
-    async def listed(self, _request: Request) -> Response:
+    async def list_runs(self, _request: Request) -> Response:
         return JSONResponse({"runs": [run.as_dict() for run in self._runs()]})
 
-    async def shown(self, request: Request) -> Response:
+    async def show(self, request: Request) -> Response:
         return JSONResponse(self._run(request).as_dict())
 
-    async def parked(self, request: Request) -> Response:
+    async def park(self, request: Request) -> Response:
         fields = await fields_of(request)
         program = fields.text("program")
         name = fields.text("name", program[:12], longest=200)
@@ -53,20 +53,20 @@ class RunRoutes:
         fields.done()
         path = self._agent.store.path_of(program)
         async with self._parking:  # a client that asks again must not overtake itself
-            if (known := self._parked_before(key, program)) is not None:
-                return _parked(known, status=200)
+            if (known := self._find_parked(key, program)) is not None:
+                return _run_response(known, status=200)
             facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
             run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
-        return _parked(run, status=201)
+        return _run_response(run, status=201)
 
     def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
         """On the mill's thread, as is a removal: the program is still there once the run is known."""
         self._agent.store.entry(path.stem)
         return mill.park(facts, path, name)
 
-    def _parked_before(self, key: str, program: str) -> RunView | None:
+    def _find_parked(self, key: str, program: str) -> RunView | None:
         """The run that this key has parked; a Problem where it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
@@ -74,7 +74,7 @@ class RunRoutes:
             raise Problem(409, f"key '{key}' has parked run {run.id} of another program; take a new key", field="key")
         return run
 
-    async def started(self, request: Request) -> Response:
+    async def start(self, request: Request) -> Response:
         run, fields = self._run(request), await fields_of(request)
         said = _read_confirmation(fields, START_CHECKS)
         setup = fields.text("setup", longest=100) if fields.has("setup") else None
@@ -82,26 +82,26 @@ class RunRoutes:
         await self._agent.access.order(
             "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
         )
-        return self._now(request)
+        return self._answer(request)
 
-    async def recovered(self, request: Request) -> Response:
+    async def recover(self, request: Request) -> Response:
         run, fields = self._run(request), await fields_of(request)
         said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
         fields.done()
         await self._agent.access.order(
             "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
         )
-        return self._now(request)
+        return self._answer(request)
 
     async def recovery(self, request: Request) -> Response:
         run = self._run(request)
         plan = await self._agent.access.call(lambda mill: mill.plan_recovery(run.id))
         return JSONResponse(plan.as_dict())
 
-    async def resumed(self, request: Request) -> Response:
+    async def resume(self, request: Request) -> Response:
         self._require_present(run := self._run(request))
         await self._agent.access.order(f"resume {run.name}", Mill.resume, read_caller(request))
-        return self._now(request)
+        return self._answer(request)
 
     def halt(self, stop: Stop) -> Callable[..., object]:
         """A stop of the live run. For another run it is refused, but it is counted all the same: no order that was
@@ -116,7 +116,7 @@ class RunRoutes:
             else:
                 access.orders.count_stop()
                 self._require_present(run)
-            return self._now(request)
+            return self._answer(request)
 
         return endpoint
 
@@ -128,7 +128,7 @@ class RunRoutes:
                 409, f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself"
             )
 
-    def _now(self, request: Request) -> Response:
+    def _answer(self, request: Request) -> Response:
         return JSONResponse(self._run(request).as_dict(), status_code=202)
 
     def _runs(self) -> tuple[RunView, ...]:
@@ -144,7 +144,7 @@ class RunRoutes:
         raise Problem(404, f"no run '{wanted}' here; GET /v1/runs lists them", field="run")
 
 
-def _parked(run: RunView, *, status: int) -> Response:
+def _run_response(run: RunView, *, status: int) -> Response:
     return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
 
 

@@ -30,7 +30,7 @@ from service.agent.access import MillAccess
 from service.agent.agent import Agent
 from service.agent.app import make_app
 from service.agent.audit import AuditLog
-from service.agent.card import announced
+from service.agent.card import announce
 from service.agent.keys import ClientKeys
 from service.agent.programs import ProgramStore
 from service.agent.settings import AgentSettings, usable
@@ -136,7 +136,7 @@ async def _serve(
     )
     watch.start()
     try:
-        with _told_to_stop() as stop, _announced(settings, listener):
+        with _catch_stop_signals() as stop, _announce(settings, listener):
             serving = asyncio.ensure_future(server.serve(sockets=[listener]))
             stopping = asyncio.ensure_future(stop.wait())
             await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)
@@ -162,7 +162,7 @@ class _Server(uvicorn.Server):
 
 
 @contextlib.contextmanager
-def _told_to_stop() -> Iterator[asyncio.Event]:
+def _catch_stop_signals() -> Iterator[asyncio.Event]:
     """An event that is set by each signal that stops the agent; the handlers from before come back at the end."""
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     found = {kind: signal.getsignal(kind) for kind in _STOPPING}
@@ -201,10 +201,10 @@ def _moves(access: MillAccess) -> bool:
 
 
 @contextlib.contextmanager
-def _announced(settings: AgentSettings, listener: socket.socket) -> Iterator[None]:
+def _announce(settings: AgentSettings, listener: socket.socket) -> Iterator[None]:
     """To the person at the terminal, and to the job server on this computer."""
     address = listener.getsockname()[:2]
-    card = announced(settings.folder, machine=settings.machine, address=address, token_file=settings.token_file)
+    card = announce(settings.folder, machine=settings.machine, address=address, token_file=settings.token_file)
     with card:
         host, port = address
         shown = f"[{host}]" if ":" in host else host

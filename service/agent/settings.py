@@ -10,10 +10,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from machines.port import stable_name
-from service.agent.auth import TOKEN_FILE, made_token, read_token
+from service.agent.auth import TOKEN_FILE, make_token, read_token
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.private import keep_private
-from service.web.hosts import is_loopback
+from service.web.hosts import is_loopback, require_unread
 
 DEFAULT_PORT = 8765
 
@@ -75,11 +75,8 @@ def _refuse_foreign_bind(host: str, token_file: Path | None, *, behind_proxy: bo
     if is_loopback(host):
         return
     where = f"--host {host} can be reached from other computers"
-    if not behind_proxy:
-        raise InputError(
-            f"{where}, and token and orders would go over the wire in the clear; allowed: 127.0.0.1, or a proxy with "
-            "TLS in front and --behind-proxy"
-        )
+    fix = "127.0.0.1, or a proxy with TLS in front and --behind-proxy"
+    require_unread(host, where, vouched=behind_proxy, allowed=fix)
     if token_file is None:
         raise InputError(f"{where}, whose callers need the token; allowed: with --token-file FILE")
 
@@ -100,7 +97,7 @@ def agent_settings(
     if not 0 <= bind_port <= 65535:
         raise InputError(f"--bind-port {bind_port}; allowed: 0 (any free one) to 65535")
     folder = keep_private(data or mill_folder(machine, own_port=own_port, port_url=port_url))
-    token, path = (read_token(token_file), None) if token_file is not None else made_token(folder)
+    token, path = (read_token(token_file), None) if token_file is not None else make_token(folder)
     return AgentSettings(
         machine=machine,
         port_url=port_url,

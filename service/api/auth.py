@@ -18,7 +18,7 @@ from machines.mill.orders import suspend_aware_clock_s
 from service.errors import InputError
 from service.jobs.tokens import TokenBook, TokenScope
 from service.settings import ServerSettings
-from service.web.hosts import is_loopback
+from service.web.hosts import is_loopback, require_unread
 from service.web.problems import Problem
 
 JOBS_READ, JOBS_WRITE = TokenScope.JOBS_READ, TokenScope.JOBS_WRITE
@@ -129,10 +129,7 @@ def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
     if is_loopback(settings.host):
         return
     where = f"--host {settings.host} can be reached from other computers"
-    if not settings.behind_proxy:
-        raise InputError(
-            f"{where}, and tokens would go over the wire in the clear; allowed: 127.0.0.1, or a proxy with TLS in "
-            "front and CAUSTICMILL_BEHIND_PROXY=true"
-        )
+    fix = "127.0.0.1, or a proxy with TLS in front and CAUSTICMILL_BEHIND_PROXY=true"
+    require_unread(settings.host, where, vouched=settings.behind_proxy, allowed=fix)
     if not tokens.any_live():
         raise InputError(f"{where}; make a token first: causticmill token create NAME --scope jobs:read ...")

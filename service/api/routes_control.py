@@ -131,9 +131,7 @@ async def events(
     return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
 
 
-async def _given(
-    request: Request, machine: str, what: str, context: OrderContext, body: Body | None = None
-) -> Response:
+async def _give(request: Request, machine: str, what: str, context: OrderContext, body: Body | None = None) -> Response:
     values = {} if body is None else body.model_dump()
     told = await services_of(request).fleet.orders.give(machine, what, values, context)
     return JSONResponse(told, status_code=202)
@@ -142,47 +140,47 @@ async def _given(
 @router.post(f"{_PATH}/jog", summary="Jog a mill", **_ORDER)
 async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, context: Order) -> Response:
     """THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events."""
-    return await _given(request, machine, "jog", context, body)
+    return await _give(request, machine, "jog", context, body)
 
 
 @router.post(f"{_PATH}/probe", summary="Probe Z", **_ORDER)
 async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, context: Order) -> Response:
     """THE MILL MOVES down until it touches; work Z is set there, and it moves up again."""
-    return await _given(request, machine, "probe", context, body)
+    return await _give(request, machine, "probe", context, body)
 
 
 @router.post(f"{_PATH}/zero", summary="Set the work zero", **_ORDER)
 async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, context: Order) -> Response:
     """From now on the tool stands at zero of these axes."""
-    return await _given(request, machine, "zero", context, body)
+    return await _give(request, machine, "zero", context, body)
 
 
 @router.post(f"{_PATH}/override", summary="Override feed, rapids or spindle", **_ORDER)
 async def override(request: Request, _: Operator, machine: MachineName, body: OverrideBody, context: Order) -> Response:
     """At once, in the middle of a run too."""
-    return await _given(request, machine, "override", context, body)
+    return await _give(request, machine, "override", context, body)
 
 
 @router.post(f"{_PATH}/check", summary="Switch check mode", **_ORDER)
 async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, context: Order) -> Response:
     """In check mode ($C) the controller reads everything and moves nothing."""
-    return await _given(request, machine, "check", context, body)
+    return await _give(request, machine, "check", context, body)
 
 
 @router.post(f"{_PATH}/block", summary="Send one line of G-code", **_ORDER)
 async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, context: Order) -> Response:
     """THE MILL MAY MOVE."""
-    return await _given(request, machine, "block", context, body)
+    return await _give(request, machine, "block", context, body)
 
 
-def _plain(what: str) -> Endpoint:
+def _make_order(what: str) -> Endpoint:
     async def order(request: Request, _: Operator, machine: MachineName, context: Order) -> Response:
-        return await _given(request, machine, what, context)
+        return await _give(request, machine, what, context)
 
     return order
 
 
-def _stop(stop: Stop) -> Endpoint:
+def _make_stop(stop: Stop) -> Endpoint:
     async def order(request: Request, _: Stopper, machine: MachineName, context: Order) -> Response:
         told = await services_of(request).fleet.stops.stop_machine(machine, stop, context)
         return JSONResponse(told, status_code=202)
@@ -191,6 +189,6 @@ def _stop(stop: Stop) -> Endpoint:
 
 
 for _what, _words in _PLAIN.items():
-    router.post(f"{_PATH}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_plain(_what))
+    router.post(f"{_PATH}/{_what}", summary=f"Order: {_what}", description=_words, **_ORDER)(_make_order(_what))
 for _name in Stop:
-    router.post(f"{_PATH}/{_name}", summary=f"Stop: {_name}", description=_STOPS[_name], **_ORDER)(_stop(_name))
+    router.post(f"{_PATH}/{_name}", summary=f"Stop: {_name}", description=_STOPS[_name], **_ORDER)(_make_stop(_name))

@@ -11,10 +11,11 @@ import contextlib
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
 
+from machines.mill.orders import Stop
 from service.agent.auth import read_token
 from service.agent.card import read_card
 from service.errors import InputError
@@ -32,6 +33,7 @@ _QUIET_S = 60.0  # an event stream beats every 15 s
 _HTTP_ERRORS = (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError)
 
 Json = dict[str, Any]
+T = TypeVar("T")
 
 
 class AgentAwayError(Exception):
@@ -42,19 +44,21 @@ class AgentAwayError(Exception):
         self.words = words
         self.sent = sent
 
-    def problem(self) -> Problem:
-        return Problem(503, self.words, field="machine", headers={"Retry-After": "2"})
+    def problem(self, order: str = "") -> Problem:
+        """503; 504 where this order or stop may have arrived, so that a person has to look."""
+        if not (order and self.sent):
+            return Problem(503, self.words, field="machine", headers={"Retry-After": "2"})
+        advice = "use its own stop button" if order in set(Stop) else "it is not sent again"
+        words = f"{self.words}; whether the {order} arrived is not known: LOOK AT THE MILL, {advice}"
+        return Problem(504, words, field="machine")
 
 
-async def require_answer(asking: Awaitable[Json]) -> Json:
-    """What the agent answered. Problem 503 where nothing was sent, 504 where a person has to look."""
+async def require_answer(asking: Awaitable[T], order: str = "") -> T:
+    """Return what the agent answered. Problem as `AgentAwayError.problem`."""
     try:
         return await asking
     except AgentAwayError as away:
-        if away.sent:
-            words = f"{away.words}; whether the order arrived is not known: LOOK AT THE MILL, use its own stop button"
-            raise Problem(504, words, field="machine") from None
-        raise away.problem() from None
+        raise away.problem(order) from None
 
 
 class AgentLink:

@@ -19,6 +19,7 @@ from service.web.problems import Problem
 
 _MOST_KNOWN = 1000
 _PLAN_S = 30.0  # the controller is asked first
+_TELL_S = 45.0  # a start asks it first, too, and waits for the journal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,13 +44,21 @@ class Controls:
         except UnknownRunError as error:
             raise Problem(404, str(error), field="run") from None
 
+    async def require_grant(self, run_id: str, context: OrderContext) -> OrderContext:
+        """As `Orders.require_grant`, for the mill of a run: from memory, where this server has seen the run before."""
+        if context.grant:
+            return context
+        return await self._orders.require_grant((await self._require_handed_over(run_id)).machine, context)
+
     async def resume(self, run_id: str, context: OrderContext) -> Seen:
-        run = await self._handed_over(run_id)
+        context = await self.require_grant(run_id, context)
+        run = await self._require_handed_over(run_id)
         went_on = ("running", "recovering")
-        return await self._sent(run, "resume", {}, context, went_on=lambda state: state in went_on)
+        return await self._send_once(run, "resume", {}, context, went_on=lambda state: state in went_on)
 
     async def start(self, run_id: str, said: RunOrder, around: Surroundings, context: OrderContext) -> Seen:
-        run = await self._handed_over(run_id, fresh=True)
+        context = await self.require_grant(run_id, context)
+        run = await self._require_handed_over(run_id, fresh=True)
         if not run.open:
             raise Problem(409, f"the run is {run.state} and closed; load the program again", field="run")
         needed = required_checks(run, around)
@@ -62,7 +71,7 @@ class Controls:
             )
         body: Json = {"operator": said.operator, "checks": sorted(said.checks - {ORDER})}
         body |= {"setup": said.seen} if said.seen else {}
-        return await self._sent(run, "start", body, context, went_on=lambda state: state != PARKED)
+        return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
 
     async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Seen:
         """Only as the plan says that the caller has read: the one named, or the one shown to them last."""
@@ -70,7 +79,8 @@ class Controls:
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
             raise Problem(409, words, field="plan", more={"code": Refusal.PLAN.value})
-        run = await self._handed_over(run_id, fresh=True)
+        context = await self.require_grant(run_id, context)
+        run = await self._require_handed_over(run_id, fresh=True)
         seen = await self._core.seen(run)
         if seen.away:
             raise AgentAwayError(seen.away).problem()
@@ -82,14 +92,14 @@ class Controls:
         body: Json = {"operator": said.operator, "checks": sorted(said.checks), "plan": plan}
         over = (INTERRUPTED, ABORTED)
         try:
-            return await self._sent(run, "recover", body, context, went_on=lambda state: state not in over)
+            return await self._send_once(run, "recover", body, context, went_on=lambda state: state not in over)
         finally:
             if not was_open:  # as its agent has it now: closed again where nothing came of it
                 await self._core.seen(await self.row(run_id))
 
     async def recovery(self, run_id: str, caller: str) -> Json:
         """How the run would go on now; what the caller has been shown."""
-        run = await self._handed_over(run_id)
+        run = await self._require_handed_over(run_id)
         path = f"/v1/runs/{run.agent_run}/recovery"
         plan = await require_answer((await self._link(run)).get(path, timeout_s=_PLAN_S))
         while len(self._plans_shown) >= _MOST_KNOWN:
@@ -99,7 +109,7 @@ class Controls:
 
     # ------------------------------------------------------------------
 
-    async def _handed_over(self, run_id: str, *, fresh: bool = False) -> RunRow:
+    async def _require_handed_over(self, run_id: str, *, fresh: bool = False) -> RunRow:
         """The run, with the agent's own id of it."""
         if not fresh and (known := self._core.known_runs.get(run_id)) is not None:
             return known
@@ -111,32 +121,27 @@ class Controls:
         return self._core.remember(run)
 
     async def _link(self, run: RunRow) -> AgentLink:
-        try:
-            return await self._core.link_of(run)
-        except AgentAwayError as away:
-            raise away.problem() from None
+        return await require_answer(self._core.link_of(run))
 
-    async def _sent(
+    async def _send_once(
         self, run: RunRow, action: str, body: Json, context: OrderContext, *, went_on: Callable[[str], bool]
     ) -> Seen:
         """Once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
         link = await self._link(run)
         try:
-            view = await self._orders.send_raw(link, f"/v1/runs/{run.agent_run}:{action}", body, context)
+            path = f"/v1/runs/{run.agent_run}:{action}"
+            view = await link.once(path, body, timeout_s=_TELL_S, headers=context.headers())
         except AgentAwayError as away:
             if not away.sent:
                 raise away.problem() from None
             seen = await self._core.seen(run)
             if seen.away:
-                words = (
-                    f"{away.words}; whether the {action} arrived is not known: LOOK AT THE MILL, then ask for the run"
-                )
-                raise Problem(504, words, field="machine") from None
+                raise away.problem(action) from None
             if went_on(seen.run.state):
                 return seen
             words = f"{away.words}; the {action} has not taken effect so far, the run is {seen.run.state}"
             raise Problem(504, words, field="machine") from None
-        return await self._written(run, view)
+        return await self._write_view(run, view)
 
-    async def _written(self, run: RunRow, view: Json) -> Seen:
+    async def _write_view(self, run: RunRow, view: Json) -> Seen:
         return Seen(await self._core.do(self._core.runs.told, await self.row(run.id), run_view(view, run.machine)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 from typing import Any
 
 import sqlalchemy as sa
@@ -12,7 +12,7 @@ import structlog
 
 from machines.mill.orders import Stop
 from service.errors import printable
-from service.fleet.agent_link import AgentAwayError
+from service.fleet.agent_link import AgentAwayError, require_answer
 from service.fleet.controls import Controls, RunOrder
 from service.fleet.core import FleetCore, Seen
 from service.fleet.events import RunEvents
@@ -26,7 +26,7 @@ from service.fleet.run_book import PREPARING, RunRow, UnknownRunError
 from service.fleet.stops import Stops
 from service.fleet.views import Surroundings, machine_json, run_json
 from service.jobs.book import JobBook
-from service.jobs.records import ClientKey, UnknownJobError
+from service.jobs.records import ClientKey
 from service.settings import ServerSettings
 from service.store.store import Store
 from service.web.problems import Problem
@@ -123,8 +123,7 @@ class Fleet:
         except UnknownRunError as error:
             raise Problem(422, str(error), field="cursor") from None
         seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
-        # In one thread, one after the other: a connection to the database for each would be more than the pool has.
-        around = await self._core.do(lambda: [self._surroundings(one.run) for one in seen])
+        around = await self._core.do(self._read_surroundings, [one.run for one in seen])
         return {"runs": list(map(run_json, seen, around)), "next": rows[-1].id if len(rows) == limit else None}
 
     async def run(self, run_id: str) -> Json:
@@ -134,6 +133,7 @@ class Fleet:
         return await self._controls.recovery(run_id, caller)
 
     async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+        context = await self._controls.require_grant(run_id, context)
         run = await self._controls.row(run_id)
         return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
 
@@ -151,10 +151,7 @@ class Fleet:
         """Who ordered what at this mill, newest first."""
         link = self._core.link(await self._core.machine(machine))
         from_number = "" if before is None else f"&before={before}"
-        try:
-            return await link.get(f"/v1/orders?limit={limit}{from_number}")
-        except AgentAwayError as away:
-            raise away.problem() from None
+        return await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
 
     async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """The run's server-sent events; None where it was over when the reader last heard of it."""
@@ -192,15 +189,24 @@ class Fleet:
 
     async def _around(self, run: RunRow) -> Surroundings:
         """The job may be gone by now; its run is not."""
-        return await self._core.do(self._surroundings, run)
+        return (await self._core.do(self._read_surroundings, [run]))[0]
 
-    def _surroundings(self, run: RunRow) -> Surroundings:
-        jobs, runs = self._core.jobs, self._core.runs
-        try:
-            job, programs = jobs.with_report(jobs.get(run.job_id)), programs_of(jobs.artifacts(run.job_id))
-        except UnknownJobError:
-            return Surroundings()
-        return Surroundings(job=job, programs=programs, finished=runs.finished(run.job_id, run.machine))
+    def _read_surroundings(self, rows: Sequence[RunRow]) -> list[Surroundings]:
+        """What each of the runs is part of, by as many queries for a hundred of them as for one."""
+        job_ids = {run.job_id for run in rows}
+        found = self._core.jobs.with_programs(job_ids)
+        finished = self._core.runs.finished_by_mill(job_ids)
+        programs = {job_id: programs_of(files) for job_id, (_, files) in found.items()}
+        return [
+            Surroundings(
+                job=found[run.job_id][0],
+                programs=programs[run.job_id],
+                finished=finished.get((run.job_id, run.machine), frozenset()),
+            )
+            if run.job_id in found
+            else Surroundings()
+            for run in rows
+        ]
 
 
 async def _as_it_is(run: RunRow) -> Seen:

@@ -23,9 +23,11 @@ from machines.profiles import (
 from service.agent.settings import state_home
 from service.errors import InputError, printable, sentence_of_os_error
 from service.settings import ServerSettings
+from service.web.hosts import require_unread
 
 SIMULATED = "simulated"
 _FINDS_ITSELF = "roland-usb"
+_TEXTS = {"machine", "url", "token_file"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,7 +111,9 @@ def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:
 
 
 def remote_machines(path: Path) -> list[KnownMachine]:
-    """The agents file: [[agents]] tables with machine, url and token_file. InputError says what is wrong in it."""
+    """The agents file: [[agents]] tables with machine, url, token_file, and private_network = true where nobody else is
+    on the network between here and the agent. InputError says what is wrong in it.
+    """
     try:
         rows = tomllib.loads(path.read_text(encoding="utf-8")).get("agents", [])
     except OSError as error:
@@ -127,15 +131,27 @@ def remote_machines(path: Path) -> list[KnownMachine]:
 
 def _remote(path: Path, number: int, row: dict[str, Any]) -> KnownMachine:
     where = f"agents file {path}, agent {number}"
-    if set(row) != {"machine", "url", "token_file"} or not all(isinstance(value, str) for value in row.values()):
-        raise InputError(f"{where}: allowed: machine, url and token_file, each a text")
+    texts = {key: value for key, value in row.items() if key != "private_network"}
+    private = row.get("private_network", False)
+    if set(texts) != _TEXTS or not all(isinstance(value, str) for value in texts.values()):
+        raise InputError(f"{where}: allowed: machine, url and token_file, each a text, and private_network")
+    if not isinstance(private, bool):
+        raise InputError(f"{where}: private_network = {str(private)[:40]!r}; allowed: true or false")
     try:
         parts = urlsplit(row["url"])
         good = parts.scheme in ("http", "https") and bool(parts.hostname) and not parts.query and parts.port != 0
     except ValueError:
         good = False
     if not good:
-        raise InputError(f"{where}: url = '{row['url'][:200]}'; allowed: http://host:port or https://...")
+        raise InputError(f"{where}: url = '{row['url'][:200]}'; allowed: https://..., or http://127.0.0.1:port")
+    if parts.scheme == "http":
+        require_unread(
+            str(parts.hostname),
+            f"{where}: url = '{row['url'][:200]}' is on another computer",
+            vouched=private,
+            allowed="https://... of a proxy with TLS in front of the agent, http://127.0.0.1:port, or "
+            "private_network = true where nobody else is on the network between them",
+        )
     if not row["machine"] or "/" in row["machine"]:
         raise InputError(f"{where}: machine = '{row['machine'][:80]}'; allowed: a name without /")
     token_file = path.parent / Path(row["token_file"]).expanduser()

@@ -4,28 +4,25 @@ Theory of operation. An order is good for the moment in which it was given. The 
 pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has stopped the
 mill or taken control since. Nothing here decides whether an order is still for now: it may wait for a database, a
 thread or a network as long as it likes, and then the agent refuses it. For a caller without a grant (curl) one is asked
-for here; the moment is then that of the request's arrival.
+for here, before anything else is waited for: a stop that comes later, through whatever server, ends it as any other.
 """
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeVar
 from urllib.parse import quote
 
 from machines.mill.orders import Refusal, suspend_aware_clock_s
 from service.agent.callers import BY, CONTROL, FROM, GRANT
-from service.fleet.agent_link import AgentAwayError, AgentLink, Json
+from service.fleet.agent_link import AgentAwayError, AgentLink, Json, require_answer
 from service.fleet.agent_words import lease_json
 from service.fleet.core import FleetCore
-from service.fleet.views import mill_json
+from service.fleet.views import order_json
 from service.web.problems import Problem
 
-T = TypeVar("T")
 ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
-TELL_S = 45.0  # a start asks the controller first, and waits for the journal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,8 +36,8 @@ class OrderContext:
     arrived_s: float = 0.0
 
     def headers(self) -> dict[str, str]:
-        told = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
-        return {name: value for name, value in told.items() if value}
+        values = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
+        return {name: value for name, value in values.items() if value}
 
 
 class Orders:
@@ -56,14 +53,14 @@ class Orders:
         """Control of a machine, and whether it is new. Problem 409 where another person has it."""
         link = self._core.link(await self._core.machine(machine))
         body = {"operator": operator, "principal": context.name, "take_over": take_over}
-        told = await _reached(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
-        secret = str(told.get("control", ""))
-        return lease_json(told, secret), secret != context.control
+        lease = await require_answer(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
+        secret = str(lease.get("control", ""))
+        return lease_json(lease, secret), secret != context.control
 
     async def release(self, machine: str, context: OrderContext) -> None:
         """Nobody has control, if it was the caller who had it. Problem 409 where it is somebody else."""
         link = self._core.link(await self._core.machine(machine))
-        await _reached(link.delete("/v1/lease", headers=context.headers()))
+        await require_answer(link.delete("/v1/lease", headers=context.headers()))
 
     # ------------------------------------------------------------------ orders
 
@@ -71,37 +68,42 @@ class Orders:
         """A grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped since the
         caller has seen this stop count.
         """
-        return await self._ask_grant(self._core.link(await self._core.machine(machine)), context, stops)
+        link = self._core.link(await self._core.machine(machine))
+        return await require_answer(self._ask_grant(link, context, stops))
+
+    async def require_grant(self, machine: str, context: OrderContext) -> OrderContext:
+        """Return the context with a grant. To be called before anything else is waited for; Problem as `grant`."""
+        if context.grant:
+            return context
+        granted = await require_answer(self._ask_first_grant(machine, context))
+        return replace(context, grant=str(granted.get("grant", "")))
 
     async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> Json:
-        """An order beside a run, from the holder of control."""
+        """An order beside a run, from the holder of control. Problem 504 where it is not known what came of it."""
+        context = await self.require_grant(machine, context)
         link = self._core.link(await self._core.machine(machine))
-        status = await self.send(link, f"/v1/control/{what}", body, what, context, within_s=_ANSWER_S)
-        return told(machine, what, status)
+        sending = link.once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
+        return order_json(machine, what, await require_answer(sending, what))
 
-    async def send(
-        self, link: AgentLink, path: str, body: Json, what: str, context: OrderContext, *, within_s: float = TELL_S
-    ) -> Json:
-        """Once, whatever comes of it. Problem 504 where that is not known."""
+    # ------------------------------------------------------------------
+
+    async def _ask_first_grant(self, machine: str, context: OrderContext) -> Json:
+        """From where the agent was met last, as long as it is there; where it has moved to is looked up afterwards."""
+        link = self._core.known_link(machine) or await self._core.renewed_link(machine)
         try:
-            return await self.send_raw(link, path, body, context, within_s=within_s)
-        except AgentAwayError as away:
-            raise (unknown_fate(away, what) if away.sent else away.problem()) from None
-
-    async def send_raw(
-        self, link: AgentLink, path: str, body: Json, context: OrderContext, *, within_s: float = TELL_S
-    ) -> Json:
-        """As `send`; AgentAwayError is the caller's to tell of."""
-        if not context.grant:
-            context = replace(context, grant=str((await self._ask_grant(link, context)).get("grant", "")))
-        return await link.once(path, body, timeout_s=within_s, headers=context.headers())
+            return await self._ask_grant(link, context)
+        except AgentAwayError:
+            present = await self._core.renewed_link(machine)
+            if present is link:
+                raise
+            return await self._ask_grant(present, context)
 
     async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None = None) -> Json:
-        """A grant of the agent, as long as the request is for now and no stop has come by since."""
+        """A grant of the agent, as long as the request is for now and no stop has come by since. AgentAwayError."""
         body = {} if stops is None else {"stops": stops}
         left_s = ASK_S - (self._clock() - context.arrived_s)
         if left_s > 0:
-            granted = await _reached(link.once("/v1/grants", body, timeout_s=left_s, headers=context.headers()))
+            granted = await link.once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
             if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
                 words = "the mill was stopped since: the order was not sent"
                 raise Problem(409, words, field="machine", more={"code": Refusal.STOPPED.value})
@@ -114,20 +116,3 @@ class Orders:
             headers={"Retry-After": "2"},
             more={"code": "grant_expired"},
         )
-
-
-def told(machine: str, what: str, status: Json) -> Json:
-    """What an order or a stop is answered with."""
-    return {"machine": machine, "order": what, "mill": mill_json(status)}
-
-
-def unknown_fate(away: AgentAwayError, what: str) -> Problem:
-    words = f"{away.words}; whether the {what} arrived is not known, it is not sent again: LOOK AT THE MILL"
-    return Problem(504, words, field="machine")
-
-
-async def _reached(asking: Awaitable[T]) -> T:
-    try:
-        return await asking
-    except AgentAwayError as away:
-        raise away.problem() from None

@@ -6,6 +6,7 @@ finds it again, and that a mill has one open run at a time, by a unique index.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 from uuid import uuid4
@@ -165,11 +166,17 @@ class RunBook:
 
     def finished(self, job_id: str, machine: str) -> frozenset[str]:
         """Hashes of the job's programs that this mill has finished."""
-        query = sa.select(runs.c.sha256).where(
-            runs.c.job_id == job_id, runs.c.machine == machine, runs.c.state == FINISHED
-        )
+        return self.finished_by_mill([job_id]).get((job_id, machine), frozenset())
+
+    def finished_by_mill(self, job_ids: Collection[str]) -> dict[tuple[str, str], frozenset[str]]:
+        """By job and mill: hashes of the job's programs that the mill has finished."""
+        query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).distinct()
+        found: dict[tuple[str, str], frozenset[str]] = {}
         with reading(self._database) as connection:
-            return frozenset(connection.execute(query).scalars())
+            for row in connection.execute(query.where(runs.c.job_id.in_(job_ids), runs.c.state == FINISHED)):
+                key = row.job_id, row.machine
+                found[key] = found.get(key, frozenset()) | {row.sha256}
+        return found
 
     # ------------------------------------------------------------------ what happens to a run
 

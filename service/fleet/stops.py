@@ -17,8 +17,9 @@ from machines.mill.orders import Stop
 from service.fleet.agent_link import AgentAwayError, AgentLink, Json, require_answer
 from service.fleet.agent_words import run_view
 from service.fleet.core import FleetCore, Seen
-from service.fleet.orders import OrderContext, told
+from service.fleet.orders import OrderContext
 from service.fleet.run_book import ABORTED, ENDED, INTERRUPTED, PARKED, RunRow, UnknownRunError
+from service.fleet.views import order_json
 from service.web.problems import Problem
 
 T = TypeVar("T")
@@ -40,7 +41,7 @@ class Stops:
         present = await self._present_link(machine, known)
         if sending is None or present is not known:
             sending = self._go_on(present.urgent(path, headers=context.headers()))
-        return told(machine, stop.value, await require_answer(sending))
+        return order_json(machine, stop.value, await require_answer(sending, stop))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Seen:
         """As `stop_machine`, for the mill that has this run. Problem 404, 409 where the run is not on its mill.
@@ -58,7 +59,7 @@ class Stops:
                 raise
             return await self._give_up(run_id, problem)
         writing = self._go_on(self._core.do(self._core.runs.told, run, run_view(view, run.machine)))
-        return Seen(await self.wait_briefly(writing, _with_view(run, view)))
+        return Seen(await self.wait_briefly(writing, _apply_view(run, view)))
 
     async def wait_briefly(self, work: Awaitable[T], otherwise: T) -> T:
         """What comes of work that may wait for a database; it goes on where that takes too long."""
@@ -71,7 +72,7 @@ class Stops:
     async def _stop_known(self, run: RunRow, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
         path = f"/v1/runs/{run.agent_run}:{stop.value}"
         link = self._core.known_link(run.machine) or await self._present_link(run.machine, None)
-        return run, await require_answer(link.urgent(path, headers=context.headers()))
+        return run, await require_answer(link.urgent(path, headers=context.headers()), stop)
 
     async def _ask_all(self, run_id: str, stop: Stop, context: OrderContext) -> tuple[RunRow, Json]:
         """A run that this process has not seen yet: its agent knows it by our id. Problem where none of them does."""
@@ -83,14 +84,14 @@ class Stops:
         for link, answer in zip(links, answers, strict=True):
             if isinstance(answer, dict):
                 row = self._core.do(self._core.runs.get, run_id)
-                return await self.wait_briefly(row, _row_of(run_id, link, answer)), answer
+                return await self.wait_briefly(row, _make_row(run_id, link, answer)), answer
         refused = next((one for one in answers if isinstance(one, Problem) and one.status == 409), None)
         run = await self._row(run_id)
         if run.agent_run is None:
             words = f"the run is {run.state}: its program has not been handed over, nothing moves"
             raise Problem(409, words, field="run")
         away = next((one for one in answers if isinstance(one, AgentAwayError)), None)
-        raise refused or (away.problem() if away else Problem(404, f"no agent knows run {run_id}", field="run"))
+        raise refused or (away.problem(stop) if away else Problem(404, f"no agent knows run {run_id}", field="run"))
 
     async def _present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
         """The link by the profiles as they are now; the known one where that takes too long."""
@@ -139,12 +140,12 @@ class Stops:
             task.exception()  # told to whoever still waits; nobody may, and then it is no news
 
 
-def _with_view(run: RunRow, view: Json) -> RunRow:
+def _apply_view(run: RunRow, view: Json) -> RunRow:
     state = str(view.get("state", run.state))
     return replace(run, state=state, view=view, words=str(view.get("words", "")), open=run.open and state not in ENDED)
 
 
-def _row_of(run_id: str, link: AgentLink, view: Json) -> RunRow:
+def _make_row(run_id: str, link: AgentLink, view: Json) -> RunRow:
     """What is certain of a run without the database."""
     return RunRow(
         id=run_id,

@@ -171,6 +171,11 @@ def _open_run(run: RunRow) -> Json:
     }
 
 
+def order_json(machine: str, order: str, status: Json) -> Json:
+    """What an order or a stop beside a run is answered with."""
+    return {"machine": machine, "order": order, "mill": mill_json(status)}
+
+
 def mill_json(status: Json) -> Json:
     """What the mill does, out of its agent's status."""
     told = table(status, "status")

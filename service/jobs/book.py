@@ -17,7 +17,7 @@ from service.job_files import TARGET_PICTURE, THUMBNAIL
 from service.jobs.counters import Counter, add_to_counters, read_counters
 from service.jobs.database import clock, insert_new, reading, writing
 from service.jobs.events import BATCH, read_events, read_news, write_event
-from service.jobs.files import may_be_milled, offered_artifacts
+from service.jobs.files import may_be_milled, offered_artifacts, offered_programs
 from service.jobs.priorities import PRIORITIES
 from service.jobs.records import (
     Artifact,
@@ -135,21 +135,22 @@ class JobBook:
 
     def report_so_far(self, job: Job) -> dict[str, Any] | None:
         """report.json of the stages that are done in this attempt; a job that has ended has it itself."""
-        done = stage_runs.c.state.in_([StageState.COMMITTED, StageState.REUSED])
-        query = (
-            sa.select(stage_results.c.report)
-            .join(stage_runs, stage_runs.c.key == stage_results.c.key)
-            .where(stage_runs.c.job_id == job.id, stage_runs.c.attempt == job.attempt, done)
-            .order_by(stage_runs.c.id)
-        )
         with reading(self.database) as connection:
-            return merge_reports(connection.execute(query).scalars()) or None
+            return _reports_so_far(connection, [job.id]).get(job.id)
 
     def with_report(self, job: Job) -> Job:
         """The job; where it has not ended, with what its finished stages report."""
-        if job.report is not None or job.started_at is None:
-            return job
-        return replace(job, report=self.report_so_far(job))
+        return replace(job, report=self.report_so_far(job)) if _is_without_report(job) else job
+
+    def with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
+        """Those of the jobs that there are, as `with_report`, each with the programs that it offers."""
+        with reading(self.database) as connection:
+            rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
+            found = {job.id: job for job in map(Job.of, rows)}
+            reports = _reports_so_far(connection, [job.id for job in found.values() if _is_without_report(job)])
+            programs = offered_programs(connection, found)
+        found |= {job_id: replace(found[job_id], report=report) for job_id, report in reports.items()}
+        return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
 
     def may_be_milled(self, job: Job) -> bool:
         """May a mill have its programs? As `files.may_be_milled`."""
@@ -269,6 +270,29 @@ def _job(connection: sa.Connection, job_id: str) -> Job:
     if row is None:
         raise UnknownJobError(job_id)
     return Job.of(row)
+
+
+def _is_without_report(job: Job) -> bool:
+    return job.report is None and job.started_at is not None
+
+
+def _reports_so_far(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, dict[str, Any]]:
+    """By job, where there is any: report.json of the stages that are done in its present attempt."""
+    if not job_ids:
+        return {}
+    done = stage_runs.c.state.in_([StageState.COMMITTED, StageState.REUSED])
+    query = (
+        sa.select(stage_runs.c.job_id, stage_results.c.report)
+        .join(stage_results, stage_runs.c.key == stage_results.c.key)
+        .join(jobs, sa.and_(jobs.c.id == stage_runs.c.job_id, jobs.c.attempt == stage_runs.c.attempt))
+        .where(jobs.c.id.in_(job_ids), stage_runs.c.job_id.in_(job_ids), done)
+        .order_by(stage_runs.c.id)
+    )
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in connection.execute(query):
+        found.setdefault(row.job_id, []).append(row.report)
+    merged = {job_id: merge_reports(reports) for job_id, reports in found.items()}
+    return {job_id: report for job_id, report in merged.items() if report}
 
 
 def _summary(connection: sa.Connection, job_id: str) -> JobSummary:

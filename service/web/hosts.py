@@ -9,6 +9,8 @@ from __future__ import annotations
 import ipaddress
 import socket
 
+from service.errors import InputError
+
 
 def is_loopback(host: str) -> bool:
     if host == "localhost":
@@ -17,6 +19,15 @@ def is_loopback(host: str) -> bool:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return False
+
+
+def require_unread(host: str, where: str, *, vouched: bool, allowed: str) -> None:
+    """InputError where what passes to and from an address can be read on the way, and nobody vouches that it cannot.
+
+    vouched : somebody has said that there is TLS, or no way on which others are; allowed: how that can be
+    """
+    if not (vouched or is_loopback(host)):
+        raise InputError(f"{where}, and tokens and orders would go over the wire in the clear; allowed: {allowed}")
 
 
 def own_names() -> frozenset[str]:

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from machines.profiles import load_profile
+from service import asked_spec as module
 from service.asked_spec import asked_spec
 from service.errors import SpecError
 from service.spec_files import resolve_spec
@@ -73,6 +75,18 @@ def test_it_resolves_to_the_same_and_is_no_longer_than_what_a_person_asked_for(s
 )
 def test_it_is_exactly_what_stands_out(spec: dict[str, Any]) -> None:
     assert asked_spec(resolved(spec)) == spec
+
+
+def test_nothing_is_tried_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each try costs a millisecond: what has gone with its table is not tried, and the mill's profile is read once."""
+    read: list[str] = []
+    monkeypatch.setattr(module, "load_profile", lambda name: read.append(name) or load_profile(name))
+    tries: list[dict[str, Any]] = []
+    resolve = resolve_spec
+    monkeypatch.setattr(module, "resolve_spec", lambda base, load: tries.append(base) or resolve(base=base, load=load))
+    whole = resolved({})
+    assert asked_spec(whole) == {}
+    assert read == ["grbl"] and len(tries) == 1 + len(whole)
 
 
 def test_a_spec_of_another_time_is_given_back_whole() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from starlette.types import Message, Receive, Scope, Send
 
-from service.agent.auth import Guard, made_token, read_token
+from service.agent.auth import Guard, make_token, read_token
 from service.agent.settings import agent_settings, mill_folder, port_slug
 from service.errors import InputError
 
@@ -73,10 +73,10 @@ def test_two_headers_of_one_kind_are_refused() -> None:
 
 
 def test_a_made_token_is_private_and_stays_the_same(tmp_path: Path) -> None:
-    token, path = made_token(tmp_path / "mill")
+    token, path = make_token(tmp_path / "mill")
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert len(token) >= 32
-    assert made_token(tmp_path / "mill") == (token, path)
+    assert make_token(tmp_path / "mill") == (token, path)
 
 
 @pytest.mark.parametrize("content", ["", "short", "two words of some length", "x" * 20 + "\ny"])

@@ -82,7 +82,7 @@ def test_a_full_disk_is_one_clear_line_and_leaves_nothing(tmp_path: Path, monkey
     def full(_file: BinaryIO) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(programs, "_synced", full)
+    monkeypatch.setattr(programs, "_sync", full)
     store = ProgramStore(tmp_path, max_bytes=1 << 20)
     with pytest.raises(OSError) as error:
         receive(store, digest(PROGRAM), [PROGRAM])

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import concurrent.futures
 import contextlib
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -179,6 +181,40 @@ def test_control_outlives_the_server_and_holds_for_two_of_them(tmp_path: Path, m
         with httpx.Client(base_url=floor.server.address, headers=headers, timeout=PATIENCE_S) as again:
             assert again.post(f"{HERE}/jog", json=jog).status_code == 202
         until_x(floor, 2)
+
+
+@pytest.mark.parametrize("what", ["jog", "start"])
+def test_a_stop_by_one_server_ends_an_order_that_waits_in_another(
+    floor: Shop, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    """One without a grant of its own, as curl gives it: the server has asked for one before it waited for anything."""
+    core, waits, free = floor.server.services.fleet._core, threading.Event(), threading.Event()
+    do = core.do
+
+    async def do_late(*arguments: Any, **named: Any) -> Any:
+        waits.set()
+        while not free.is_set():
+            await asyncio.sleep(0.01)
+        return await do(*arguments, **named)
+
+    with (
+        people(floor) as (ada, _),
+        api_server(floor.data) as second,
+        concurrent.futures.ThreadPoolExecutor(1) as pool,
+    ):
+        run = floor.park(floor.job())
+        ada.take()
+        path, body = {
+            "jog": (f"{HERE}/jog", {"by_mm": [1, 0, 0]}),
+            "start": (f"/v1/runs/{run['id']}:start", {"operator": "Ada", "checks": CHECKS}),
+        }[what]
+        with monkeypatch.context() as slow:
+            slow.setattr(core, "do", do_late)
+            order = pool.submit(ada.http.post, path, json=body, headers=ada.headers)
+            assert waits.wait(PATIENCE_S)
+            assert httpx.post(f"{second.address}{HERE}/jog-cancel", timeout=PATIENCE_S).status_code == 202
+            free.set()
+            assert problem(order.result(), 409).get("code") in ("grant_stopped", "grant_expired")
 
 
 def test_the_holders_secret_is_shown_to_the_holder_alone(floor: Shop) -> None:

@@ -142,8 +142,9 @@ def test_agents_elsewhere_come_from_a_file(tmp_path: Path, monkeypatch: pytest.M
         "[[agents]]\nmachine = 'a'",
         "[[agents]]\nmachine = 'a'\nurl = 'ftp://x'\ntoken_file = 't'",
         "[[agents]]\nmachine = 'a'\nurl = 'http://x:99999'\ntoken_file = 't'",
-        "[[agents]]\nmachine = 'a/b'\nurl = 'http://x'\ntoken_file = 't'",
-        "[[agents]]\nmachine = 'a'\nurl = 'http://x'\ntoken_file = 't'\n" * 2,
+        "[[agents]]\nmachine = 'a/b'\nurl = 'https://x'\ntoken_file = 't'",
+        "[[agents]]\nmachine = 'a'\nurl = 'https://x'\ntoken_file = 't'\n" * 2,
+        "[[agents]]\nmachine = 'a'\nurl = 'http://x'\ntoken_file = 't'\nprivate_network = 'yes'",
         "[[agents]",
     ],
 )
@@ -151,6 +152,27 @@ def test_a_bad_list_of_agents_is_refused_in_words(tmp_path: Path, text: str) -> 
     (tmp_path / "agents.toml").write_text(text)
     with pytest.raises(InputError, match=r"agents\.toml"):
         remote_machines(tmp_path / "agents.toml")
+
+
+@pytest.mark.parametrize(
+    ("url", "more", "taken"),
+    [
+        ("http://shop-pc:8765", "", False),
+        ("http://192.168.1.7:8765", "private_network = false", False),
+        ("http://shop-pc:8765", "private_network = true", True),
+        ("https://shop-pc", "", True),
+        ("http://127.0.0.1:8765", "", True),
+        ("http://[::1]:8765", "", True),
+    ],
+)
+def test_nothing_goes_to_an_agent_elsewhere_in_the_clear(tmp_path: Path, url: str, more: str, taken: bool) -> None:
+    listing = tmp_path / "agents.toml"
+    listing.write_text(f"[[agents]]\nmachine = 'a'\nurl = '{url}'\ntoken_file = 't'\n{more}")
+    if taken:
+        assert [machine.url for machine in remote_machines(listing)] == [url]
+        return
+    with pytest.raises(InputError, match=r"in the clear; allowed: https://.*private_network"):
+        remote_machines(listing)
 
 
 def test_no_profile_of_ones_own_means_no_machines(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
