@@ -14,15 +14,16 @@ from pathlib import Path
 import pytest
 from xdist.scheduler import LoadFileScheduling
 
-TOGETHER = ("tests/page/", "tests/service/client/")
+TOGETHER = ("tests/page/journeys/", "tests/service/client/")
 FIRST = (
     "tests/service/stages/test_whole_job.py",  # compiles what a job needs, while the others begin with what needs less
     "tests/service/worker/",
     "tests/service/fleet/",
-    "tests/page/",
+    "tests/page/journeys/",
     "tests/service/host/",
     "tests/end_to_end/test_small_lenses.py",
     "tests/service/client/",
+    "tests/page/",
     "tests/service/test_estimate.py",
     "tests/end_to_end/",
     "tests/optics/test_any_bench.py",

@@ -15,7 +15,7 @@ from pathlib import Path
 from playwright.sync_api import Browser, Page
 
 from tests.benchmarks.timing import Figure
-from tests.page.browser import Watched, missing, running_browser
+from tests.page.browser import Watched, missing, new_context, running_browser
 from tests.page.drawn import NOTE_FIRST_PICTURE, drawn
 from tests.page.paths import write_huge_path
 from tests.page.shop import Shop, running_shop
@@ -82,7 +82,7 @@ def _first_view(browser: Browser, shop: Shop) -> Iterator[Figure]:
 def _tool_path(browser: Browser, shop: Shop, path: Path) -> Iterator[Figure]:
     points = write_huge_path(path)
     with _page(browser, shop) as page:
-        view = drawn(lambda _: _at(page, "/#/machines"), shop, path, NOTE_FIRST_PICTURE)
+        view = drawn(lambda _: _at(page, "/#/machines"), path, NOTE_FIRST_PICTURE)
         first_ms, sizes = view.first_picture_ms(), f"{points:,} points, {path.stat().st_size / 1e6:.0f} MB"
         yield Figure("page: first picture of a finish pass", first_ms, "ms", f"from the request; {sizes}")
         for steps, words in ((0, "whole"), (8, "zoomed in")):
@@ -96,7 +96,7 @@ def _tool_path(browser: Browser, shop: Shop, path: Path) -> Iterator[Figure]:
 
 @contextlib.contextmanager
 def _page(browser: Browser, shop: Shop) -> Iterator[Page]:
-    watched = Watched(browser, shop.url)
+    watched = Watched(new_context(browser, shop.url))
     try:
         yield watched.page()
     finally:

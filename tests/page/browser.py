@@ -12,7 +12,7 @@ from typing import Any, Literal
 from axe_playwright_python.base import AXE_SCRIPT
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, sync_playwright
 
-ANSWER_MS = 120_000.0  # a page that answers at all does so sooner; jobs are waited for with PATIENCE_MS
+ANSWER_MS = 120_000.0  # a page that answers at all does so sooner; jobs are waited for with JOB_MS
 SIZES = {"wide": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
 TOUCH_PX = 44  # that a finger in a glove hits
 SERIOUS = ("serious", "critical")
@@ -26,6 +26,7 @@ _FLAGS = (
     "--disable-background-networking",
     "--disable-component-update",
     "--disable-sync",
+    "--process-per-site",  # pages of one context share a process
     "--use-fake-device-for-media-stream",  # a camera that sees a test picture
     "--use-fake-ui-for-media-stream",
 )
@@ -55,25 +56,19 @@ def running_browser() -> Iterator[Browser]:
 
 
 class Watched:
-    """Pages of one context. `complaints`: errors on their consoles, but those a test has said it expects."""
+    """Pages of a context. `complaints`: errors on their consoles, but those a test has said it expects."""
 
-    def __init__(self, browser: Browser, base_url: str, *, size: str = "wide", scheme: Scheme = "light") -> None:
-        width, height = SIZES[size]
-        self.context: BrowserContext = browser.new_context(
-            base_url=base_url,
-            viewport={"width": width, "height": height},
-            color_scheme=scheme,
-            reduced_motion="reduce",
-            has_touch=size == "phone",
-        )
-        self.context.set_default_timeout(ANSWER_MS)
+    def __init__(self, context: BrowserContext) -> None:
+        self.context = context
         self.complaints: list[str] = []
+        self._pages: list[Page] = []
         self._expected: list[re.Pattern[str]] = []
 
     def page(self) -> Page:
         page = self.context.new_page()
         page.on("console", self._heard)
         page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
+        self._pages.append(page)
         return page
 
     def expect_errors(self, *patterns: str) -> None:
@@ -82,7 +77,8 @@ class Watched:
 
     def close(self) -> None:
         """AssertionError with whatever the pages complained of."""
-        self.context.close()
+        while self._pages:
+            self._pages.pop().close()
         unexpected = [one for one in self.complaints if not any(known.search(one) for known in self._expected)]
         assert not unexpected, "\n".join(unexpected)
 
@@ -90,6 +86,19 @@ class Watched:
         if message.type == "error":
             where = message.location.get("url", "")
             self.complaints.append(f"{message.text} ({where})")
+
+
+def new_context(browser: Browser, base_url: str, *, size: str = "wide", scheme: Scheme = "light") -> BrowserContext:
+    width, height = SIZES[size]
+    found = browser.new_context(
+        base_url=base_url,
+        viewport={"width": width, "height": height},
+        color_scheme=scheme,
+        reduced_motion="reduce",
+        has_touch=size == "phone",
+    )
+    found.set_default_timeout(ANSWER_MS)
+    return found
 
 
 def serious_faults(page: Page) -> list[str]:

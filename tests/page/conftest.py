@@ -1,52 +1,82 @@
-"""A shop and a browser for the tests of the page. The shop lives as long as the session, the browser as long as a file:
-while its driver lives, nothing else in the process can run an event loop of its own.
+"""A browser and a stub of a server, as long as the session; the journeys have a real one (tests/page/journeys).
 
 `page` is one page, 1440 wide and light; `opened` makes others. Any error on a console fails the test that used it,
-unless the test has said `watched.expect_errors(...)`.
+unless the test has said `watched.expect_errors(...)`; so does an answer that the server would never give.
 """
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import Browser, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, expect
 
-from tests.page.browser import ANSWER_MS, Scheme, Watched, missing, running_browser, shoot
-from tests.page.shop import Shop, running_shop
+from tests.page.answers import watched_answers
+from tests.page.browser import ANSWER_MS, SIZES, Scheme, Watched, missing, new_context, running_browser, shoot
+from tests.page.stub import Stub, running_stub
 
 Opened = Callable[..., Page]
 
 expect.set_options(timeout=ANSWER_MS)
 
 
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Browser]:
+@pytest.fixture(scope="session")
+def launched() -> Iterator[tuple[Browser, asyncio.AbstractEventLoop]]:
+    """Use `browser`."""
     if reason := missing():
         pytest.skip(reason)
     with running_browser() as found:
+        loop = asyncio.get_running_loop()
+        asyncio._set_running_loop(None)
+        yield found, loop
+        asyncio._set_running_loop(loop)
+
+
+@pytest.fixture(scope="module")
+def browser(launched: tuple[Browser, asyncio.AbstractEventLoop]) -> Iterator[Browser]:
+    """The one of this process. Its driver's loop counts as running only meanwhile: other files may run theirs."""
+    found, loop = launched
+    asyncio._set_running_loop(loop)
+    yield found
+    asyncio._set_running_loop(None)
+
+
+@pytest.fixture(scope="session")
+def stub() -> Iterator[Stub]:
+    """Where `opened` goes. Without a browser none is started."""
+    if reason := missing():
+        pytest.skip(reason)
+    with running_stub() as found:
         yield found
 
 
 @pytest.fixture(scope="session")
-def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
-    """A real server, its worker, a simulated mill called "shop" and its agent. Without a browser none is started."""
-    if reason := missing():
-        pytest.skip(reason)
-    with running_shop(tmp_path_factory.mktemp("shop"), "--with-simulated-mill") as found:
-        yield found
+def kept() -> dict[str, BrowserContext]:
+    """Contexts by size: a page of its own is all that a test needs."""
+    return {}
+
+
+@pytest.fixture(autouse=True)
+def answers() -> Iterator[None]:
+    """Whatever a test tells its page, the server might."""
+    with watched_answers() as lies:
+        yield
+    assert not lies, "\n".join(lies)
 
 
 @pytest.fixture
-def watched(browser: Browser, shop: Shop) -> Iterator[Callable[..., Watched]]:
+def watched(browser: Browser, stub: Stub) -> Iterator[Callable[..., Watched]]:
     """Makes browser contexts (size, scheme); at the end of the test none of their pages may have complained."""
     with contextlib.ExitStack() as stack:
 
         def make(size: str = "wide", scheme: Scheme = "light") -> Watched:
-            found = Watched(browser, shop.url, size=size, scheme=scheme)
+            context = new_context(browser, stub.url, size=size, scheme=scheme)
+            stack.callback(context.close)
+            found = Watched(context)
             stack.callback(found.close)
             return found
 
@@ -54,32 +84,61 @@ def watched(browser: Browser, shop: Shop) -> Iterator[Callable[..., Watched]]:
 
 
 @pytest.fixture
-def opened(watched: Callable[..., Watched], shop: Shop) -> Opened:
-    """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",))."""
+def opened(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Iterator[Opened]:
+    """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",)), instead of the last."""
+    stub.lies.clear()
+    with contextlib.ExitStack() as stack:
 
-    def make(
-        address: str = "#/",
-        *,
-        size: str = "wide",
-        scheme: Scheme = "light",
-        key: str = "",
-        errors: tuple[str, ...] = (),
-    ) -> Page:
-        context = watched(size, scheme)
-        context.expect_errors(*errors)
-        page = context.page()
-        page.goto("/")
-        if key:
-            sign_in(page, shop.key(key))
-        page.evaluate("hash => { location.hash = hash }", address)
-        return page
+        def make(
+            address: str = "#/",
+            *,
+            size: str = "wide",
+            scheme: Scheme = "light",
+            key: str = "",
+            errors: tuple[str, ...] = (),
+        ) -> Page:
+            stack.close()
+            touch = "phone" if size == "phone" else "wide"
+            context = keep(kept, browser, stub, touch)
+            pages = Watched(context)
+            stack.callback(pages.close)
+            stack.callback(context.clear_permissions)
+            pages.expect_errors(*errors)
+            page = pages.page()
+            width, height = SIZES[size]
+            page.set_viewport_size({"width": width, "height": height})
+            page.emulate_media(color_scheme=scheme)
+            visit(page, address, stub.key(key) if key else "")
+            return page
 
-    return make
+        yield make
+    assert not stub.lies, "\n".join(stub.lies)
 
 
 @pytest.fixture
 def page(opened: Opened) -> Page:
     return opened()
+
+
+@pytest.fixture
+def modules(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Page:
+    """Where the page's modules can be imported, and nothing else goes on: for what has neither screen nor server."""
+    return keep(kept, browser, stub, "wide").pages[0]
+
+
+def keep(kept: dict[str, BrowserContext], browser: Browser, stub: Stub, size: str) -> BrowserContext:
+    """The context of this size. Its first page stays, and with it the process of the others."""
+    if size not in kept:
+        kept[size] = new_context(browser, stub.url, size=size)
+        kept[size].new_page().goto("/page/icon.svg")
+    return kept[size]
+
+
+def visit(page: Page, address: str, token: str = "") -> None:
+    page.goto("/")
+    if token:
+        sign_in(page, token)
+    page.evaluate("hash => { location.hash = hash }", address)
 
 
 def sign_in(page: Page, token: str) -> None:

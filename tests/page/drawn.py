@@ -11,9 +11,8 @@ from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
 from tests.page.conftest import Opened
-from tests.page.jobs import answer, like, of_shop
+from tests.page.jobs import answer, canned, like
 from tests.page.paths import Served
-from tests.page.shop import Shop
 
 NOTE_FIRST_PICTURE = """new MutationObserver(() => {
     if (document.querySelector("[data-level]")) window.drawnAt ??= performance.now();
@@ -82,15 +81,15 @@ class Drawn:
         return float(self.page.evaluate(_FIRST_PICTURE_MS))
 
 
-def drawn(opened: Opened, shop: Shop, path: Path, before: str = "") -> Drawn:
-    """The file, as a pass of the shop's job. before: a script that runs before the page's own."""
-    job, files = of_shop(shop)
+def drawn(opened: Opened, path: Path, before: str = "") -> Drawn:
+    """The file, as a pass of the stub's job. before: a script that runs before the page's own."""
+    job, files = canned()
     job = like(job, 20)
     url = f"/v1/jobs/{job['id']}/artifacts/pass-1.path"
     file = files[0] | {"name": "pass-1.path", "sha256": "f" * 64, "bytes": path.stat().st_size, "url": url}
     page = opened("#/machines")
     if before:
-        page.context.add_init_script(before)
+        page.add_init_script(before)
         page.reload()
     found = Drawn(page, Served(path))
     found.served.on(page, url)

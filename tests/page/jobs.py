@@ -1,4 +1,4 @@
-"""Jobs for the page that need no worker: the shop's own job, with another state, report or spec."""
+"""Jobs for the page that need no worker: the stub's own job, with another state, report or spec."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ from typing import Any
 
 from playwright.sync_api import Page, Route, expect
 
+from tests.page import canned_job
 from tests.page.conftest import Opened
-from tests.page.shop import Shop
 
 FAKE = "00000000-0000-4000-8000-{:012d}"
 PLAN_HOURS = (0.2, 0.5, 1.0, 4.0, 9.0)
 
 
-def of_shop(shop: Shop) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """The shared job and its files, as the API tells them."""
-    address = f"/v1/jobs/{shop.job()}"
-    with shop.client() as client:
-        return client.get(address).json(), client.get(f"{address}/artifacts").json()["artifacts"]
+def canned() -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The finished job of the stub and its files, as the API tells them."""
+    return canned_job.job(), canned_job.artifacts()
 
 
 def like(job: dict[str, Any], number: int, **changes: Any) -> dict[str, Any]:
@@ -60,16 +58,16 @@ def shown(opened: Opened, job: dict[str, Any], files: list[dict[str, Any]], **ho
 
 def with_plan(job: dict[str, Any], number: int, chosen: int = 2) -> dict[str, Any]:
     """A job whose passes were planned, with some plans to choose from."""
-    passes = job["spec"]["passes"]
+    plan = canned_job.plan()
+    first = plan["candidates"][0]
     rows = [
-        {
+        first | {
             "hours": hours, "hours_by_pass": [hours / 4, 3 * hours / 4], "psnr_db": 20.0 + at, "ssim": 0.5 + at / 20,
-            "blur_mm": 0.8 / (at + 1), "blur_px": 4.0 / (at + 1), "tool": "ball-r3", "radius_mm": 3.0, "pitch_mm": 0.2,
-            "strategy": "raster", "direction": "x", "words": "ball", "warning": None if at else "fine hair is lost",
-            "spec": {"passes": [row | {"pitch_mm": 0.5 / (at + 1)} for row in passes], "optics": {}, "machine": {}},
+            "blur_mm": 0.8 / (at + 1), "blur_px": 4.0 / (at + 1), "words": f"ball {at}",
+            "warning": None if at else "fine hair is lost",
+            "spec": first["spec"] | {"passes": [row | {"pitch_mm": 0.5 / (at + 1)} for row in first["spec"]["passes"]]},
         }
         for at, hours in enumerate(PLAN_HOURS)
     ]  # fmt: skip
-    plan = {"chosen": chosen, "candidates": rows, "why": ["It is the quickest of the sharp ones."], "left_out": []}
-    plan |= {key: rows[chosen][key] for key in ("hours", "psnr_db", "blur_mm")} | {"passes": passes}
+    plan |= {key: rows[chosen][key] for key in ("hours", "psnr_db", "blur_mm")} | {"chosen": chosen, "candidates": rows}
     return like(job, number, report=job["report"] | {"plan": plan})

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 from collections.abc import Callable
 from typing import Any
 
 from playwright.sync_api import Page, Route, expect
+
+from tests.page import canned_job
 
 NAME = "shop"
 RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
@@ -22,10 +25,14 @@ MACHINE: dict[str, Any] = {
     "problem": "",
     "profile": {
         "description": "the mill by the window",
+        "dialect": "grbl",
         "travel_mm": [300, 300, 80],
         "max_rate_mm_per_min": [5000, 5000, 1500],
+        "step_mm": 0.004,
+        "spindle_rpm": [8000, 30000],
         "safe_z_mm": 5,
         "homing": True,
+        "spindle": {"on_hold": "turns", "on_lost_link": "turns", "words": ["the spindle keeps turning in a hold"]},
     },
     "agent": {"reachable": True, "words": ""},
     "mill": {
@@ -36,6 +43,7 @@ MACHINE: dict[str, Any] = {
         "feed_mm_per_min": 0,
         "spindle_rpm": 0,
         "spindle_on": False,
+        "pins": "",
         "overrides": [100, 100, 100],
         "position_trusted": True,
         "controller": "Grbl 1.1h.20190830",
@@ -80,7 +88,17 @@ RUN: dict[str, Any] = {
     "required_checks": _CHECKS,
     "left_out": [],
     "next": {"number": 3, "name": "pass-3-finish.nc", "sha256": "9f" * 32},
+    "unreachable": False,
+    "unreachable_words": "",
+    "created_by": "Ada",
+    "created_at": _SINCE,
+    "started_at": None,
+    "ended_at": None,
+    "links": {},
 }
+_OF_OPEN = {
+    *("id", "state", "job", "program", "words", "share", "executed_line", "lines", "time_s", "time_left_s", "operator"),
+}  # of a run, as its mill tells it
 PLAN: dict[str, Any] = {
     "run": RUN_ID,
     "plan": "a1" * 32,
@@ -146,10 +164,19 @@ def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
     machine["mill"] |= mill
     whole = None if run is None else copy.deepcopy(RUN) | run
     if whole is not None and whole["open"]:
-        machine["run"] = whole | {"program": whole["program"]["name"]}
+        told = whole | {"program": whole["program"]["name"]}
+        machine["run"] = {key: told[key] for key in _OF_OPEN}
     if "agent" in changes or "problem" in changes:
         machine["mill"] = None
     return machine, whole
+
+
+def taken(route: Route) -> dict[str, Any]:
+    """The answer to an order: about the mill, or about its run."""
+    order = re.split("[/:]", route.request.url)[-1]
+    if "/control/" not in route.request.url:
+        return RUN | {"state": "held"}
+    return {"machine": NAME, "order": order, "mill": machine_in("held")[0]["mill"]}
 
 
 def told(
@@ -170,19 +197,20 @@ def told(
         machine["mill"] |= mill
     if operator:
         machine["control"] = {"operator": operator, "since": _SINCE}
-        control = machine["control"] | {"control": "a secret"}
+        control = machine["control"] | {"control": "a secret", "expires_s": 10.0}
         page.route("**/v1/machines/shop/control", lambda route: route.fulfill(json=control))
     entry = {"number": 5, "at_s": 1795284531.5, "kind": "fault", "words": "port lost: the device is gone", "by": "Ada"}
     events = f"event: status\ndata: {json.dumps(machine)}\n\nevent: log\ndata: {json.dumps(entry)}\n\n"
     last = [run] if run is not None and not run["open"] else []
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
     page.route("**/v1/machines/shop/grants", lambda route: route.fulfill(status=201, json=GRANT))
-    page.route_web_socket(STOPS, lambda way: way.close(code=4401))  # what is told here reaches no mill
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=events, content_type="text/event-stream"))
     page.route("**/v1/runs?**", lambda route: route.fulfill(json={"runs": last, "next": None}))
-    page.route("**/v1/runs/*", lambda route: route.fulfill(json=run))
+    page.route(
+        "**/v1/runs/*", lambda route: route.fulfill(status=200 if route.request.method == "GET" else 202, json=run)
+    )
     page.route("**/v1/runs/*/recovery", plan)
-    page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json={"id": _JOB, "spec": _spec(), "programs": []}))
+    page.route(f"**/v1/jobs/{_JOB}", lambda route: route.fulfill(json=_job()))
     page.route(f"**/v1/jobs/{_JOB}/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
     page.evaluate("window.dispatchEvent(new Event('online'))")  # a stream that waits asks again
 
@@ -198,5 +226,6 @@ def with_control(opened: Callable[..., Page], state: str, *, mill: dict[str, Any
     return page
 
 
-def _spec() -> dict[str, Any]:
-    return {"optics": {"width_mm": 100, "height_mm": 100, "outline": "rectangle"}, "stock": {"margin_mm": 8}}
+def _job() -> dict[str, Any]:
+    optics = {"width_mm": 100, "height_mm": 100, "outline": "rectangle"}
+    return canned_job.job() | {"id": _JOB, "spec": {"optics": optics, "stock": {"margin_mm": 8}}, "programs": []}

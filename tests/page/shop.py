@@ -38,8 +38,11 @@ SMALL_SPEC: dict[str, Any] = {
         {"name": "finish", "radius_mm": 3.0, "pitch_mm": 0.25, "step_down_mm": 0.4},
     ],
 }
+JOB_S = 4 * PATIENCE_S  # the first one may compile all kernels, on a computer that has much else to do
+JOB_MS = 1000 * JOB_S
 LONG_PROGRAM = "pass-1-finish.nc"
-LONG_LINES = 8000
+LONG_LINES = 8000  # at this feed, minutes of the mill's time even twenty times as fast: longer than any test looks on
+LONG_FEED = 150
 # Power-up where a homing cycle would have left it, room for the lens around it, and switches to home by.
 _MILL = replace(AT_ZERO, power_up_machine_mm=(-150.0, -150.0, -20.0), homing=True)
 _PROFILE = 'extends = "grbl"\ndescription = "the mill by the window"\nhoming = true\n[link]\nport = "{port}"\n'
@@ -115,14 +118,28 @@ class Shop:
         address, ended = f"/v1/jobs/{job}", ("succeeded", "failed", "cancelled")
         with self.client() as client:
             found: dict[str, Any]
-            found = seen(lambda: client.get(address).json(), lambda now: now["state"] in ended, every_s=0.1)
+            found = seen(
+                lambda: client.get(address).json(), lambda now: now["state"] in ended, every_s=0.1, within_s=JOB_S
+            )
             return found
 
     def job(self) -> str:
         """The one small job with programs that the tests of this session share."""
-        if not self._job:
-            self._job = self.succeeded(self.submit())
+        self._job = self._job or self.submit()
+        return self.succeeded(self._job)
+
+    def begin(self) -> str:
+        """A job whose stages are still to be done: the one that all share, where nobody has asked for that yet."""
+        if self._job:
+            return self.submit(SMALL_SPEC | {"image": {"pixels": 32}, "optics": {"width_mm": 6.0, "height_mm": 6.0}})
+        self._job = self.submit()
         return self._job
+
+    def told(self) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+        """This job and its files, as the API tells them."""
+        with self.client() as client:
+            address = f"/v1/jobs/{self.job()}"
+            return client.get(address).json(), client.get(f"{address}/artifacts").json()["artifacts"]
 
     def long_job(self) -> str:
         """A job with one program, of some minutes of the mill's time, as it is once its stages are done."""
@@ -131,7 +148,7 @@ class Shop:
             with self.client() as client:
                 client.post(f"/v1/jobs/{job}:cancel")
             self._until_ended(job)
-            path = program(self.folder / "long.nc", LONG_LINES, step_mm=0.1)
+            path = program(self.folder / "long.nc", LONG_LINES, step_mm=0.1, feed_mm_per_min=LONG_FEED)
             made = Made(ServerSettings(data=self.data))
             made.put_artifact(job, LONG_PROGRAM, path.read_bytes(), stage="pass-1")
             made.put_stage(job, "check")

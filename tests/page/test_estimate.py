@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 
 import pytest
-from playwright.sync_api import Route, expect
+from playwright.sync_api import Page, Route, expect
 
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
 from service.report_words import psnr_in_words
-from tests.page.conftest import Opened
-from tests.page.shop import Shop
-from tests.page.test_new_job import choose, fill, parts, picture, wall
+from tests.page.answers import problem
+from tests.page.browser import Watched
+from tests.page.conftest import Opened, visit
+from tests.page.form import choose, fill, parts, picture, wall
 
-FIRST_MS = 120_000  # kernels may have to be compiled
+WRONG = {"field": "spec.optics.throw_mm", "detail": "0 is not allowed; allowed: a number more than 0"}
 
 
 def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Opened) -> None:
     page = opened("#/machines", errors=("status of 422",))
 
     def example(route: Route) -> None:
-        spec, _ = parts(route)
-        route.fallback() if "throw_mm" in spec.get("optics", {}) else route.fulfill(json=ESTIMATE_EXAMPLE)
+        if "throw_mm" in parts(route)[0].get("optics", {}):
+            route.fulfill(**problem(422, detail="see there", problems=[WRONG]))
+        else:
+            route.fulfill(json=ESTIMATE_EXAMPLE)
 
     page.route("**/v1/estimates", example)
     page.evaluate("location.hash = '#/new'")
@@ -47,9 +51,8 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
 LINE = "estimate => import('/page/new/estimate.js').then(({estimateLine}) => estimateLine(estimate))"
 
 
-def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(opened: Opened) -> None:
+def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(modules: Page) -> None:
     """By what costs it most; nobody is told to take what was taken already."""
-    page = opened()
     lamp = {"blur_by": {"light_mm": 2.0, "milling_mm": 1.0}, "planned": True}
     for change, words in (
         ({"psnr_db": 21.0}, "visibly soft or uneven"),
@@ -58,25 +61,34 @@ def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(opened: Op
         (lamp | {"spec": {"optics": {"light": {"kind": "sun"}}}}, ": a nearer wall or a larger lens shows more"),
         (lamp | {"spec": {"optics": {"light": {"kind": "point"}}}}, ": a smaller lamp or a larger lens shows more"),
     ):
-        assert page.evaluate(LINE, ESTIMATE_EXAMPLE | {"psnr_db": 20.9} | change).endswith(words)
+        assert modules.evaluate(LINE, ESTIMATE_EXAMPLE | {"psnr_db": 20.9} | change).endswith(words)
 
 
-@pytest.mark.thorough
-def test_two_tabs_side_by_side_get_their_estimates_both(opened: Opened, shop: Shop) -> None:
-    """One computer, one caller; only of the same tab the newer question ends the older one."""
-    pages = [opened("#/new") for _ in range(2)]
-    for page in pages:
-        page.get_by_label("Draft").check()
-        choose(page, picture())
-    for page in pages:
-        estimate = page.get_by_role("region", name="Estimate")
-        expect(estimate).to_contain_text("Machine time", timeout=FIRST_MS)
-        expect(estimate).not_to_contain_text("No estimate")
-
-
-@pytest.mark.thorough
-def test_a_long_wait_is_explained(opened: Opened) -> None:
+def test_only_an_older_question_of_the_same_tab_is_ended(opened: Opened) -> None:
+    """Each tab has a name of its own, by which the server knows it; a page that is loaded anew is another tab."""
     page = opened("#/machines")
+    asked: list[set[str]] = []
+
+    def note(route: Route) -> None:
+        asked[-1].add(route.request.headers["causticmill-tab"])
+        route.fulfill(json=ESTIMATE_EXAMPLE)
+
+    page.route("**/v1/estimates", note)
+    for _ in range(2):
+        page.goto("about:blank")  # nobody asks any more
+        asked.append(set())
+        visit(page, "#/new")
+        for step in (lambda: choose(page, picture()), lambda: fill(page, Width="30")):
+            with page.expect_request("**/v1/estimates"):
+                step()
+    first, second = asked
+    assert len(first) == len(second) == 1 and first != second
+
+
+@pytest.mark.thorough
+def test_a_long_wait_is_explained(watched: Callable[..., Watched]) -> None:
+    page = watched().page()  # whose clock is its context's
+    visit(page, "#/machines")
     page.clock.install()
     waiting: list[Route] = []
     page.route("**/v1/estimates", lambda route: waiting.append(route))

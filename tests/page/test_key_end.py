@@ -8,9 +8,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.conftest import Opened
-from tests.page.driving import take_control
 from tests.page.machine_states import told
-from tests.page.shop import MILL, Shop
 
 WARNING = ".toast"
 LOOK = "async () => { await (await import('/page/lib/api.js')).api.hello(); }"
@@ -24,7 +22,7 @@ def end_in(page: Page, minutes: float) -> None:
     page.evaluate(LOOK)
 
 
-def test_a_code_that_ends_is_said_two_hours_before_and_again(opened: Opened, shop: Shop) -> None:
+def test_a_code_that_ends_is_said_two_hours_before_and_again(opened: Opened) -> None:
     page = opened("#/machines", key="Ada", errors=("status of 401",))
     end_in(page, 125)
     warning = page.locator(WARNING)
@@ -52,22 +50,3 @@ def test_during_a_run_it_is_said_what_ends_with_the_code(opened: Opened, left: f
         f"The code on this page {when}, and pass-2-finish.nc is on shop. Enter a new one: without it this page can "
         "only HOLD and STOP."
     )
-
-
-def test_a_new_code_is_entered_without_loading_the_page_again(opened: Opened, shop: Shop) -> None:
-    """Control of the mill stays."""
-    page = opened(f"#/machines/{MILL}", key="Ada")
-    take_control(page)
-    page.evaluate("window.neverReloaded = true")
-    end_in(page, 60)
-    page.get_by_role("button", name="Enter a new code").click()
-    page.unroute("**/v1/whoami")
-    page.get_by_role("textbox", name="Code", exact=True).fill(shop.code)
-    page.get_by_label("Your name").fill("Ada")
-    page.get_by_role("button", name="Enter", exact=True).click()
-    expect(page.locator(WARNING)).to_have_count(0)
-    expect(page.get_by_role("dialog")).to_have_count(0)
-    expect(page.get_by_text("You have control.")).to_be_visible()
-    page.get_by_role("button", name="Give control back").click()
-    expect(page.get_by_text("Nobody has control.")).to_be_visible()
-    assert page.evaluate("window.neverReloaded")

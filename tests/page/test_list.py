@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import json
-import re
-import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Browser, Page, Route, expect
+from playwright.sync_api import Page, Route, expect
 
 from service.drawing.thumbnail import thumbnail_png
-from service.figures import picture_png
 from service.tone import srgb_to_linear
+from tests.page import form
 from tests.page.browser import Watched, every_screen
 from tests.page.conftest import Opened
 from tests.page.listed import answer_with, summary
-from tests.page.shop import PICTURE, Shop
-from tests.service.api.server import api_server, png
+from tests.page.shop import PICTURE
+from tests.page.stub import Stub
 
 STATES = {"queued": "waiting", "running": "working", "succeeded": "done", "failed": "failed", "cancelled": "cancelled"}
 FIRST_VIEW_BYTES = 300_000
@@ -74,7 +71,7 @@ def test_a_dropped_picture_begins_a_job_and_anything_else_is_refused_in_words(op
     expect(page.locator(".drop")).to_be_visible()
     page.evaluate(DROP, [".drop", "notes.txt", list(b"no picture")])
     expect(page.get_by_text("This is no picture.")).to_be_visible()
-    page.evaluate(DROP, [".drop", "portrait.png", list(png())])
+    page.evaluate(DROP, [".drop", "portrait.png", list(form.picture())])
     expect(page.get_by_role("heading", name="New job")).to_be_visible()
     expect(page.get_by_label("Name of the job")).to_have_value("portrait")
 
@@ -106,37 +103,34 @@ def test_a_filter_shows_the_jobs_of_its_states(opened: Opened) -> None:
     expect(page.get_by_text("No job failed or was cancelled.")).to_be_visible()
 
 
-def test_the_first_view_is_small_and_comes_from_this_server_only(watched: Callable[..., Watched], shop: Shop) -> None:
+def test_the_first_view_is_small_and_comes_from_this_server_only(watched: Callable[..., Watched], stub: Stub) -> None:
     page = watched().page()
     sizes: dict[str, int] = {}
     page.on("requestfinished", lambda request: sizes.update({request.url: request.sizes()["responseBodySize"]}))
     page.goto("/")
     expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
     page.wait_for_load_state("networkidle")
-    assert all(url.startswith((shop.url, "blob:")) for url in sizes)
+    assert all(url.startswith((stub.url, "blob:")) for url in sizes)
     asked_early = page.locator("link[rel=modulepreload]").evaluate_all("all => all.map(one => one.href)")
     assert {url for url in sizes if url.endswith(".js")} == set(asked_early)  # none waits for another to be read
     assert 10_000 < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
 
 
 @pytest.mark.thorough
-def test_a_dozen_jobs_of_the_usual_size_are_a_small_first_view_too(browser: Browser, tmp_path: Path) -> None:
-    with api_server(tmp_path / "data") as server:
-        for turn, light in enumerate(photographs()):
-            job = server.submit()["id"]
-            server.put_artifact(job, "target.png", picture_png(light, white=1.0))
-            server.put_artifact(job, "thumbnail.png", thumbnail_png(light, white=1.0))
-            server.put_state(job, "succeeded", ended_at=time.time() - turn)
-        watched = Watched(browser, server.address)
-        page = watched.page()
-        sizes: dict[str, int] = {}
-        page.on("requestfinished", lambda request: sizes.update({request.url: request.sizes()["responseBodySize"]}))
-        page.goto("/")
-        expect(page.locator(".job img.there")).to_have_count(12)
-        page.wait_for_load_state("networkidle")
-        assert sum("thumbnail.png" in url for url in sizes) == 12
-        assert 100_000 < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
-        watched.close()
+def test_a_dozen_jobs_of_the_usual_size_are_a_small_first_view_too(
+    watched: Callable[..., Watched], stub: Stub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pictures = [thumbnail_png(light, white=1.0) for light in photographs()]
+    for number, content in enumerate(pictures):
+        monkeypatch.setitem(stub.pictures, summary(number, "succeeded")["id"], content)
+    page = watched().page()
+    sizes: dict[str, int] = {}
+    page.on("requestfinished", lambda request: sizes.update({request.url: request.sizes()["responseBodySize"]}))
+    page.goto("/")
+    expect(page.locator(".job img.there")).to_have_count(1 + len(pictures))
+    page.wait_for_load_state("networkidle")
+    assert sum("thumbnail.png" in url for url in sizes) == 1 + len(pictures)
+    assert sum(map(len, pictures)) < sum(sizes.values()) < FIRST_VIEW_BYTES, json.dumps(sizes, indent=1)
 
 
 def photographs() -> Iterator[np.ndarray]:
@@ -145,35 +139,6 @@ def photographs() -> Iterator[np.ndarray]:
         with Image.open(EXAMPLES / f"{name}.png") as picture:
             light = srgb_to_linear(np.asarray(picture.convert("L").resize((512, 512)), dtype=float) / 255)
         yield from (np.rot90(turned, k) for turned in (light, np.fliplr(light), 1 - light) for k in (0, 1))
-
-
-def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(opened: Opened, shop: Shop) -> None:
-    page = opened(errors=("status of 40[0-9]", "status of 422"))
-    page.get_by_role("button", name="Enter code").click()
-    dialog = page.get_by_role("dialog", name="Enter the code")
-    dialog.get_by_label("Your name").fill("Grace")
-    expect(dialog.get_by_text("causticmill token pair")).to_be_hidden()
-    dialog.get_by_text("No code at hand?").click()
-    expect(dialog.get_by_text("causticmill token pair")).to_be_visible()
-    dialog.get_by_role("textbox", name="Code", exact=True).fill("no code")
-    dialog.get_by_role("button", name="Enter", exact=True).click()
-    expect(dialog.get_by_role("alert")).to_contain_text("twelve letters and digits")
-    assert not re.search(r"\bkey\b", page.locator("body").inner_text(), re.I), "one word for one thing"
-    dialog.get_by_role("textbox", name="Code", exact=True).fill("0000-0000-0000")
-    dialog.get_by_role("button", name="Enter", exact=True).click()
-    expect(dialog.get_by_role("alert")).to_contain_text("This is not the code")
-    dialog.get_by_role("textbox", name="Code", exact=True).fill(shop.code.lower().replace("-", " "))
-    dialog.get_by_role("button", name="Enter", exact=True).click()
-    expect(page.get_by_role("button", name="Grace")).to_be_visible()
-    token = page.evaluate("import('/page/lib/api.js').then(({api}) => api.token)")
-    assert token
-    kept = page.evaluate("[localStorage, sessionStorage].map(one => JSON.stringify(one)).join() + document.cookie")
-    assert token not in kept + page.url and not page.context.cookies()
-    page.get_by_role("button", name="Grace").click()
-    page.get_by_role("button", name="Keep it").click()
-    expect(page.get_by_role("button", name="Grace")).to_be_visible()
-    page.reload()
-    expect(page.get_by_role("button", name="Enter code")).to_be_visible()
 
 
 def test_a_view_that_comes_too_late_is_not_shown(opened: Opened) -> None:
@@ -192,7 +157,7 @@ def test_a_view_that_comes_too_late_is_not_shown(opened: Opened) -> None:
 
 
 def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_sees_the_list(
-    opened: Opened, shop: Shop
+    opened: Opened, stub: Stub
 ) -> None:
     page = opened("#/machines", errors=("status of 401",))
 
@@ -211,7 +176,7 @@ def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_se
     expect(page.get_by_role("heading", level=1, name="Not shown")).to_be_visible()
     expect(dialog).to_have_count(0)
     page.get_by_role("button", name="Enter code").click()
-    dialog.get_by_role("textbox", name="Code", exact=True).fill(shop.key("Joan"))
+    dialog.get_by_role("textbox", name="Code", exact=True).fill(stub.key("Joan"))
     dialog.get_by_label("Your name").fill("Joan")
     dialog.get_by_role("button", name="Enter", exact=True).click()
     expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()

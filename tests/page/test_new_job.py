@@ -11,58 +11,26 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from playwright.sync_api import Locator, Page, Route, expect
+from playwright.sync_api import Page, Route, expect
 
-from service.asked_spec import asked_spec
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.tone import invert_tones, linear_to_srgb, srgb_to_linear
+from tests.page import canned_job
 from tests.page.browser import every_screen
 from tests.page.conftest import Opened
-from tests.page.shop import MILL, SMALL_SPEC, Shop
+from tests.page.form import as_floats, choose, fill, make_it, parts, picture, pixels_of, pressed, refuse_picture, wall
+from tests.page.jobs import canned, shown, with_plan
+from tests.page.machine_states import NAME as MILL
 
 REST = {"optics.light.profile"}  # reached by the text of other values
 PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
-
-
-def picture(width: int = 60, height: int = 40) -> bytes:
-    """Unlike itself in any mirror, turned any way, and in any part."""
-    rows, columns = np.mgrid[:height, :width]
-    pixels = np.stack([4 * columns, 6 * rows, (7 * rows * columns) % 251], axis=-1).astype(np.uint8)
-    file = io.BytesIO()
-    Image.fromarray(pixels).save(file, "PNG")
-    return file.getvalue()
-
-
-def pixels_of(content: bytes) -> np.ndarray:
-    return np.asarray(Image.open(io.BytesIO(content)).convert("RGB"))
-
-
-def choose(page: Page, content: bytes, name: str = "portrait.png") -> None:
-    expect(page.get_by_role("heading", level=1, name="New job")).to_be_visible()
-    file = {"name": name, "mimeType": "image/png", "buffer": content}
-    page.locator("input[type=file]").first.set_input_files(file)
-    expect(wall(page)).to_be_visible()
-
-
-def wall(page: Page) -> Locator:
-    return page.locator("canvas.wall")
-
-
-def fill(page: Page, **values: str) -> None:
-    for label, value in values.items():
-        page.get_by_label(label.replace("_", " "), exact=True).fill(value)
-
-
-def make_it(page: Page) -> Locator:
-    return page.get_by_role("button", name="Make the lens")
 
 
 @pytest.fixture
 def new_job(opened: Opened) -> Page:
     """The view with a picture; estimates are answered by nobody, so that only what is asked for happens."""
     page = opened("#/machines", errors=("status of 422",))
-    page.route("**/v1/estimates", lambda route: route.fulfill(status=204))
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
     return page
@@ -81,24 +49,6 @@ def sent(new_job: Page) -> Iterator[list[tuple[dict[str, Any], bytes, str]]]:
     yield found
 
 
-def parts(route: Route) -> tuple[dict[str, Any], bytes]:
-    body = route.request.post_data_buffer or b""
-    boundary = b"--" + route.request.headers["content-type"].partition("boundary=")[2].encode()
-    found = {}
-    for part in body.split(boundary)[1:-1]:
-        head, _, content = part[2:-2].partition(b"\r\n\r\n")
-        found[b"image" if b'name="image"' in head else b"spec"] = content
-    return json.loads(found[b"spec"]), found[b"image"]
-
-
-def pressed(page: Page, sent: list[tuple[dict[str, Any], bytes, str]]) -> tuple[dict[str, Any], bytes, str]:
-    """What the page sends when the button is pressed."""
-    with page.expect_response("**/v1/jobs"):
-        make_it(page).click()
-    expect(make_it(page)).to_have_attribute("aria-disabled", "false")
-    return sent[-1]
-
-
 def rows(page: Page, group: str) -> list[dict[str, Any]]:
     found: list[dict[str, Any]] = page.evaluate(f"import('/page/new/fields.js').then((all) => all.{group})")
     return found
@@ -113,17 +63,16 @@ def schema_keys(table: dict[str, Any], definitions: dict[str, Any], before: str 
 
 
 @pytest.mark.thorough
-def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choices(opened: Opened) -> None:
+def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choices(modules: Page) -> None:
     """A key that is new in the spec must come into the form as well."""
-    page = opened("#/new")
     schema = JobSpec.model_json_schema()
     told = schema_keys(schema, schema["$defs"])
-    fields = [row for group in ("LENS", "LIGHT", "MILL", "PICTURE") for row in rows(page, group)]
+    fields = [row for group in ("LENS", "LIGHT", "MILL", "PICTURE") for row in rows(modules, group)]
     fields += [
-        row for _, group in page.evaluate("import('/page/new/fields.js').then((all) => all.EXPERT)") for row in group
+        row for _, group in modules.evaluate("import('/page/new/fields.js').then((all) => all.EXPERT)") for row in group
     ]
     assert {row["key"] for row in fields} == set(told) - REST - {"passes"}
-    assert {row["key"] for row in rows(page, "PASS")} == set(schema["$defs"]["PassRow"]["properties"])
+    assert {row["key"] for row in rows(modules, "PASS")} == set(schema["$defs"]["PassRow"]["properties"])
     for row in fields:
         default = told[row["key"]].get("default")
         if default is not None:
@@ -132,9 +81,8 @@ def test_every_key_of_the_spec_has_a_field_that_knows_its_default_and_its_choice
             assert {value for value, *_ in row["choices"]} == set(told[row["key"]]["enum"]), row["key"]
 
 
-def test_tones_are_those_of_the_server(opened: Opened) -> None:
+def test_tones_are_those_of_the_server(modules: Page) -> None:
     """Light of pixels, its negative, and back to grey: the same sums on both sides."""
-    page = opened("#/new")
     colours = np.random.default_rng(7).integers(0, 256, (200, 4), dtype=np.uint8)
     colours[:2, :3] = [[0] * 3, [255] * 3]
     script = """async ([colours, tone, invert]) => {
@@ -147,13 +95,12 @@ def test_tones_are_those_of_the_server(opened: Opened) -> None:
         linear = (srgb_to_linear(values) if tone == "srgb" else values) @ [0.2126, 0.7152, 0.0722]
         for invert in (False, True):
             wanted = invert_tones(linear, tone) if invert else linear
-            light, grey = page.evaluate(script, [colours.ravel().tolist(), tone, invert])
+            light, grey = modules.evaluate(script, [colours.ravel().tolist(), tone, invert])
             assert np.allclose(light, wanted, atol=2e-6)
             assert np.abs(np.array(grey) - 255 * linear_to_srgb(wanted)).max() < 1.0
 
 
-def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(opened: Opened) -> None:
-    page = opened("#/new")
+def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(modules: Page) -> None:
     script = """async ([nx, ny, sigma]) => {
         const {blurred} = await import("/page/new/tones.js");
         const light = new Float32Array(nx * ny);
@@ -162,7 +109,7 @@ def test_the_blur_shown_keeps_the_light_and_has_the_width_it_claims(opened: Open
     }"""
     nx, ny = 121, 91
     for sigma in (0.2, 3.0, 8.0):
-        spot = np.array(page.evaluate(script, [nx, ny, sigma])).reshape(ny, nx)
+        spot = np.array(modules.evaluate(script, [nx, ny, sigma])).reshape(ny, nx)
         assert spot.sum() == pytest.approx(1.0, abs=1e-5)
         across = ((np.arange(nx) - nx // 2) ** 2 * spot.sum(axis=0)).sum()
         assert np.sqrt(across) == pytest.approx(sigma if sigma > 1 else 0, abs=0.2)  # boxes have whole widths
@@ -246,60 +193,9 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
     resolve_spec(base=json.loads(json.dumps(spec), parse_int=float) | {"image": {"pixels": 64, "invert": True}})
 
 
-def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focus(opened: Opened, shop: Shop) -> None:
-    page = opened("#/new", errors=("status of 4[0-9][0-9]",))
-    choose(page, picture())
-    fill(page, Width="abc", Height="-3")
-    make_it(page).click()
-    width, height = (page.get_by_label(name, exact=True) for name in ("Width", "Height"))
-    expect(width).to_be_focused()
-    expect(width).to_have_accessible_description("'abc' is no number.")
-    fill(page, Width="30")
-    expect(width).to_have_attribute("aria-invalid", "false")
-    make_it(page).click()
-    expect(height).to_be_focused()
-    expect(height).to_have_accessible_description(
-        "-3 is not allowed; allowed: a number more than 0 and at most 2000 mm"
-    )
-    page.get_by_text("Expert:").click()
-    page.get_by_label("Set every pass by hand").check()
-    page.get_by_label("Pitch").first.fill("9")
-    page.get_by_text("Expert:").click()
-    fill(page, Height="30")
-    make_it(page).click()
-    expect(page.get_by_text("is wider than the ball's radius")).to_be_visible()  # the fold has opened
-
-
-def test_pressed_twice_and_with_the_answer_lost_it_makes_one_job(opened: Opened, shop: Shop) -> None:
-    page = opened("#/new", errors=("net::ERR", "status of 404"))
-    choose(page, picture(), name="once-only.png")
-    lost = []
-
-    def lose_the_first(route: Route) -> None:
-        if route.request.method != "POST" or lost:
-            route.fallback()
-        else:
-            lost.append(route.fetch().status)
-            route.abort("connectionreset")
-
-    page.route("**/v1/jobs", lose_the_first)
-    fill(page, Width="10", Height="10")
-    page.get_by_label("Draft").check()
-    page.get_by_text("Expert:").click()
-    fill(page, Pixels_across="16")
-    make_it(page).dblclick()
-    page.wait_for_url("**/#/jobs/*")
-    assert lost == [202]
-    with shop.client() as client:
-        made = [job for job in client.get("/v1/jobs").json()["jobs"] if job["name"] == "once-only.png"]
-        assert [page.url.rpartition("/")[2]] == [job["id"] for job in made]
-        client.post(f"/v1/jobs/{made[0]['id']}:cancel")
-
-
 @pytest.mark.thorough
-def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened, shop: Shop) -> None:
+def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened) -> None:
     page = opened("#/machines", errors=("status of 422",))
-    page.route("**/v1/estimates", lambda route: route.fulfill(status=204))
     caught: list[tuple[dict[str, Any], bytes]] = []
 
     def take(route: Route) -> None:
@@ -307,22 +203,50 @@ def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened, sho
         route.fulfill(status=422, json={"status": 422, "detail": "enough for this test", "field": ""})
 
     page.route("**/v1/jobs", take)
-    job = shop.submit(SMALL_SPEC | {"stock": {"thickness_mm": 25.0}})
-    page.evaluate("job => { location.hash = `#/new?from=${job}`; }", job)
+    asked = canned_job.request()
+    asked["spec"]["stock"] = {"thickness_mm": 25.0}
+    page.route("**/request", lambda route: route.fulfill(json=asked))
+    page.route(f"**{asked['image']}", lambda route: route.fulfill(body=picture()))
+    page.evaluate("job => { location.hash = `#/new?from=${job}`; }", canned_job.JOB_ID)
     expect(page.get_by_label("Width", exact=True)).to_have_value("10")
     expect(wall(page)).to_be_visible()
     make_it(page).click()
     expect(page.get_by_text("enough for this test")).to_be_visible()
-    with shop.client() as client:
-        known = client.get(f"/v1/jobs/{job}").json()
-        uploaded = client.get(f"/v1/jobs/{job}/image").content
-        client.post(f"/v1/jobs/{job}:cancel")
-    assert caught[0][1] == uploaded
-    assert as_floats(caught[0][0]) == as_floats(asked_spec(known["spec"]))
+    assert caught[0][1] == picture()
+    assert as_floats(caught[0][0]) == as_floats(asked["spec"])
 
 
-def as_floats(spec: Any) -> Any:
-    return json.loads(json.dumps(spec), parse_int=float)
+def test_another_plan_is_a_click_away_from_its_own_job(opened: Opened) -> None:
+    """What is posted then is that plan and nothing else that the first job had not."""
+    job, files = canned()
+    job = with_plan(job, 4)
+    other = job["report"]["plan"]["candidates"][0]
+    page = shown(opened, job, files, errors=("status of 422",))
+    asked = canned_job.request()
+    page.route(f"**/v1/jobs/{job['id']}/request", lambda route: route.fulfill(json=asked))
+    page.route(f"**{asked['image']}", lambda route: route.fulfill(body=picture()))
+    sent: list[dict[str, Any]] = []
+
+    def take(route: Route) -> None:
+        sent.append(parts(route)[0])
+        route.fulfill(status=422, json={"detail": "enough for this test"})
+
+    page.route("**/v1/jobs", take)
+    page.get_by_role("radio", name="will blur").first.click()
+    page.get_by_role("link", name="Make this job").click()
+    expect(page.get_by_text("with another plan")).to_contain_text(other["words"])
+    make_it(page).click()
+    expect(page.get_by_text("enough for this test")).to_be_visible()
+    del sent[0]["machine"]["profile"]  # which this process does not know
+    resolved = resolve_spec(base=as_floats(sent[0]) | {"image": {"pixels": 64}}).model_dump(mode="json")
+    assert resolved["preset"] == "recommended"
+    assert len(resolved["passes"]) == len(other["spec"]["passes"])
+    for ours, row in zip(resolved["passes"], other["spec"]["passes"], strict=True):
+        assert {key: ours[key] for key in row} == as_floats(row) | {key: ours[key] for key in row if row[key] is None}
+    for table in ("optics", "machine"):
+        for key, value in other["spec"][table].items():
+            assert resolved[table][key] == pytest.approx(value)
+    assert (resolved["optics"]["width_mm"], resolved["image"]["pixels"]) == (10, 64)
 
 
 @pytest.mark.thorough
@@ -366,22 +290,22 @@ def test_mills_of_this_server_are_offered_first_by_their_own_names(new_job: Page
     assert choice.locator("option:checked").inner_text() == names[1]
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("mills", "first"),
-    [
+def test_a_job_begins_with_the_mill_that_is_there(modules: Page) -> None:
+    """By profile, whether its mills are simulated: the only one, and a real one before a simulated one."""
+    table: list[tuple[dict[str, list[bool]], str]] = [
         ({"a": [], "grbl": [], "z": []}, "grbl"),
         ({"a": [True], "grbl": []}, "a"),
         ({"a": [True], "grbl": [True]}, "grbl"),
         ({"a": [False], "grbl": [True]}, "a"),
         ({"a": [False], "grbl": [False]}, "grbl"),
-    ],
-)
-def test_a_job_begins_with_the_mill_that_is_there(opened: Opened, mills: dict[str, list[bool]], first: str) -> None:
-    """By profile, whether its mills are simulated: the only one, and a real one before a simulated one."""
-    profiles = [{"name": name, "mills": [{"simulated": one} for one in ones]} for name, ones in mills.items()]
-    script = "all => import('/page/new/machines.js').then(({firstProfile}) => firstProfile(all, 'grbl'))"
-    assert opened().evaluate(script, profiles) == first
+    ]
+    script = """(rows) => import('/page/new/machines.js').then(({firstProfile}) =>
+        rows.map((all) => firstProfile(all, 'grbl')))"""
+    rows = [
+        [{"name": name, "mills": [{"simulated": one} for one in ones]} for name, ones in mills.items()]
+        for mills, _ in table
+    ]
+    assert modules.evaluate(script, rows) == [first for _, first in table]
 
 
 def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Opened) -> None:
@@ -390,8 +314,7 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
     why = page.locator(".submit-bar .why")
     expect(make_it(page)).to_be_disabled()
     expect(why).to_have_text("Choose a picture first.")
-    broken = {"name": "broken.png", "mimeType": "image/png", "buffer": b"no picture"}
-    page.locator("input[type=file]").first.set_input_files(broken)
+    refuse_picture(page)
     expect(why).to_have_text("This picture cannot be used: choose another one.")
     expect(make_it(page)).to_be_disabled()
     expect(make_it(page)).to_have_accessible_description(re.compile("cannot be used"))

@@ -13,8 +13,8 @@ from playwright.sync_api import Page, Route, expect
 from tests.page.browser import SIZES
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
-from tests.page.machine_states import MACHINE, PLAN, RUN, machine_in, told, with_control
-from tests.page.shop import MILL
+from tests.page.machine_states import MACHINE, PLAN, RUN, taken, told, with_control
+from tests.page.machine_states import NAME as MILL
 
 SCREEN = f"#/machines/{MILL}"
 LOST = {"position_trusted": False, "zeroed": ""}
@@ -55,15 +55,14 @@ def orders_of(page: Page) -> list[tuple[str, dict[str, Any]]]:
 
     def take(route: Any) -> None:
         sent.append((route.request.url.rpartition("/")[2], json.loads(route.request.post_data or "{}")))
-        route.fulfill(status=202, json=machine_in("held")[1])
+        route.fulfill(status=202, json=taken(route))
 
     page.route(re.compile(r"/control/\w|/v1/runs/[^/]+:\w"), take)
     return sent
 
 
-def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
+def test_every_step_comes_after_the_one_before(modules: Page) -> None:
     """Connect, control, home, load, tool over the zero, zero, tick, start: only the one that is due."""
-    page = opened("#/machines")
 
     def due(
         mill: dict[str, Any],
@@ -76,7 +75,7 @@ def test_every_step_comes_after_the_one_before(opened: Opened) -> None:
     ) -> list[str]:
         machine = copy.deepcopy(MACHINE)
         machine["mill"] |= mill
-        found: list[str] = page.evaluate(DUE, [machine, run, mine, ticked, {"jobs": jobs, "atWork": at}])
+        found: list[str] = modules.evaluate(DUE, [machine, run, mine, ticked, {"jobs": jobs, "atWork": at}])
         return found
 
     assert due({"state": "disconnected", "connected": False}, mine=False)[0] == "trouble"
@@ -118,7 +117,9 @@ SEEN = ("parked", "stopped", *(pytest.param(one, marks=pytest.mark.thorough) for
 def test_only_what_is_due_is_blue_and_every_word_is_plain(opened: Opened, state: str) -> None:
     def without_jobs(*place: str, **how: Any) -> Page:
         page = opened(*place, **how)
-        page.route("**/v1/jobs?*", lambda route: route.fulfill(json={"jobs": []}))  # whatever other tests have made
+        page.route(
+            "**/v1/jobs?*", lambda route: route.fulfill(json={"jobs": [], "next": None})
+        )  # whatever other tests have made
         return page
 
     page = with_control(without_jobs, state)

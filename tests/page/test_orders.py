@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
+from tests.page.answers import problem
 from tests.page.conftest import Opened
 from tests.page.driving import setup
-from tests.page.machine_states import GRANT, PLAN, STOPS, machine_in, told, with_control
-from tests.page.shop import MILL
+from tests.page.machine_states import GRANT, PLAN, STOPS, taken, told, with_control
+from tests.page.machine_states import NAME as MILL
 from tests.page.test_words import JARGON
 from tests.waiting import until
 
@@ -27,8 +28,7 @@ Sent = list[tuple[str, dict[str, Any], dict[str, str]]]
 
 def refusal(code: str, detail: str = "the server's own words") -> dict[str, Any]:
     """What a route is fulfilled with where an order is refused."""
-    body = json.dumps({"status": 409, "detail": detail, "code": code})
-    return {"status": 409, "body": body, "content_type": "application/problem+json"}
+    return problem(409, detail=detail, code=code)
 
 
 def record_orders(page: Page, answer: Callable[[Route], Any] | None = None) -> Sent:
@@ -40,7 +40,7 @@ def record_orders(page: Page, answer: Callable[[Route], Any] | None = None) -> S
         name = re.split("[/:]", asked.url)[-1]
         sent.append((name, json.loads(asked.post_data or "{}"), asked.headers))
         if answer is None:
-            route.fulfill(status=202, json=machine_in("held")[1])
+            route.fulfill(status=202, json=taken(route))
         else:
             answer(route)
 
@@ -149,13 +149,12 @@ def test_a_press_that_a_busy_page_hears_too_late_sends_no_order(opened: Opened) 
     assert sent == []
 
 
-def test_every_refusal_of_an_order_is_one_plain_sentence(opened: Opened) -> None:
-    page = opened("#/machines")
+def test_every_refusal_of_an_order_is_one_plain_sentence(modules: Page) -> None:
     script = """async (codes) => {
         const { refusal } = await import("/page/machine/words.js");
         return codes.map((code) => refusal({code, detail: code}));
     }"""
-    found = page.evaluate(script, list(CODES))
+    found = modules.evaluate(script, list(CODES))
     assert len(set(found)) == len(CODES)
     for code, words in zip(CODES, found, strict=True):
         assert code not in words
@@ -256,7 +255,12 @@ def test_a_stop_without_an_answer_goes_the_other_way_too(opened: Opened, answer:
 def test_an_order_after_our_own_stop_is_no_order_before_it(opened: Opened) -> None:
     """The answer to the stop counts, where what the mill says comes later."""
     page = at_mill(opened, "held")
-    page.route("**/control/hold", lambda route: route.fulfill(status=202, json={"mill": {"stops": 8}}))
+
+    def stopped(route: Route) -> dict[str, Any]:
+        answer = taken(route)
+        return answer | {"mill": answer["mill"] | {"stops": 8}}
+
+    page.route("**/control/hold", lambda route: route.fulfill(status=202, json=stopped(route)))
     asked: list[dict[str, Any]] = []
 
     def grant(route: Route) -> None:
@@ -291,12 +295,7 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
 def test_nothing_can_be_loaded_while_an_order_is_on_its_way(opened: Opened) -> None:
     """Taken is not carried out: between the two the button said that it could, and then that it could not."""
     page = opened("#/machines", key="Ada")
-    job = {"id": "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d", "name": "logo.png", "state": "succeeded"}
-    job |= {"created_at": "2026-11-21T08:00:00.000Z", "progress": 1}
-    programs = [{"name": "pass-1-rough.nc", "number": 1, "sha256": "9f" * 32}]
-    page.route("**/v1/jobs?**", lambda route: route.fulfill(json={"jobs": [job], "next": None}))
     told(page, "idle", operator="Ada")
-    page.route(f"**/v1/jobs/{job['id']}", lambda route: route.fulfill(json=job | {"programs": programs}))
     page.evaluate(f"location.hash = '{SCREEN}'")
     page.get_by_role("button", name="Take over").click()
     page.get_by_role("group", name="Take over").get_by_role("button", name="Take over").click()
@@ -325,7 +324,7 @@ def test_a_line_that_changes_the_mill_itself_is_asked_for_once_more(opened: Open
 
     def answer(route: Route) -> None:
         if json.loads(route.request.post_data or "{}").get("confirm"):
-            route.fulfill(status=202, json={})
+            route.fulfill(status=202, json=taken(route))
         else:
             route.fulfill(**refusal("confirm", words))
 

@@ -15,7 +15,6 @@ from service.drawing.layout import parted
 from tests.page.conftest import Opened
 from tests.page.drawn import Drawn, drawn
 from tests.page.paths import FEED_MM_PER_S, SIDE_MM, Thinned, write_huge_path, write_path
-from tests.page.shop import Shop
 from tests.page.test_job import NO_WEBGL
 
 PITCH_MM = 0.05
@@ -31,8 +30,8 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def view(opened: Opened, shop: Shop, small: Path) -> Iterator[Drawn]:
-    found = drawn(opened, shop, small)
+def view(opened: Opened, small: Path) -> Iterator[Drawn]:
+    found = drawn(opened, small)
     found.at_rest()
     yield found
 
@@ -140,8 +139,8 @@ def test_the_page_scrolls_past_a_drawing_that_nobody_has_touched(view: Drawn) ->
 
 
 @pytest.mark.thorough
-def test_without_webgl_the_path_is_drawn_all_the_same(opened: Opened, shop: Shop, small: Path) -> None:
-    view = drawn(opened, shop, small, NO_WEBGL)
+def test_without_webgl_the_path_is_drawn_all_the_same(opened: Opened, small: Path) -> None:
+    view = drawn(opened, small, NO_WEBGL)
     view.at_rest()
     inside, beside = shares(view.picture())
     assert inside > 0.15
@@ -149,11 +148,11 @@ def test_without_webgl_the_path_is_drawn_all_the_same(opened: Opened, shop: Shop
 
 
 @pytest.mark.thorough
-def test_five_million_points_are_seen_from_a_glance_at_the_file(opened: Opened, shop: Shop, tmp_path: Path) -> None:
+def test_five_million_points_are_seen_from_a_glance_at_the_file(opened: Opened, tmp_path: Path) -> None:
     """How soon that is, and how smooth a hand moves it, is for the benchmark of the page."""
     path = tmp_path / "huge.path"
     assert write_huge_path(path) > 5_000_000
-    view = drawn(opened, shop, path)
+    view = drawn(opened, path)
     assert view.served.fetched[0][1] <= GLANCE_BYTES
     for steps in (0, 8):
         view.zoom(steps)

@@ -13,13 +13,15 @@ from service.api.schemas_estimates import ESTIMATE_EXAMPLE
 from tests.page import jobs
 from tests.page.browser import Scheme, layout_faults, serious_faults
 from tests.page.conftest import Opened
+from tests.page.form import refuse_picture
 from tests.page.listed import answer_with, summary
+from tests.page.machine_states import NAME as MILL
 from tests.page.machine_states import STATES, machine_in, told, with_control
-from tests.page.shop import MILL, PICTURE, Shop
+from tests.page.shop import PICTURE
 
 pytestmark = pytest.mark.thorough
 
-Screen = Callable[[Opened, Shop], Page]
+Screen = Callable[[Opened], Page]
 
 LONG_NAME = "portrait-of-a-very-long-name_that_has_no_place_to_break_it_2026-11-21_final.png"
 FAULT = {"stage": "pass-2", "detail": "the ball of 3 mm " + "does not fit, " * 20, "field": "spec.passes.1.radius_mm"}
@@ -46,7 +48,7 @@ PLACES = """async () => {
 }"""
 
 
-def of_jobs(opened: Opened, _shop: Shop) -> Page:
+def of_jobs(opened: Opened) -> Page:
     page = opened("#/machines")
     states = ("queued", "running", "succeeded", "failed", "cancelled")
     more = {"queued": {"queue_position": 3, "name": LONG_NAME}, "failed": {"error": FAULT, "name": LONG_NAME}}
@@ -56,14 +58,14 @@ def of_jobs(opened: Opened, _shop: Shop) -> Page:
     return page
 
 
-def of_the_key(opened: Opened, _shop: Shop) -> Page:
+def of_the_key(opened: Opened) -> Page:
     page = opened()
     page.get_by_role("button", name="Enter code").click()
     expect(page.get_by_role("dialog")).to_be_visible()
     return page
 
 
-def of_a_new_job(opened: Opened, _shop: Shop) -> Page:
+def of_a_new_job(opened: Opened) -> Page:
     page = opened("#/machines")
     page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE))
     page.evaluate("location.hash = '#/new'")
@@ -72,16 +74,15 @@ def of_a_new_job(opened: Opened, _shop: Shop) -> Page:
     return page
 
 
-def of_a_picture_that_is_none(opened: Opened, _shop: Shop) -> Page:
+def of_a_picture_that_is_none(opened: Opened) -> Page:
     page = opened("#/new", errors=("status of 422",))
-    broken = {"name": "broken.png", "mimeType": "image/png", "buffer": b"no picture"}
-    page.locator("input[type=file]").first.set_input_files(broken)
+    refuse_picture(page)
     expect(page.locator(".submit-bar .why")).to_contain_text("cannot be used")
     return page
 
 
-def of_a_new_job_with_everything(opened: Opened, shop: Shop) -> Page:
-    page = of_a_new_job(opened, shop)
+def of_a_new_job_with_everything(opened: Opened) -> Page:
+    page = of_a_new_job(opened)
     page.get_by_role("radio", name=re.compile("^Lamp")).check()
     page.get_by_text("Expert:").click()
     page.get_by_label("Set every pass by hand").check()
@@ -93,15 +94,15 @@ def of_a_new_job_with_everything(opened: Opened, shop: Shop) -> Page:
 
 
 def of_a_job(state: str, **more: Any) -> Screen:
-    def screen(opened: Opened, shop: Shop) -> Page:
-        job, files = jobs.of_shop(shop)
+    def screen(opened: Opened) -> Page:
+        job, files = jobs.canned()
         return jobs.shown(opened, jobs.like(job, 1, name=LONG_NAME, state=state, **more), files[:4])
 
     return screen
 
 
-def of_a_plan(opened: Opened, shop: Shop) -> Page:
-    job, files = jobs.of_shop(shop)
+def of_a_plan(opened: Opened) -> Page:
+    job, files = jobs.canned()
     page = jobs.shown(opened, jobs.with_plan(job, 2), files)
     for part in ("#plan-title", "#lens-title", "#path-title", "#files-title"):
         page.locator(part).scroll_into_view_if_needed()
@@ -109,19 +110,19 @@ def of_a_plan(opened: Opened, shop: Shop) -> Page:
     return page
 
 
-def of_two_jobs(opened: Opened, shop: Shop) -> Page:
-    page = compared(opened, shop)
+def of_two_jobs(opened: Opened) -> Page:
+    page = compared(opened)
     expect(page.get_by_role("slider", name="Wipe between")).to_be_visible()
     return page
 
 
-def of_two_jobs_without_pictures(opened: Opened, shop: Shop) -> Page:
+def of_two_jobs_without_pictures(opened: Opened) -> Page:
     """They are on their way, and stay there."""
-    return compared(opened, shop, pictures="**/*.png")
+    return compared(opened, pictures="**/*.png")
 
 
-def compared(opened: Opened, shop: Shop, pictures: str = "") -> Page:
-    job, files = jobs.of_shop(shop)
+def compared(opened: Opened, pictures: str = "") -> Page:
+    job, files = jobs.canned()
     other = jobs.like(job, 3, name=LONG_NAME, spec=job["spec"] | {"image": job["spec"]["image"] | {"pixels": 128}})
     page = opened("#/machines")
     jobs.answer(page, other, files)
@@ -132,7 +133,7 @@ def compared(opened: Opened, shop: Shop, pictures: str = "") -> Page:
     return page
 
 
-def of_the_key_beside_a_mill(opened: Opened, _shop: Shop) -> Page:
+def of_the_key_beside_a_mill(opened: Opened) -> Page:
     """HOLD and STOP are used while it is asked for."""
     page = opened("#/machines")
     told(page, "running")
@@ -145,14 +146,14 @@ def of_the_key_beside_a_mill(opened: Opened, _shop: Shop) -> Page:
     return page
 
 
-def of_a_question(opened: Opened, shop: Shop) -> Page:
-    page = of_a_job("failed", error=FAULT)(opened, shop)
+def of_a_question(opened: Opened) -> Page:
+    page = of_a_job("failed", error=FAULT)(opened)
     page.get_by_role("button", name="Delete").click()
     expect(page.get_by_role("dialog")).to_be_visible()
     return page
 
 
-def of_machines(opened: Opened, _shop: Shop) -> Page:
+def of_machines(opened: Opened) -> Page:
     page = opened()
     found = [machine_in(state)[0] | {"name": f"{state}-{LONG_NAME}"} for state in STATES]
     told = {"machines": found, "problems": [f"{LONG_NAME}: line 3: no value"]}
@@ -165,7 +166,7 @@ def of_machines(opened: Opened, _shop: Shop) -> Page:
 def of_a_machine(state: str) -> Screen:
     """With control of it: every button that this state leaves is on."""
 
-    def screen(opened: Opened, _shop: Shop) -> Page:
+    def screen(opened: Opened) -> Page:
         page = with_control(opened, state)
         for fold in page.locator("summary:visible").all():
             fold.click()
@@ -193,8 +194,8 @@ SCREENS: dict[str, Screen] = {
 
 
 @pytest.mark.parametrize("name", SCREENS)
-def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, shop: Shop, name: str) -> None:
-    page = SCREENS[name](opened, shop)
+def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, name: str) -> None:
+    page = SCREENS[name](opened)
     for size, (width, height, scheme, heard) in SIZES.items():
         page.set_viewport_size({"width": width, "height": height})
         page.emulate_media(color_scheme=scheme)
@@ -206,9 +207,9 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, 
 
 
 @pytest.mark.parametrize("name", ["jobs", "new", "job-planned", "machine-idle"])
-def test_a_view_looks_the_same_whatever_was_looked_at_before(opened: Opened, shop: Shop, name: str) -> None:
+def test_a_view_looks_the_same_whatever_was_looked_at_before(opened: Opened, name: str) -> None:
     """Sheets stay once they are loaded: none of them may change another view."""
-    page = SCREENS[name](opened, shop)
+    page = SCREENS[name](opened)
     before = page.evaluate(PLACES)
     page.evaluate(
         "async (names) => { const { sheet } = await import('/page/lib/dom.js');"

@@ -10,7 +10,7 @@ from playwright.sync_api import Page, expect
 from tests.page.browser import SIZES
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
-from tests.page.machine_states import STATES, told, with_control
+from tests.page.machine_states import told, with_control
 
 REFUSAL = "Start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
 BOXES = """(names) => Object.fromEntries([...document.querySelectorAll("main button")]
@@ -185,19 +185,3 @@ def test_on_a_phone_what_is_on_the_mill_comes_first(opened: Opened) -> None:
     expect(page.locator(".loading")).to_be_visible()
     jog, load = page.evaluate(tops, [".jog", ".loading"])
     assert jog < load
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("size", SIZES)
-def test_the_line_is_as_high_whatever_it_says(opened: Opened, size: str) -> None:
-    page = opened("#/machines", size=size)
-    heights = {}
-    for state in STATES:
-        told(page, state)
-        page.evaluate("location.hash = '#/machines/shop'")
-        expect(machine_state(page)).not_to_have_text("asking the server")
-        found = page.locator(".next").evaluate("one => [one.offsetHeight, one.scrollHeight - one.clientHeight]")
-        heights[state] = tuple(found)
-        page.evaluate("location.hash = '#/machines'")
-        expect(page.get_by_role("heading", level=1, name="Machines")).to_be_visible()
-    assert set(heights.values()) == {(heights["idle"][0], 0)}, heights

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable
 
 import pytest
 from playwright.sync_api import Page, Request, expect
@@ -11,10 +10,10 @@ from playwright.sync_api import Page, Request, expect
 from tests.page.browser import Watched
 from tests.page.conftest import sign_in
 from tests.page.driving import logged, machine_state
-from tests.page.shop import MILL, SMALL_SPEC, Shop
+from tests.page.machine_states import NAME as MILL
+from tests.page.stub import GOING, Stub
 from tests.waiting import until
 
-SLOW_SPEC: dict[str, Any] = SMALL_SPEC | {"image": {"pixels": 1024}, "optics": {"width_mm": 60.0, "height_mm": 60.0}}
 TABS = 6  # connections that a browser keeps to one server
 EVENTS = "/events"
 HIDE = """now => {
@@ -49,7 +48,7 @@ class Tabs:
         return pages[0]
 
     def await_streams(self, page: Page, count: int) -> None:
-        until(lambda: (page.wait_for_timeout(50), len(self.open) == count)[1], what=f"{count} streams", within_s=60)
+        until(lambda: (page.wait_for_timeout(50), len(self.open) == count)[1], what=f"{count} streams")
         page.wait_for_timeout(300)
         assert len(self.open) == count
 
@@ -59,21 +58,12 @@ def tabs(watched: Callable[..., Watched]) -> Tabs:
     return Tabs(watched())
 
 
-@pytest.fixture
-def slow_job(shop: Shop) -> Iterator[str]:
-    """One that is worked on for as long as the test takes."""
-    job = shop.submit(SLOW_SPEC)
-    yield job
-    with shop.client() as client:
-        client.post(f"/v1/jobs/{job}:cancel")
-
-
-def test_six_tabs_with_a_job_leave_hold_free(tabs: Tabs, shop: Shop, slow_job: str) -> None:
-    pages = [tabs.add(f"#/jobs/{slow_job}") for _ in range(TABS)]
+def test_six_tabs_with_a_job_leave_hold_free(tabs: Tabs, stub: Stub) -> None:
+    pages = [tabs.add(f"#/jobs/{GOING}") for _ in range(TABS)]
     for page in pages:
         expect(page.get_by_role("heading", level=1)).to_be_visible()
     tabs.await_streams(pages[0], 1)
-    mill = tabs.add(f"#/machines/{MILL}", shop.key("Ada"))
+    mill = tabs.add(f"#/machines/{MILL}", stub.key("Ada"))
     expect(machine_state(mill)).not_to_have_text("asking the server")
     with logged(mill, "HOLD"):
         mill.get_by_role("button", name="HOLD").click()
@@ -81,8 +71,8 @@ def test_six_tabs_with_a_job_leave_hold_free(tabs: Tabs, shop: Shop, slow_job: s
     tabs.await_streams(mill, 2)
 
 
-def test_who_leads_may_close_or_hide_and_the_others_hear_on(tabs: Tabs, shop: Shop) -> None:
-    address, token = f"#/machines/{MILL}", shop.key("Ada")
+def test_who_leads_may_close_or_hide_and_the_others_hear_on(tabs: Tabs, stub: Stub) -> None:
+    address, token = f"#/machines/{MILL}", stub.key("Ada")
     path = f"/v1/machines/{MILL}/events"
     pages = [tabs.add(address, token) for _ in range(3)]
     for page in pages:
@@ -100,8 +90,8 @@ def test_who_leads_may_close_or_hide_and_the_others_hear_on(tabs: Tabs, shop: Sh
     pages[0].get_by_role("button", name="STOP").click()
 
 
-def test_a_tab_that_nobody_sees_follows_nothing_and_comes_back(tabs: Tabs, slow_job: str) -> None:
-    page = tabs.add(f"#/jobs/{slow_job}")
+def test_a_tab_that_nobody_sees_follows_nothing_and_comes_back(tabs: Tabs) -> None:
+    page = tabs.add(f"#/jobs/{GOING}")
     tabs.await_streams(page, 1)
     page.evaluate(HIDE, True)
     tabs.await_streams(page, 0)
@@ -109,7 +99,7 @@ def test_a_tab_that_nobody_sees_follows_nothing_and_comes_back(tabs: Tabs, slow_
     tabs.await_streams(page, 1)
 
 
-def test_only_tabs_with_the_same_token_share_and_it_stays_in_its_tab(tabs: Tabs, shop: Shop) -> None:
+def test_only_tabs_with_the_same_token_share_and_it_stays_in_its_tab(tabs: Tabs, stub: Stub) -> None:
     tabs.watched.context.add_init_script("""
         window.said = [];
         const own = BroadcastChannel.prototype.postMessage;
@@ -119,12 +109,12 @@ def test_only_tabs_with_the_same_token_share_and_it_stays_in_its_tab(tabs: Tabs,
         };
     """)
     address = f"#/machines/{MILL}"
-    pages = [tabs.add(address, shop.key(name)) for name in ("Ada", "Ada", "Grace")]
+    pages = [tabs.add(address, stub.key(name)) for name in ("Ada", "Ada", "Grace")]
     for page in pages:
         expect(page.locator(".log li").first).to_be_visible()
     tabs.await_streams(pages[0], 2)
     said = [text for page in pages for text in page.evaluate("window.said")]
     assert said
-    assert not [text for text in said if shop.key("Ada") in text or shop.key("Grace") in text]
-    sign_in(pages[2], shop.key("Ada"))  # from now on this one is Ada's, too
+    assert not [text for text in said if stub.key("Ada") in text or stub.key("Grace") in text]
+    sign_in(pages[2], stub.key("Ada"))  # from now on this one is Ada's, too
     tabs.await_streams(pages[0], 1)

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import ast
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Route, expect
+from playwright.sync_api import Page, expect
 
+from tests.page.answers import problem
 from tests.page.conftest import Opened
 from tests.page.machine_states import MACHINE, told, with_control
-from tests.page.shop import MILL
+from tests.page.machine_states import NAME as MILL
 
 ROOT = Path(__file__).parents[2]
 # What these say in a refusal or of a run is shown on the page; what is said while a server starts is not.
@@ -24,12 +24,6 @@ SPEAKERS = (
 )
 JARGON = re.compile(r"\b(agent|token|thread|trust position|SendBlock)\b")
 SENTENCES = "async (said) => { const words = await import('/page/machine/words.js'); return said.map(words.sentence); }"
-
-
-def refuse(route: Route, words: str) -> None:
-    """As the server does when it has lost a mill."""
-    body = json.dumps({"status": 504, "detail": words})
-    route.fulfill(status=504, body=body, content_type="application/problem+json")
 
 
 def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
@@ -46,11 +40,11 @@ def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
             yield text
 
 
-def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(opened: Opened) -> None:
-    modules = [ROOT / "service" / f"{name}.py" for name in SPEAKERS] + sorted((ROOT / "machines/mill").glob("*.py"))
-    said = [text for path in modules for text in spoken(path) if "owns this mill" not in text]
+def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(modules: Page) -> None:
+    paths = [ROOT / "service" / f"{name}.py" for name in SPEAKERS] + sorted((ROOT / "machines/mill").glob("*.py"))
+    said = [text for path in paths for text in spoken(path) if "owns this mill" not in text]
     assert len(said) > 15, said
-    shown = opened("#/machines").evaluate(SENTENCES, said)
+    shown = modules.evaluate(SENTENCES, said)
     assert not [pair for pair in zip(said, shown, strict=True) if JARGON.search(pair[1])]
 
 
@@ -72,7 +66,10 @@ def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
     page = opened("#/machines", errors=("status of 504",))
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
-    page.route("**/control/hold", lambda route: refuse(route, f"the agent of '{MILL}' did not answer within 3 s"))
+    page.route(
+        "**/control/hold",
+        lambda route: route.fulfill(**problem(504, detail=f"the agent of '{MILL}' did not answer within 3 s")),
+    )
     page.get_by_role("button", name="HOLD").click()
     expect(page.locator(".arrived")).to_have_text(
         "HOLD did not arrive. Use the stop button on the mill itself. "
@@ -92,7 +89,7 @@ def test_a_long_refusal_of_the_next_step_is_brief_in_the_line_and_whole_in_its_f
 ) -> None:
     page = with_control(opened, "locked", size="phone", errors=("status of 504",))
     words = f"the agent of '{MILL}' cannot be reached: no answer in time; {rest}"
-    page.route("**/control/home", lambda route: refuse(route, words))
+    page.route("**/control/home", lambda route: route.fulfill(**problem(504, detail=words)))
     line = page.locator(".next")
     line.get_by_role("button", name="Home").click()
     expect(line.locator(".trouble")).to_have_text(brief)

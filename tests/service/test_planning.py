@@ -19,6 +19,7 @@ from service.planning import Planned, mill_of, plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.stages.plan import plan, shares, stage_key
+from tests.page import canned_job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
@@ -90,6 +91,16 @@ def test_any_row_of_the_trade_submitted_as_a_spec_is_that_plan(spec: JobSpec, pl
         assert (row["warning"] is None) == (row["blur_px"] <= 1.0)
         if row is told["candidates"][told["chosen"]]:
             assert whole == with_plan(spec, {"plan": told})
+
+
+def test_the_page_s_tests_are_told_of_such_a_plan(planned: Planned) -> None:
+    told, canned = planned.figures(), canned_job.plan()
+    assert set(told) == set(canned)
+    row, theirs = told["candidates"][0], canned["candidates"][0]
+    assert set(row) == set(theirs)
+    assert {key: set(row["spec"][key]) for key in ("optics", "machine")} == {
+        key: set(theirs["spec"][key]) for key in ("optics", "machine")
+    }
 
 
 def test_the_trade_is_a_curve(planned: Planned) -> None:

@@ -9,15 +9,16 @@ from collections.abc import Callable, Iterator
 import pytest
 from playwright.sync_api import Browser, CDPSession, Page, Route, expect
 
-from tests.page.browser import Watched
+from tests.page.browser import Watched, new_context
 from tests.page.conftest import sign_in
 from tests.page.driving import go_to_machine, homed, logged, machine_state, readout, release, say, take_control
 from tests.page.shop import Shop
 
-SLOWER = 40  # a jog goes so much farther than it was ordered, so that one can see where it is stopped
-FEED = 60
-FAR_MM = 120.0  # three seconds at this feed, times that
-STOPPED_MS = 3000  # all of it takes twice as long
+FEED = 6
+HELD_MM = 0.3  # three seconds at this feed
+FARTHER = 400  # a jog goes so much farther than it was ordered, so that one can see where it is stopped
+FAR_MM = FARTHER * HELD_MM
+STOPPED_MS = 30_000  # all of it takes twice as long
 PLATE_MM, RETRACT_MM = 1.5, 2.0
 
 
@@ -46,7 +47,7 @@ class Finger:
 @pytest.fixture(scope="module")
 def phone(browser: Browser, shop: Shop) -> Iterator[Page]:
     """A phone with control of a homed mill; jogs are held."""
-    watched = Watched(browser, shop.url, size="phone")
+    watched = Watched(new_context(browser, shop.url, size="phone"))
     watched.expect_errors("status of 409")
     page = watched.page()
     page.goto("/")
@@ -69,7 +70,7 @@ def at_mill(phone: Page) -> Iterator[Page]:
 
 def farther(route: Route) -> None:
     asked = route.request.post_data_json
-    route.continue_(post_data=json.dumps(asked | {"by_mm": [SLOWER * mm for mm in asked["by_mm"]]}))
+    route.continue_(post_data=json.dumps(asked | {"by_mm": [FARTHER * mm for mm in asked["by_mm"]]}))
 
 
 def place_mm(page: Page, axis: str) -> float:
@@ -145,7 +146,7 @@ def test_a_hold_that_nothing_ends_is_short(at_mill: Page) -> None:
     before = place_mm(at_mill, "X")
     finger = Finger(at_mill, "X minus")
     finger.down()
-    expect(readout(at_mill, "X", own=True)).to_have_text(f"−{3 - before:.3f}")
+    expect(readout(at_mill, "X", own=True)).to_have_text(f"−{HELD_MM - before:.3f}")
     expect(machine_state(at_mill)).to_have_text("idle")
     finger.gone()
     assert len(sent) == 1

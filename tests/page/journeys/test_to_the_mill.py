@@ -12,8 +12,8 @@ from playwright.sync_api import Page, expect
 
 from tests.page.conftest import Opened
 from tests.page.driving import give_up, homed, load, machine_state, release, start, take_control, zeroed
-from tests.page.shop import LONG_PROGRAM, MILL, PICTURE, Shop
-from tests.waiting import PATIENCE_MS, until
+from tests.page.shop import JOB_MS, LONG_PROGRAM, MILL, PICTURE, Shop
+from tests.waiting import until
 
 AWAY = (r"net::ERR_", r"status of 50[234]")
 
@@ -77,7 +77,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     page.get_by_label("Pitch").last.fill("0.25")
     page.get_by_label("Step down").last.fill("0.4")
     page.get_by_role("button", name="Make the lens").click()
-    page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=PATIENCE_MS)
+    page.get_by_role("link", name="Send to simulated: pass-1-rough.nc").click(timeout=JOB_MS)
     page.get_by_role("button", name="Take control").click()
     page.get_by_role("textbox", name="Code", exact=True).fill(shop.code)
     page.get_by_label("Your name").fill("Ada Lovelace")
@@ -85,7 +85,7 @@ def test_from_a_dropped_picture_to_a_finished_run(opened: Opened, shop: Shop) ->
     expect(page.get_by_text("You have control.")).to_be_visible()
     expect(page.locator(".primary:visible")).to_have_text("Home")  # and not to load, before the mill knows where it is
     zeroed(page)
-    page.get_by_role("button", name="Load onto the mill").click(timeout=PATIENCE_MS)
+    page.get_by_role("button", name="Load onto the mill").click(timeout=JOB_MS)
     expect(page.get_by_role("button", name="Start pass-1-rough.nc")).to_be_visible()
     start(page)
     expect(page.locator(".running .mark")).to_have_text("finished")
@@ -152,7 +152,7 @@ def test_a_mill_that_an_alarm_locks_in_the_cut_is_homed_and_gone_on_with(
     expect(spindle).to_have_text(re.compile("^on"))
     goes_on(at_mill)
     assert cut_lines(at_mill) > stopped_at
-    expect(at_mill.locator(".running .mark")).to_have_text("finished", timeout=PATIENCE_MS)
+    expect(at_mill.locator(".running .mark")).to_have_text("finished", timeout=JOB_MS)
     expect(spindle).to_have_text("off")
 
 
