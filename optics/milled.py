@@ -82,7 +82,8 @@ def _cut(corners, count, axis, sign, limit, out):  # type: ignore[no-untyped-def
         a = sign * (corners[k, axis] - limit)
         b = sign * (corners[n, axis] - limit)
         if a <= 0.0:
-            out[kept] = corners[k]
+            for d in range(5):
+                out[kept, d] = corners[k, d]
             kept += 1
         if (a < 0.0 < b) or (b < 0.0 < a):
             share = a / (a - b)
@@ -156,7 +157,9 @@ def _paint(
     hit_x, hit_y, face_x, face_y = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
     total = lost = 0.0
     for f in range(facets.shape[0]):
-        corners[:4] = facets[f]
+        for k in range(4):
+            for d in range(5):
+                corners[k, d] = facets[f, k, d]
         count = _within(corners, 4, width, height, spare)
         if count < 3:
             continue

@@ -63,7 +63,10 @@ def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _with_more_room(out, filled):  # type: ignore[no-untyped-def]
     more = np.empty((2 * out.shape[0], 4, 5))
-    more[:filled] = out[:filled]
+    for f in range(filled):
+        for k in range(4):
+            for d in range(5):
+                more[f, k, d] = out[f, k, d]
     return more
 
 
