@@ -69,7 +69,7 @@ def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore
 
     A turn is a half circle over (y0, y1), on the surface, in `parts` chords; its points lie on the writing raster.
     """
-    count = 0
+    count = int(np.int64(0))  # a plain 0 is a type of its own: march_row would be compiled twice
     parts = 4 if bulge < 0.05 else 8
     for j in range(rows):
         start, end = (left, right) if forward else (right, left)

@@ -5,20 +5,21 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from optics.advice import Advice
 from optics.ball_fit import fit_ball
 from optics.black import advice
 from optics.corrections import ClosingCost, Corrected, Pass, corrected
 from optics.heightfield import Heightfield
-from optics.paper.flow import PaperFlow
-from optics.paper.surface import paper_lens
 from optics.polish import PolishRecord, polished
 from optics.settings import LensSettings
 from optics.spline import Array
 from optics.transport import TOLERANCE, OpticalPath
 from optics.transport_map import TransportMap
+
+if TYPE_CHECKING:
+    from optics.paper.flow import PaperFlow
 
 _DEAR_DB = 3.0  # a closing that costs more is worth a sentence
 _DEAR_LEAK = 0.01
@@ -59,6 +60,8 @@ def design_lens(target: Array, settings: LensSettings, *, on_progress: Progress 
 
 
 def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
+    from optics.paper.surface import paper_lens  # what it stands on is slow to import
+
     started = time.perf_counter()
     lens, ball_mm = paper_lens(target, settings, on_progress=report), settings.closing_radius_mm
     return LensDesign(

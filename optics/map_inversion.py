@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from optics.spline import Array
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def _inverse_bilinear(
     ax: float, ay: float, bx: float, by: float, cx: float, cy: float, dx: float, dy: float, slack: float
 ) -> tuple[float, float, bool]:

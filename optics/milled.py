@@ -82,7 +82,8 @@ def _cut(corners, count, axis, sign, limit, out):  # type: ignore[no-untyped-def
         a = sign * (corners[k, axis] - limit)
         b = sign * (corners[n, axis] - limit)
         if a <= 0.0:
-            out[kept] = corners[k]
+            for d in range(5):
+                out[kept, d] = corners[k, d]
             kept += 1
         if (a < 0.0 < b) or (b < 0.0 < a):
             share = a / (a - b)
@@ -101,10 +102,10 @@ def _within(corners, count, width, height, spare):  # type: ignore[no-untyped-de
         inside = inside and 0.0 <= x <= width and 0.0 <= y <= height
     if inside:
         return count
-    count = _cut(corners, count, 0, -1.0, 0.0, spare)
-    count = _cut(spare, count, 0, 1.0, width, corners)
-    count = _cut(corners, count, 1, -1.0, 0.0, spare)
-    return _cut(spare, count, 1, 1.0, height, corners)
+    for axis in range(2):
+        count = _cut(corners, count, axis, -1.0, 0.0, spare)
+        count = _cut(spare, count, axis, 1.0, height if axis else width, corners)
+    return count
 
 
 @njit(cache=True, nogil=True)
@@ -154,10 +155,13 @@ def _paint(
     room = 2 * _MOST_CORNERS
     corners, spare = np.empty((room, 5)), np.empty((room, 5))
     hit_x, hit_y, face_x, face_y = np.empty(room), np.empty(room), np.empty(room), np.empty(room)
+    four = facets.shape[1]  # a plain 4 is a type of its own to numba: all would be compiled twice
     total = lost = 0.0
     for f in range(facets.shape[0]):
-        corners[:4] = facets[f]
-        count = _within(corners, 4, width, height, spare)
+        for k in range(4):
+            for d in range(5):
+                corners[k, d] = facets[f, k, d]
+        count = _within(corners, four, width, height, spare)
         if count < 3:
             continue
         strength = 0.0

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from scipy.signal import fftconvolve
 
 from optics.bench import Bench
 from optics.caustic import aim_at
+from optics.convolution import convolve_same
 from optics.heightfield import Heightfield
 from optics.light import Beam, leave, meet
 from optics.milled import polygon_area, spread_polygon
@@ -93,7 +93,7 @@ def predicted_light(irradiance: Array, samples: Sequence[Array], heightfield: He
     if math.isnan(far):  # nothing to learn from
         return irradiance.copy()
     kernel = _kernel(samples, thrown, min(math.ceil(far) + 1, max(shape)))
-    blurred = np.asarray(fftconvolve(irradiance, kernel, mode="same"))
+    blurred = convolve_same(irradiance, kernel)
     grain = _grain(samples, thrown, math.ceil(far) + 1, aim, shape)
     return np.asarray(blurred + grain * np.sqrt(np.clip(blurred, 0.0, None) * blurred.mean()))
 

@@ -17,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 Array = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True)
 def _fit_columns(nodes: Array) -> Array:
     """Coefficients (n + 2, m) of cubic splines down the columns of nodes (n, m), n >= 4, not-a-knot.
 
@@ -138,7 +137,7 @@ class BicubicSpline:
         """(6, ...) values and derivatives z, zx, zy, zxx, zxy, zyy at the broadcast points."""
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         out = np.empty((6, x.size))
-        _jets(*self.kernel_arguments, np.ascontiguousarray(x).ravel(), np.ascontiguousarray(y).ravel(), out)
+        _jets(*self.kernel_arguments, x.flatten(), y.flatten(), out)  # copies, all of one type: writable
         return out.reshape((6, *x.shape))
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:

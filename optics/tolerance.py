@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import njit
 from scipy.ndimage import gaussian_filter, shift
-from scipy.signal import fftconvolve
 
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
+from optics.convolution import convolve_same
 from optics.heightfield import Heightfield
 from optics.light import SUN_DEG, Beam, disc_points, leave, meet
 from optics.metrics import psnr_db
@@ -155,7 +155,7 @@ class _View:
         """What a source with a size makes of `sharp`, in fine pixels: each point spread over a disc."""
         (ny, nx), screen = self._target.shape, self._bench.screen
         fine_x, fine_y = _FINE * nx / screen.width_mm, _FINE * ny / screen.height_mm
-        spread = fftconvolve(sharp, disc_kernel(diameter_mm * fine_x, diameter_mm * fine_y), mode="same")
+        spread = convolve_same(sharp, disc_kernel(diameter_mm * fine_x, diameter_mm * fine_y))
         return np.asarray(spread.reshape(ny, _FINE, nx, _FINE).mean(axis=(1, 3)))
 
     def focus_point(self, share: float) -> FocusPoint:

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from service import job_files
-from service.fitting import shortage
 from service.passes import cam_passes_of, cam_stock_of, with_plan
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
@@ -21,7 +20,6 @@ from service.stages.arrays import load_heightfield, load_target
 from service.stages.lens import require_fit_in_stock, solid_block
 from service.stages.order import merge_notes, merge_reports
 from service.stages.plan import plan, stage_of
-from service.stages.planning import passes_for_lens
 from service.stages.words import in_the_services_words
 from service.stages.workshop import Workshop
 
@@ -91,6 +89,8 @@ def cam(output: Path, spec: JobSpec, *, reporter: Reporter) -> dict[str, Any]:
         lens = job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
         job.work(lambda shop: require_fit_in_stock(shop, lens))
         if spec.to_be_planned:
+            from service.stages.planning import passes_for_lens
+
             job.desk[job_files.MAP] = load_target(output / job_files.MAP)
             job.work(passes_for_lens)
             job.spec = with_plan(job.spec, job.report)
@@ -117,6 +117,8 @@ def _lens_stages(spec: JobSpec) -> tuple[str, ...]:
 
 
 def _note_shortage(shop: Workshop) -> None:
+    from service.fitting import shortage  # what it stands on is slow to import: a lens alone does without
+
     disk = f"the disk of {shop.folder.parent}"
     if sentence := shortage(shop.folder, disk, cam_stock_of(shop.spec), cam_passes_of(shop.spec)):
         shop.note("passes", sentence)

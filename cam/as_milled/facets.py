@@ -63,7 +63,10 @@ def _rise(c, k, frame, reach):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def _with_more_room(out, filled):  # type: ignore[no-untyped-def]
     more = np.empty((2 * out.shape[0], 4, 5))
-    more[:filled] = out[:filled]
+    for f in range(filled):
+        for k in range(4):
+            for d in range(5):
+                more[f, k, d] = out[f, k, d]
     return more
 
 
@@ -76,7 +79,7 @@ def facets_of(c, first, last, surface, reach, fine):  # type: ignore[no-untyped-
     """
     near, rivals, todo = np.empty(_ROOM, np.int32), np.empty((_ROOM, FACTS)), np.empty((16, 4))
     frame, out = np.empty((3, 3)), np.empty((2 * (last - first) + _PER_CHORD, 4, 5))
-    filled = 0
+    filled, nobody = int(np.int64(0)), int(np.int64(-1))  # plain ones are types of their own: compiled twice
     px, py, steps = 0.0, 0.0, 8
     straight = (0.0, 0.0, 0.0)
     for k in range(max(first, 1), last):
@@ -103,7 +106,7 @@ def facets_of(c, first, last, surface, reach, fine):  # type: ignore[no-untyped-
         low, high = 0.0, 0.0
         if abs(rise) < most:
             ball = (0.5 * length * math.sqrt(1.0 - rise * rise), 0.5 * length * rise)
-            low, high = shown(count, rivals, -1, ball, rise, 0.0, radius, -WIDEST, WIDEST)
+            low, high = shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST)
         middle = 0.5 * (low + high)
         if low < high and abs(middle) > _TURNED and high < WIDEST and low > -WIDEST:
             nx = frame[2, 0] - middle * frame[1, 0]

@@ -102,7 +102,8 @@ def _divide(tips, joined, longest, out, flags):  # type: ignore[no-untyped-def]
     count = 0
     for k in range(joined.size):
         if not joined[k]:
-            out[count] = tips[k]
+            for d in range(3):
+                out[count, d] = tips[k, d]
             flags[count] = False
             count += 1
             continue

@@ -49,10 +49,11 @@ def _products(
 @njit(cache=True, nogil=True)
 def _combine(piece_lo: int, piece_hi: int, moved: Array, weights: Array, moves: Array, mixed: Array) -> None:
     """mixed = moved - sum of weights[i] * moves[i], on the pieces piece_lo..piece_hi - 1."""
-    for piece in range(piece_lo, piece_hi):
+    for piece in range(piece_lo, piece_hi):  # by elements: an array assigned to a slice takes 2 s to compile
         lo, hi = piece * _PIECE, min((piece + 1) * _PIECE, moved.size)
         out = mixed[lo:hi]
-        out[:] = moved[lo:hi]
+        for k in range(hi - lo):
+            out[k] = moved[lo + k]
         for i in range(weights.size):
             row, weight = moves[i, lo:hi], weights[i]
             for k in range(hi - lo):

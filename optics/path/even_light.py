@@ -25,7 +25,7 @@ def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[f
     return (index * throw - c) / (index * sz - 1.0), sz
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True)
 def bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
     """c with one ghost row and column outside, which continue it by the slope on the frame."""
     ny, nx = c.shape

@@ -75,7 +75,7 @@ def _put(flat: Array, pixel: int, weight: float, share: float) -> None:
     flat[pixel + 1] += weight * share
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _add_edge_between(
     acc: Array, flat: Array, pa: int, pb: int, la: float, lb: float, ja: float, jb: float,
     xa: float, ya: float, xb: float, yb: float, density: float,

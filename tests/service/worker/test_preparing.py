@@ -40,7 +40,7 @@ def test_it_ends_with_the_worker_and_leaves_no_folder(tmp_path: Path) -> None:
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=PATIENCE_S, check=True)
     pid = int(done.stdout)
     until(lambda: not is_alive(pid), what="the end of the process")
-    assert list(scratch.iterdir()) == []
+    until(lambda: not any(scratch.iterdir()), what="the end of its folders, also that of the process it began")
     assert not list(cache.glob("*.ready"))
 
 
