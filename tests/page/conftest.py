@@ -86,7 +86,6 @@ def watched(browser: Browser, stub: Stub) -> Iterator[Callable[..., Watched]]:
 @pytest.fixture
 def opened(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Iterator[Opened]:
     """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",)), instead of the last."""
-    stub.lies.clear()
     with contextlib.ExitStack() as stack:
 
         def make(
@@ -112,7 +111,7 @@ def opened(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Ite
             return page
 
         yield make
-    assert not stub.lies, "\n".join(stub.lies)
+    assert not (lies := stub.lies()), "\n".join(lies)
 
 
 @pytest.fixture

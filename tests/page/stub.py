@@ -40,12 +40,12 @@ Answer = Callable[..., Any]
 
 
 class Stub:
-    """`lies`: what it has said, or was asked and took, against the API's document."""
+    """It answers first, and what it has said is held against the API's document at the end of a test."""
 
     def __init__(self, url: str) -> None:
         self.url = url
-        self.lies: list[str] = []
         self.pictures: dict[str, bytes] = {}  # of more jobs in its list
+        self._said: list[tuple[str, str, int, str, str, str | None]] = []
         self._checked: set[tuple[str, ...]] = set()
         self._streams: set[asyncio.Queue[str]] = set()
         self._numbers = itertools.count(2)
@@ -134,7 +134,7 @@ class Stub:
             if method == request.method and (found := re.fullmatch(pattern, at)):
                 told = made(request, *found.groups())
                 answer = told if isinstance(told, Response) else JSONResponse(told)
-                self._check(request, answer, body.decode() if body[:1] == b"{" else None)
+                self._note(request, answer, body.decode() if body[:1] == b"{" else None)
                 return answer
         raise Problem(404, f"this is a stub, which has no answer to {request.method} {at}")
 
@@ -163,16 +163,25 @@ class Stub:
             ("GET", "/v1/runs", lambda _: {"runs": [], "next": None}),
         ]
 
-    def _check(self, request: Request, answer: Response, asked: str | None) -> None:
-        body = "" if isinstance(answer, StreamingResponse) else bytes(answer.body)
+    def _note(self, request: Request, answer: Response, asked: str | None) -> None:
         kind = answer.headers.get("content-type", "")
-        known = (request.method, request.url.path, str(body)[:20_000], asked or "")
-        if known in self._checked or not kind.startswith("application/json"):
+        if isinstance(answer, StreamingResponse) or not kind.startswith("application/json"):
             return
-        self._checked.add(known)
-        self.lies += lies_of(request.method, request.url.path, status=answer.status_code, kind=kind, body=body)
-        if asked is not None:
-            self.lies += asked_wrongly(request.method, request.url.path, asked)
+        body = bytes(answer.body).decode()
+        known = (request.method, request.url.path, body, asked or "")
+        if known not in self._checked:
+            self._checked.add(known)
+            self._said.append((request.method, request.url.path, answer.status_code, kind, body, asked))
+
+    def lies(self) -> list[str]:
+        """What it has said since the last look, or was asked and took, against the API's document."""
+        found: list[str] = []
+        said, self._said = self._said, []
+        for method, path, status, kind, body, asked in said:
+            found += lies_of(method, path, status=status, kind=kind, body=body)
+            if asked is not None:
+                found += asked_wrongly(method, path, asked)
+        return found
 
 
 @contextlib.contextmanager
