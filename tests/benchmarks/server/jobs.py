@@ -1,7 +1,7 @@
 """Every route, and a turn of every periodic loop, with a thousand jobs in the database, ten and a hundred thousand.
 
-On SQLite, and on PostgreSQL where it is installed (BENCH_DATABASES chooses). The API is a process of its own on loopback;
-no worker takes the jobs that wait. The store holds none of their files.
+On SQLite, and on PostgreSQL where it is installed (BENCH_DATABASES chooses). The API is a process of its own on
+loopback; no worker takes the jobs that wait. The store holds none of their files.
 """
 
 from __future__ import annotations
