@@ -1,6 +1,7 @@
 """Every route, and a turn of every periodic loop, with a thousand jobs in the database, ten and a hundred thousand.
 
-The API is a process of its own on loopback; no worker takes the jobs that wait. The store holds none of their files.
+On SQLite, and on PostgreSQL where it is installed (BENCH_DATABASES chooses). The API is a process of its own on
+loopback; no worker takes the jobs that wait. The store holds none of their files.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from io import BytesIO
 from itertools import count
 from pathlib import Path
@@ -37,7 +39,9 @@ from tests.benchmarks.server.sizes import times
 from tests.benchmarks.timing import Figure
 from tests.service.api.test_process import api_process
 from tests.service.jobs.many_jobs import job_id, load, run_id, state_of
+from tests.service.worker.postgres import missing, running_postgres
 
+DATABASES = os.environ.get("BENCH_DATABASES", "sqlite,postgresql").split(",")
 COUNTS = tuple(int(n) for n in os.environ.get("BENCH_JOBS", "1000,10000,100000").split(","))
 _CALLS = times(100)
 _BUDGET_MS = 100.0
@@ -49,13 +53,20 @@ Call = Callable[[], httpx.Response]
 def figures() -> Iterator[Figure]:
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.WARNING))
     for number in COUNTS:
-        with tempfile.TemporaryDirectory() as folder:
-            yield from _figures(Path(folder) / "data", number)
+        if "sqlite" in DATABASES:
+            with tempfile.TemporaryDirectory() as folder:
+                yield from _figures(ServerSettings(data=Path(folder) / "data"), number)
+        if "postgresql" in DATABASES and not missing():
+            with tempfile.TemporaryDirectory() as folder, running_postgres(durable=True) as server:
+                data, store = Path(folder) / "data", (Path(folder) / "store").as_uri()
+                shared = ServerSettings(data=data, database_url=server.url(), store_url=store, store_is_shared=True)
+                for figure in _figures(shared, number):
+                    yield replace(figure, name=f"PostgreSQL, {figure.name}")
     yield from _listing()
 
 
-def _figures(data: Path, number: int) -> Iterator[Figure]:
-    settings = ServerSettings(data=data)
+def _figures(settings: ServerSettings, number: int) -> Iterator[Figure]:
+    data = settings.data
     data.mkdir()
     database = connect(settings.sqlalchemy_url)
     upgrade_schema(database)
@@ -68,7 +79,9 @@ def _figures(data: Path, number: int) -> Iterator[Figure]:
         worker = {"id": "worker", "host": "h", "pid": 1, "boot": "b", "version": "1", "started_at": 0.0}
         connection.execute(executors.insert().values(**worker, seen_at=time.time() + 1e6))
     _, token = TokenBook(database).create("bench", ["jobs:read", "jobs:write", "machine:run", "admin"])
-    with api_process(data, requests_per_s="1e6", jobs_per_min="1e6") as (process, client):
+    url, store = settings.database_url, str(settings.store_url)
+    shared = {"database_url": url, "store_url": store, "store_is_shared": "true"} if url else {}
+    with api_process(data, requests_per_s="1e6", jobs_per_min="1e6", **shared) as (process, client):
         client.headers["Authorization"] = f"Bearer {token}"
         for name, call in _routes(client, number).items():
             for _ in range(3):
