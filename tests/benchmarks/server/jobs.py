@@ -72,6 +72,9 @@ def _figures(settings: ServerSettings, number: int) -> Iterator[Figure]:
     upgrade_schema(database)
     begun = time.perf_counter()
     load(database, number)
+    if not settings.embedded:  # else what was loaded goes to the disk while routes that write are measured
+        with database.connect().execution_options(isolation_level="AUTOCOMMIT") as connection:
+            connection.exec_driver_sql("CHECKPOINT")
     yield row(f"{number:,} jobs: put into the database", time.perf_counter() - begun, "s", n=1)
     engine = DbosEngine(settings)
     engine.prepare()
