@@ -1,4 +1,4 @@
-"""A browser and a stub of a server, as long as the session; the journeys have a real one (tests/page/journeys).
+"""A browser and a stub of a server, as long as a process is at tests of the page; journeys have a real server.
 
 `page` is one page, 1440 wide and light; `opened` makes others. Any error on a console fails the test that used it,
 unless the test has said `watched.expect_errors(...)`; so does an answer that the server would never give.
@@ -24,7 +24,7 @@ Opened = Callable[..., Page]
 expect.set_options(timeout=ANSWER_MS)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def launched() -> Iterator[tuple[Browser, asyncio.AbstractEventLoop]]:
     """Use `browser`."""
     if reason := missing():
@@ -45,7 +45,7 @@ def browser(launched: tuple[Browser, asyncio.AbstractEventLoop]) -> Iterator[Bro
     asyncio._set_running_loop(None)
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def stub() -> Iterator[Stub]:
     """Where `opened` goes. Without a browser none is started."""
     if reason := missing():
@@ -54,7 +54,7 @@ def stub() -> Iterator[Stub]:
         yield found
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def kept() -> dict[str, BrowserContext]:
     """Contexts by size: a page of its own is all that a test needs."""
     return {}

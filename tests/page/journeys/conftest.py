@@ -1,6 +1,6 @@
 """A shop for whole ways through the page: a real server with its worker, a simulated mill and its agent.
 
-As long as the session. Every page has a context of its own, for there are several people here.
+As long as a process is at journeys. Every page has a context of its own, for there are several people here.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tests.page.conftest import Opened, visit
 from tests.page.shop import Shop, running_shop
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="package")
 def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
     """Its mill is called "shop". Without a browser none is started."""
     if reason := missing():

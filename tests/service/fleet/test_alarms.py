@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,15 +30,20 @@ def told(floor: Shop) -> Any:
     return floor.get(f"/v1/machines/{MACHINE}")["mill"]
 
 
+def look(floor: Shop, good: Callable[[Any], bool]) -> Any:
+    """Until what is said of the mill is good; that."""
+    return seen(lambda: told(floor), good, every_s=0.05)
+
+
 def until_told(floor: Shop, state: str) -> Any:
     """The mill is said to be so, and its spindle as it is."""
     spindle_on = floor.bench.mill.firmware.spindle_on
-    return seen(lambda: told(floor), lambda mill: mill["state"] == state and mill["spindle_on"] is spindle_on())
+    return look(floor, lambda mill: mill["state"] == state and mill["spindle_on"] is spindle_on())
 
 
 def until_locked(floor: Shop, number: int) -> None:
     """From the alarm until the lock is cleared: which one it was is said, and that the spindle has stopped."""
-    mill = seen(lambda: told(floor), lambda mill: mill["state"] == "alarm")
+    mill = look(floor, lambda mill: mill["state"] == "alarm")
     assert f"ALARM:{number} " in mill["detail"]
     assert not mill["spindle_on"] or number in LEAVE_THE_SPINDLE_ON
     mill = until_told(floor, "alarm")
@@ -92,12 +97,12 @@ def test_after_every_alarm_a_person_gets_back_to_cutting(locked: Shop, number: i
             if number in WHILE_HOMING:
                 until(lambda: is_homing(mill))
                 WHILE_HOMING[number](mill)
-            until(lambda: f"ALARM:{number} " in told(floor)["detail"])
+            look(floor, lambda mill: f"ALARM:{number} " in mill["detail"])
             until_locked(floor, number)
             mill.mill.press("close-door")
             fail_homing(mill, 0)
         home(floor, ada)
-        plan = seen(lambda: floor.get(f"{here}/recovery"), lambda plan: plan["ready"])
+        plan = seen(lambda: floor.get(f"{here}/recovery"), lambda plan: plan["ready"], every_s=0.1)
         checks = floor.get(here)["required_checks"]
         assert "position" in checks
         post(f"{here}:recover", 202, operator="Ada", checks=checks, plan=plan["plan"])
