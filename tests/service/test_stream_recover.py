@@ -136,7 +136,7 @@ def test_a_zero_that_was_set_elsewhere_is_put_back(tmp_path: Path) -> None:
             answer(person, "position is right")
             person.sees("finished")
             assert person.ends() == 0
-        assert ends_on_the_mill() <= set(mill.cut)
+        assert ends_on_the_mill(LINES) <= set(mill.cut)
 
 
 def test_a_locked_mill_is_offered_home_and_unlock_before_the_questions(tmp_path: Path) -> None:
