@@ -51,13 +51,13 @@ def noted(name: str, trial: Callable[[], Iterable[Figure]]) -> Callable[[], Iter
     """The same trial, whose end is written down."""
 
     def run() -> Iterator[Figure]:
-        about, seen = machine(), []
+        about, state, seen = machine(), commit(), []
         for figure in trial():
             seen.append(figure)
             yield figure
         words = "; ".join(f"{one.name}: {one.value:,.4g} {one.unit}, {one.note}".rstrip(", ") for one in seen)
         where = f"{about['machine']}, load {about['load before'].split()[0]}"
-        write_last_run(name, [commit(), about["date"], where, words.replace("|", "/")])
+        write_last_run(name, [state, about["date"], where, words.replace("|", "/")])
 
     return run
 
