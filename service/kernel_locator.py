@@ -21,8 +21,10 @@ from typing import Any
 from numba.core import config as numba_config
 from numba.core.caching import _CacheLocator
 
+from service.source_tree import parse
+
 _ROOT = Path(__file__).parents[1]
-_parsing = threading.Lock()  # CPython before 3.12 may fail where two threads parse at once (its issue 106905)
+_reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
 
 
 class KernelLocator(_CacheLocator):
@@ -62,7 +64,7 @@ def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
     while waiting:
         at = waiting.pop()
         if at not in found:
-            with _parsing:
+            with _reading:
                 found[at], uses = _definition(root, *at)
             waiting += uses
     text = "\n".join(f"{module}.{name} {found[module, name]}" for module, name in sorted(found))
@@ -102,7 +104,7 @@ def _of_ours(root: Path, imported: str) -> list[tuple[str, str]]:
 def _names(root: Path, module: str) -> dict[str, list[ast.stmt]]:
     """The statements at a module's top by the names that they bind."""
     names: dict[str, list[ast.stmt]] = {}
-    for statement in ast.parse(_file(root, module).read_bytes()).body:
+    for statement in parse(_file(root, module)).body:
         for one in statement.body if isinstance(statement, ast.If) else [statement]:  # if TYPE_CHECKING
             for name in _bound(one):
                 names.setdefault(name, []).append(one)

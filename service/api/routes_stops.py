@@ -10,12 +10,13 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
+from dataclasses import replace
 from typing import Any
 
 from fastapi import APIRouter
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from machines.mill.orders import Stop
+from machines.mill.orders import Stop, suspend_aware_clock_s
 from service.api.auth import is_at_server
 from service.api.order_context import context_of
 from service.api.services import Services, services_of
@@ -66,7 +67,8 @@ async def _serve(socket: WebSocket, services: Services, context: OrderContext) -
         await socket.send_json({"ready": True})
         while True:
             asked = _object(await socket.receive_text())
-            task = asyncio.create_task(_stop(socket, services, context, asked))  # none waits for the one before
+            pressed = replace(context, arrived_s=suspend_aware_clock_s())  # and not when the socket was opened
+            task = asyncio.create_task(_stop(socket, services, pressed, asked))  # none waits for the one before
             under_way.add(task)
             task.add_done_callback(under_way.discard)
     finally:

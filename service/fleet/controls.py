@@ -11,9 +11,9 @@ from dataclasses import dataclass
 from machines.mill.orders import Refusal
 from service.fleet.agent_link import AgentAwayError, AgentLink, Json, require_answer
 from service.fleet.agent_words import run_view
-from service.fleet.core import FleetCore, Seen
+from service.fleet.core import FleetCore, Seen, not_handed_over
 from service.fleet.orders import OrderContext, Orders
-from service.fleet.run_book import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow, UnknownRunError
+from service.fleet.run_book import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow
 from service.fleet.views import ORDER, Surroundings, required_checks
 from service.web.problems import Problem
 
@@ -36,13 +36,6 @@ class Controls:
         self._core = core
         self._orders = orders
         self._plans_shown: dict[tuple[str, str], str] = {}  # by caller and run: the digest of what they saw last
-
-    async def row(self, run_id: str) -> RunRow:
-        """Problem 404 where there is none."""
-        try:
-            return await self._core.do(self._core.runs.get, run_id)
-        except UnknownRunError as error:
-            raise Problem(404, str(error), field="run") from None
 
     async def require_grant(self, run_id: str, context: OrderContext) -> OrderContext:
         """As `Orders.require_grant`, for the mill of a run: from memory, where this server has seen the run before."""
@@ -95,7 +88,7 @@ class Controls:
             return await self._send_once(run, "recover", body, context, went_on=lambda state: state not in over)
         finally:
             if not was_open:  # as its agent has it now: closed again where nothing came of it
-                await self._core.seen(await self.row(run_id))
+                await self._core.seen(await self._core.row(run_id))
 
     async def recovery(self, run_id: str, caller: str) -> Json:
         """How the run would go on now; what the caller has been shown."""
@@ -113,11 +106,9 @@ class Controls:
         """The run, with the agent's own id of it."""
         if not fresh and (known := self._core.known_runs.get(run_id)) is not None:
             return known
-        run = await self.row(run_id)
+        run = await self._core.row(run_id)
         if run.agent_run is None:
-            raise Problem(
-                409, f"the run is {run.state}: its program has not been handed over, nothing moves", field="run"
-            )
+            raise not_handed_over(run)
         return self._core.remember(run)
 
     async def _link(self, run: RunRow) -> AgentLink:
@@ -144,4 +135,6 @@ class Controls:
         return await self._write_view(run, view)
 
     async def _write_view(self, run: RunRow, view: Json) -> Seen:
-        return Seen(await self._core.do(self._core.runs.told, await self.row(run.id), run_view(view, run.machine)))
+        return Seen(
+            await self._core.do(self._core.runs.told, await self._core.row(run.id), run_view(view, run.machine))
+        )

@@ -15,7 +15,7 @@ import sqlalchemy as sa
 from service.fleet.agent_link import ASK_S, AgentAwayError, AgentLink
 from service.fleet.agent_words import run_view
 from service.fleet.machines import KnownMachine, known_machines
-from service.fleet.run_book import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow
+from service.fleet.run_book import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow, UnknownRunError
 from service.jobs.book import JobBook
 from service.settings import ServerSettings
 from service.store.store import Store
@@ -37,6 +37,11 @@ class Seen:
 def no_machine(name: str, known: Iterable[str]) -> Problem:
     words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
     return Problem(404, f"no machine '{name}'; known: {words}", field="machine")
+
+
+def not_handed_over(run: RunRow) -> Problem:
+    words = f"the run is {run.state}: its program has not been handed over, nothing moves"
+    return Problem(409, words, field="run")
 
 
 class FleetCore:
@@ -98,6 +103,13 @@ class FleetCore:
                 del self.known_runs[next(iter(self.known_runs))]
             self.known_runs[run.id] = run
         return run
+
+    async def row(self, run_id: str) -> RunRow:
+        """The run by the database. Problem 404 where there is none."""
+        try:
+            return await self.do(self.runs.get, run_id)
+        except UnknownRunError as error:
+            raise Problem(404, str(error), field="run") from None
 
     async def link_of(self, run: RunRow) -> AgentLink:
         """The link to the agent that has this run."""

@@ -127,14 +127,14 @@ class Fleet:
         return {"runs": list(map(run_json, seen, around)), "next": rows[-1].id if len(rows) == limit else None}
 
     async def run(self, run_id: str) -> Json:
-        return await self._shown(await self._now(await self._controls.row(run_id)))
+        return await self._shown(await self._now(await self._core.row(run_id)))
 
     async def recovery(self, run_id: str, caller: str) -> Json:
         return await self._controls.recovery(run_id, caller)
 
     async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
         context = await self._controls.require_grant(run_id, context)
-        run = await self._controls.row(run_id)
+        run = await self._core.row(run_id)
         return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
 
     async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
@@ -155,15 +155,10 @@ class Fleet:
 
     async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """The run's server-sent events; None where it was over when the reader last heard of it."""
-        seen = await self._now(await self._controls.row(run_id))
+        seen = await self._now(await self._core.row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
         return self._followed(RunEvents(self._core, seen, known_id(last_id)).stream())
-
-    def require_no_open_run(self, job_id: str) -> None:
-        """Problem 409 where a program of this job is on a mill. For a thread, not for the event loop."""
-        if (run_id := self._core.runs.open_run_of_job(job_id)) is not None:
-            raise Problem(409, f"run {run_id} of a program of this job is open; abort it or let it finish first")
 
     # ------------------------------------------------------------------
 

@@ -231,10 +231,6 @@ class RunBook:
         other = self.open_on(machine)
         return other.id if other is not None else "which has just ended"
 
-    def open_run_of_job(self, job_id: str) -> str | None:
-        with reading(self._database) as connection:
-            return open_run_of(connection, job_id)
-
 
 def open_run_of(connection: sa.Connection, job_id: str) -> str | None:
     """Id of an open run of a program of this job, on any mill."""

@@ -16,9 +16,9 @@ from typing import Any, TypeVar
 from machines.mill.orders import Stop
 from service.fleet.agent_link import AgentAwayError, AgentLink, Json, require_answer
 from service.fleet.agent_words import run_view
-from service.fleet.core import FleetCore, Seen
+from service.fleet.core import FleetCore, Seen, not_handed_over
 from service.fleet.orders import OrderContext
-from service.fleet.run_book import ABORTED, ENDED, INTERRUPTED, PARKED, RunRow, UnknownRunError
+from service.fleet.run_book import ABORTED, ENDED, INTERRUPTED, PARKED, RunRow
 from service.fleet.views import order_json
 from service.web.problems import Problem
 
@@ -86,10 +86,9 @@ class Stops:
                 row = self._core.do(self._core.runs.get, run_id)
                 return await self.wait_briefly(row, _make_row(run_id, link, answer)), answer
         refused = next((one for one in answers if isinstance(one, Problem) and one.status == 409), None)
-        run = await self._row(run_id)
+        run = await self._core.row(run_id)
         if run.agent_run is None:
-            words = f"the run is {run.state}: its program has not been handed over, nothing moves"
-            raise Problem(409, words, field="run")
+            raise not_handed_over(run)
         away = next((one for one in answers if isinstance(one, AgentAwayError)), None)
         raise refused or (away.problem(stop) if away else Problem(404, f"no agent knows run {run_id}", field="run"))
 
@@ -106,24 +105,18 @@ class Stops:
         known, _ = await self._core.machines()
         return [self._core.link(machine) for machine in known.values()]
 
-    async def _row(self, run_id: str) -> RunRow:
-        try:
-            return await self._core.do(self._core.runs.get, run_id)
-        except UnknownRunError as error:
-            raise Problem(404, str(error), field="run") from None
-
     async def _give_up(self, run_id: str, problem: Problem) -> Seen:
-        run = await self._row(run_id)
+        run = await self._core.row(run_id)
         if run.agent_run is None and run.open:
             await self._close(run, "taken back before it was handed over")
-            return Seen(await self._row(run_id))
+            return Seen(await self._core.row(run_id))
         seen = await self._core.seen(run)
         if seen.away or not seen.run.open or seen.run.state not in (PARKED, INTERRUPTED):
             if not seen.away and not seen.run.open and run.agent_run is not None:
                 return seen
             raise problem
         await self._close(run, f"given up while its agent had it as {seen.run.state}")
-        return Seen(await self._row(run_id))
+        return Seen(await self._core.row(run_id))
 
     async def _close(self, run: RunRow, words: str) -> None:
         await self._core.do(self._core.runs.close, run.id, ABORTED, words)

@@ -16,7 +16,7 @@ _MEANT = str.maketrans("OIL", "011")
 
 def new_offer() -> str:
     """A new code with an id, as one text: ID:7K3D-0QXM-91TZ."""
-    return f"{secrets.token_hex(16)}:{_grouped(''.join(secrets.choice(ALPHABET) for _ in range(_LENGTH)))}"
+    return f"{secrets.token_hex(16)}:{_group(''.join(secrets.choice(ALPHABET) for _ in range(_LENGTH)))}"
 
 
 def code_of(offer: str) -> str:
@@ -26,8 +26,8 @@ def code_of(offer: str) -> str:
 
 def read_code(typed: str) -> str:
     """What a person has typed, spelled as codes are printed."""
-    return _grouped(re.sub(r"[\s-]", "", typed).upper().translate(_MEANT))
+    return _group(re.sub(r"[\s-]", "", typed).upper().translate(_MEANT))
 
 
-def _grouped(text: str) -> str:
+def _group(text: str) -> str:
     return "-".join(text[at : at + 4] for at in range(0, len(text), 4))

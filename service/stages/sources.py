@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import ast
 import hashlib
-import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+from service.source_tree import parse
+
 _ROOT = Path(__file__).parents[2]
 _PACKAGES = ("optics", "cam", "machines", "service")
 _DATA = {"service.report": ("service/templates",)}  # folders of files that a module reads as if they were code
-_parsing = threading.Lock()  # CPython before 3.12 may fail where two threads parse at once (its issue 106905)
 
 
 @cache
@@ -37,19 +37,14 @@ def modules_used(module: str) -> set[str]:
     return found
 
 
-def _imports(module: str) -> tuple[str, ...]:
-    with _parsing:
-        return _parsed_imports(module)
-
-
 @cache
-def _parsed_imports(module: str) -> tuple[str, ...]:
+def _imports(module: str) -> tuple[str, ...]:
     return tuple({name for name in _named(_file(module)) if name.split(".")[0] in _PACKAGES and _exists(name)})
 
 
 def _named(path: Path) -> Iterator[str]:
     """Every name that an import mentions, `from a import b` as a and as a.b, whatever function it stands in."""
-    for node in ast.walk(ast.parse(path.read_bytes())):
+    for node in ast.walk(parse(path)):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom) and node.module:

@@ -38,7 +38,7 @@ from service.stream.ask import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_
 from service.stream.dry import dry_run
 from service.stream.follow import Ended, Follower, Outcome, at_once, keyboard
 from service.stream.keys import single_keys
-from service.stream.leaving import STILL_HELD, Buffers, cleared_at_the_end, undisturbed
+from service.stream.leaving import STILL_HELD, Buffers, cleared_at_the_end, ignore_signals
 from service.stream.orders import give_order
 from service.stream.ready import ready_mill, reset_silent_mill
 from service.stream.recover import interrupted_run, ready_plan
@@ -92,7 +92,7 @@ def stream_program(order: StreamOrder) -> None:
         return
     folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
     with _mill(order, folder) as (thread, connector), cleared_at_the_end(thread) as buffers:
-        snapshot = _connected(thread, buffers, order.port_url)
+        snapshot = _await_mill(thread, buffers, order.port_url)
         print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
         print_lines(spindle_lines(order.profile))
         if not order.recover:
@@ -102,7 +102,7 @@ def stream_program(order: StreamOrder) -> None:
         prepare = _recovery if order.recover else _new_run
         run_id, begin = prepare(thread, buffers, order, facts)
         outcome = _run(thread, buffers, order, facts, run_id, begin)
-        outcome = _settled(thread, outcome)
+        outcome = _settle(thread, outcome)
     _conclude(outcome, order, facts)
 
 
@@ -175,12 +175,12 @@ def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connec
         thread.start()
         yield thread, connector
     finally:
-        with undisturbed():
+        with ignore_signals():
             thread.stop(detach=True)  # all that can be done to make it stand has been done
             connector.close_unused()
 
 
-def _connected(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
+def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
     """Wait for the handshake; what is wrong with the link ends the command. Where nothing answers, offer one reset."""
     begun_s = time.monotonic()
     give_up_s, snapshot, offered = begun_s + _CONNECT_S, thread.snapshot, keyboard() is None
@@ -248,7 +248,7 @@ def _run(
         return Follower(thread, buffers, run_id, facts, screen, keyboard=keys).follow(signals)
 
 
-def _settled(thread: MillThread, outcome: Outcome) -> Outcome:
+def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
     """With what is true at the end: GRBL tells its spindle only now and then, and after a reset itself anew."""
     give_up_s = time.monotonic() + _SETTLE_S
     snapshot = thread.snapshot

@@ -82,14 +82,14 @@ def cleared_at_the_end(thread: MillThread) -> Iterator[Buffers]:
     try:
         yield buffers
     except BaseException:
-        with undisturbed():
+        with ignore_signals():
             if not buffers.clear():
                 _say_loudly(STILL_HELD)
         raise
 
 
 @contextlib.contextmanager
-def undisturbed() -> Iterator[None]:
+def ignore_signals() -> Iterator[None]:
     """Signals change nothing inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
     kinds = [
         kind

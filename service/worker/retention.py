@@ -132,14 +132,14 @@ class Retention:
 
     def _drop_files(self, hashes: set[str]) -> None:
         """Files of something that is gone, unless something else names them."""
-        named, at = self._named(lambda column: column.in_(hashes))
+        named, at = self._find_named(lambda column: column.in_(hashes))
         for sha256 in hashes - named:
             with suppress(MissingObjectError):
                 size, part = self._store.head(sha256).bytes, sha256[:2]
                 self._store.delete(sha256, stored_before=at - self._grace_s)
                 self._named_bytes[part] = max(0, self._named_bytes.get(part, 0) - size)
 
-    def _named(self, wanted: Callable[[sa.Column[Any]], sa.ColumnElement[bool]]) -> tuple[set[str], float]:
+    def _find_named(self, wanted: Callable[[sa.Column[Any]], sa.ColumnElement[bool]]) -> tuple[set[str], float]:
         """Those hashes that the tables name, and the time at which they did."""
         with self._database.connect() as plain:
             connection = plain if is_sqlite(plain) else plain.execution_options(isolation_level="REPEATABLE READ")
@@ -156,7 +156,7 @@ class Retention:
             self._next_part = (self._next_part + 1) % len(PARTS)
 
     def _sweep(self, part: str) -> None:
-        named, at = self._named(lambda column: column.between(part, part + "g"))
+        named, at = self._find_named(lambda column: column.between(part, part + "g"))
         found = list(self._store.list(part))
         self._named_bytes[part] = sum(one.bytes for one in found if one.sha256 in named)
         swept = [one for one in found if one.sha256 not in named and one.stored_at < at - self._grace_s]

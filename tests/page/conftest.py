@@ -69,12 +69,18 @@ def answers() -> Iterator[None]:
 
 
 @pytest.fixture
-def watched(browser: Browser, stub: Stub) -> Iterator[Callable[..., Watched]]:
+def site(stub: Stub) -> str:
+    """Where pages come from."""
+    return stub.url
+
+
+@pytest.fixture
+def watched(browser: Browser, site: str) -> Iterator[Callable[..., Watched]]:
     """Makes browser contexts (size, scheme); at the end of the test none of their pages may have complained."""
     with contextlib.ExitStack() as stack:
 
         def make(size: str = "wide", scheme: Scheme = "light") -> Watched:
-            context = new_context(browser, stub.url, size=size, scheme=scheme)
+            context = new_context(browser, site, size=size, scheme=scheme)
             stack.callback(context.close)
             found = Watched(context)
             stack.callback(found.close)

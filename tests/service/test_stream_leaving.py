@@ -46,15 +46,20 @@ class Watched:
         return self.snapshot
 
 
-@pytest.mark.parametrize("over", [RunState.INTERRUPTED, RunState.ABORTED])
-def test_a_run_that_is_over_is_followed_until_the_banner_after_its_reset(over: RunState) -> None:
-    """A mill that stands in Hold holds its queue still."""
+def follow_watched() -> tuple[Any, Follower]:
+    """A thread whose snapshots a test says, and the follower of its run of ten lines."""
     thread: Any = Watched()
     buffers = Buffers(thread)
     buffers.fill("r")
     facts: Any = SimpleNamespace(lines=10)
     screen: Any = None
-    follower = Follower(thread, buffers, "r", facts, screen, keyboard=None)
+    return thread, Follower(thread, buffers, "r", facts, screen, keyboard=None)
+
+
+@pytest.mark.parametrize("over", [RunState.INTERRUPTED, RunState.ABORTED])
+def test_a_run_that_is_over_is_followed_until_the_banner_after_its_reset(over: RunState) -> None:
+    """A mill that stands in Hold holds its queue still."""
+    thread, follower = follow_watched()
     for state in (MillState.HOLDING, MillState.HELD, MillState.ALARM):
         assert follower._ended(thread.shows(state, over, epoch=1)) is None
     ended = follower._ended(thread.shows(MillState.CONNECTING, over, epoch=2))
@@ -64,12 +69,7 @@ def test_a_run_that_is_over_is_followed_until_the_banner_after_its_reset(over: R
 
 def test_a_link_that_came_back_proves_nothing() -> None:
     """A new link counts banners from 0, and the mill goes on alone: no end without the words."""
-    thread: Any = Watched()
-    buffers = Buffers(thread)
-    buffers.fill("r")
-    facts: Any = SimpleNamespace(lines=10)
-    screen: Any = None
-    follower = Follower(thread, buffers, "r", facts, screen, keyboard=None)
+    thread, follower = follow_watched()
     for state in (MillState.DISCONNECTED, MillState.RUN, MillState.IDLE):
         assert follower._ended(thread.shows(state, RunState.INTERRUPTED, epoch=0)) is Ended.FAULT
         assert not follower._outcome(Ended.FAULT).cleared

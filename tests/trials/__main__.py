@@ -47,8 +47,8 @@ _HEAD = """# When each long trial was last run
 """
 
 
-def noted(name: str, trial: Callable[[], Iterable[Figure]]) -> Callable[[], Iterator[Figure]]:
-    """The same trial, whose end is written down."""
+def recording(name: str, trial: Callable[[], Iterable[Figure]]) -> Callable[[], Iterator[Figure]]:
+    """The same trial, which writes down its end."""
 
     def run() -> Iterator[Figure]:
         about, state, seen = machine(), commit(), []
@@ -79,6 +79,6 @@ def commit() -> str:
 
 
 if __name__ == "__main__":
-    trials = {name: noted(name, trial) for name, trial in SECTIONS.items()}
+    trials = {name: recording(name, trial) for name, trial in SECTIONS.items()}
     broken = [figure for figure in run_sections("soak", trials, sys.argv[1:]) if figure.note.startswith("BROKEN")]
     sys.exit(1 if broken else 0)

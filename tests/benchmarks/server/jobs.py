@@ -62,7 +62,7 @@ def figures() -> Iterator[Figure]:
                 shared = ServerSettings(data=data, database_url=server.url(), store_url=store, store_is_shared=True)
                 for figure in _figures(shared, number):
                     yield replace(figure, name=f"PostgreSQL, {figure.name}")
-    yield from _listing()
+    yield from _time_lists()
 
 
 def _figures(settings: ServerSettings, number: int) -> Iterator[Figure]:
@@ -156,7 +156,7 @@ def _loops(database: sa.Engine, settings: ServerSettings, engine: DbosEngine, nu
     yield from spread(f"{number:,} jobs: feed, a poll for {_FOLLOWED} idle followers (each 0.25 s)", polls)
 
 
-def _listing() -> Iterator[Figure]:
+def _time_lists() -> Iterator[Figure]:
     """What the sweep of a full store costs beyond the database: a turn looks at a sixteenth of the files."""
     with tempfile.TemporaryDirectory() as folder:
         store = LocalStore(Path(folder))

@@ -120,7 +120,7 @@ class _Tabs:
     def __init__(self, browser: Browser, floor: Floor) -> None:
         self._context = browser.new_context(base_url=floor.url)
         self._context.set_default_timeout(1000 * PATIENCE_S)
-        self._page = [self._opened(floor) for _ in range(_TABS)][-1]
+        self._page = [self._open(floor) for _ in range(_TABS)][-1]
         self._page.bring_to_front()
         time.sleep(1.0)
 
@@ -131,7 +131,7 @@ class _Tabs:
     def close(self) -> None:
         self._context.close()
 
-    def _opened(self, floor: Floor) -> Page:
+    def _open(self, floor: Floor) -> Page:
         page = self._context.new_page()
         page.goto("/")
         page.evaluate("async (token) => { await (await import('/page/lib/api.js')).api.useToken(token); }", floor.token)

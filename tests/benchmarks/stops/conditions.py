@@ -47,7 +47,7 @@ def event_streams(floor: Floor) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         streams = []
         for _ in range(STREAMS):
-            stream = stack.enter_context(_opened(floor.url))
+            stream = stack.enter_context(_open(floor.url))
             request = f"GET /v1/machines/{MILL}/events HTTP/1.1\r\nHost: {_host(floor.url)}\r\n"
             stream.sendall(f"{request}Authorization: Bearer {floor.token}\r\n\r\n".encode())
             assert b"200 OK" in stream.recv(4096)
@@ -154,7 +154,7 @@ def expire(floor: Floor, name: str) -> None:
         connection.execute(update(tokens).where(tokens.c.name == name).values(expires_at=time.time() - 60))
 
 
-def _opened(url: str) -> socket.socket:
+def _open(url: str) -> socket.socket:
     parts = urlsplit(url)
     return socket.create_connection((str(parts.hostname), parts.port), timeout=20)
 

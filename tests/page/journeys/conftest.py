@@ -5,13 +5,12 @@ As long as a process is at journeys. Every page has a context of its own, for th
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
 
 import pytest
-from playwright.sync_api import Browser, Page
+from playwright.sync_api import Page
 
-from tests.page.browser import Scheme, Watched, missing, new_context
+from tests.page.browser import Scheme, Watched, missing
 from tests.page.conftest import Opened, visit
 from tests.page.shop import Shop, running_shop
 
@@ -26,18 +25,8 @@ def shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Shop]:
 
 
 @pytest.fixture
-def watched(browser: Browser, shop: Shop) -> Iterator[Callable[..., Watched]]:
-    """Makes browser contexts (size, scheme); at the end of the test none of their pages may have complained."""
-    with contextlib.ExitStack() as stack:
-
-        def make(size: str = "wide", scheme: Scheme = "light") -> Watched:
-            context = new_context(browser, shop.url, size=size, scheme=scheme)
-            stack.callback(context.close)
-            found = Watched(context)
-            stack.callback(found.close)
-            return found
-
-        yield make
+def site(shop: Shop) -> str:
+    return shop.url
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ import pytest
 from service.fleet.launching import start_agents
 from tests.service.fleet.shop import MACHINE, Shop, await_agent, kill_agents, shop
 from tests.service.mills import Bench
-from tests.waiting import PATIENCE_S
+from tests.waiting import PATIENCE_S, seen
 
 HERE = f"/v1/machines/{MACHINE}"
 Event = tuple[str, str, Any]
@@ -76,6 +76,7 @@ def state(*words: str) -> Callable[[Any], bool]:
 
 
 def test_the_first_event_is_how_it_stands_and_the_latest_log_follows(floor: Shop) -> None:
+    seen(lambda: floor.get(HERE)["mill"]["spindle_on"], lambda on: on is not None, what="all that a mill says at first")
     with floor.operator.stream("GET", f"{HERE}/events") as answer:
         found = events(answer.iter_lines())
         _, name, first = next(found)

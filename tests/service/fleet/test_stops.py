@@ -17,6 +17,7 @@ import pytest
 from wsproto import ConnectionType, WSConnection
 from wsproto.events import AcceptConnection, CloseConnection, RejectConnection, Request, TextMessage
 
+from machines.mill.orders import suspend_aware_clock_s
 from service.jobs.database import writing
 from service.jobs.tables import tokens
 from tests.service.api.server import api_server, problem
@@ -144,10 +145,13 @@ def test_a_socket_of_its_own_stops_the_mill(floor: Shop) -> None:
     jog_far(floor)
     with contextlib.closing(StopSocket(floor.server.port)) as page:
         assert page.hear() == {"ready": True}
+        pressed_s = suspend_aware_clock_s()
         page.say({"id": 7, "machine": MACHINE, "what": "hold"})
         answer = page.hear()
         assert (answer["id"], answer["taken"]) == (7, True), answer
         until(lambda: floor.bench.stands)
+        stopped_s = floor.server.services.fleet._core.stopped_s[MACHINE]
+        assert stopped_s >= pressed_s, "an order that came before this stop would still be sent"
         page.say({"id": 8, "machine": "none", "what": "hold"})
         assert page.hear()["taken"] is False
         page.say({"id": 9, "machine": MACHINE, "what": "home"})
