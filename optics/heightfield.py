@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from optics.spline import Array, BicubicSpline, spline_jet
 __all__ = ["Array", "BicubicSpline", "Heightfield", "spline_jet"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Heightfield:
     """Refracting surface z = h(x, y) in the work frame: Z0 is the top of the stock, +Z points to the screen.
 
@@ -70,6 +71,10 @@ class Heightfield:
 
     def spline(self) -> BicubicSpline:
         """The not-a-knot bicubic spline through the vertices."""
+        return self._spline
+
+    @cached_property
+    def _spline(self) -> BicubicSpline:
         return BicubicSpline.through(
             self.z_mm, x0_mm=float(self.x_mm[0]), y0_mm=float(self.y_mm[0]), dx_mm=self.dx_mm, dy_mm=self.dy_mm
         )

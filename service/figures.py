@@ -22,6 +22,7 @@ Array = NDArray[np.float64]
 
 _LEAST_SCALE_PERCENT = 0.1
 _DPI = 150
+_PACKED = 3  # of 9: a third of the time of the usual 6, files a tenth larger
 _QUIET: dict[str, Any] = {"fontsize": 9, "color": "0.35"}
 
 
@@ -89,7 +90,7 @@ def panel_height(width_in: float, height: float, width: float) -> float:
 
 def png_bytes(figure: Figure) -> bytes:
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None})
+    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": _PACKED})
     return buffer.getvalue()
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -30,12 +31,15 @@ class ControllerSettings:
     rx_bytes: int | None = None
     offsets: dict[str, Triple] = field(default_factory=dict)
     parser_state: str = ""  # words of [GC:...]
+    _numbers: dict[int, float] = field(init=False, repr=False, compare=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for setting, text in self.values.items():  # once: a status asks for some of them, many times a second
+            with suppress(ValueError):
+                self._numbers[setting] = float(text)
 
     def number(self, setting: int) -> float | None:
-        try:
-            return float(self.values[setting])
-        except (KeyError, ValueError):
-            return None
+        return self._numbers.get(setting)
 
     def _triple(self, first: int) -> Triple | None:
         x, y, z = (self.number(first + axis) for axis in range(3))

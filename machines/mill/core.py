@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from machines.driver import Command, Driver, MillStatus, Triple
 from machines.errors import NotAllowedError
 from machines.journal.journal import Journal
 from machines.mill.files import FolderLock, RunFolders, left_alone
-from machines.mill.link import MillLink
+from machines.mill.link import NO_MILL, MillLink
 from machines.mill.log import MillLog
 from machines.mill.orders import NOBODY, Caller, OrderGate, Permit
 from machines.mill.run import Run
@@ -181,9 +182,8 @@ class MillCore:
 
     # ------------------------------------------------------------------ the snapshot
 
-    def _setup_digest(self) -> str:
+    def _setup_digest(self, status: MillStatus) -> str:
         """Digest of what a start rests on, to tell whether a person has seen the mill as it is."""
-        status = self.status
         offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
         rests_on = (offset, self._zeroed, self._homed, status.position_trusted, status.epoch, self._needs())
         return hashlib.sha256(repr(rests_on).encode()).hexdigest()[:16]
@@ -192,10 +192,11 @@ class MillCore:
         """A new snapshot, if anything in it differs."""
         driver, before = self._driver, self._snapshot
         views = list(self._runs.values())[-SHOWN_RUNS:]
+        status = driver.status if driver is not None else NO_MILL
         snapshot = MillSnapshot(
             version=before.version,
             name=self.name,
-            status=driver.status if driver is not None else MillStatus(detail=self._link.problem),
+            status=status if driver is not None else replace(status, detail=self._link.problem),
             progress=driver.progress if driver is not None else before.progress,
             protections=driver.protections if driver is not None else (),
             facts=driver.facts if driver is not None else before.facts,
@@ -207,7 +208,7 @@ class MillCore:
             needs=self._needs(),
             zeroed=self._zeroed,
             homed=self._homed,
-            setup=self._setup_digest(),
+            setup=self._setup_digest(status),
             stops=self.orders.stops,
             lease=self.orders.get_lease(),
             events=self._log.after(before.events),

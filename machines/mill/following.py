@@ -9,6 +9,7 @@ from machines.errors import JournalError, MachineError
 from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.mill.core import MillCore
+from machines.mill.link import AWAY
 from machines.mill.run import Run
 from machines.mill.standing import adrift, ashore, proven_line
 from machines.runs import RECOVERABLE, RunState
@@ -29,7 +30,7 @@ class MillFollowing(MillCore):
             self._publish()
             return
         status, progress, run = driver.status, driver.progress, self._driven
-        if not self._link.away:
+        if status.state not in AWAY:
             self._link.seen()
         if not status.position_trusted:
             self._homed = False

@@ -72,7 +72,7 @@ class MillStarting(MillEvents):
         facts, reader = run.load(self._folders, lambda facts: self._reader(run, facts))
         _check_file(run, facts)
         answer = self._asked()
-        if setup is not None and setup != self._setup_digest():
+        if setup is not None and setup != self._setup_digest(self.status):
             raise OrderRefusedError(Refusal.SETUP, "start: the zero or the position has changed since it was looked at")
         _check_modes(facts, answer)
         settings = _told(driver)

@@ -12,7 +12,15 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.light import SUN_DEG
 from optics.metrics import CausticScore, score_caustic
-from optics.tolerance import FOCUS_SHARES, SOURCES_DEG, TILTS_DEG, Tolerances, lens_tolerances
+from optics.tolerance import (
+    FOCUS_SHARES,
+    SOURCES_DEG,
+    TILTS_DEG,
+    Tolerances,
+    in_pixels,
+    lens_tolerances,
+    sharp_light,
+)
 from service.job_files import FOCUS, HEIGHTFIELD, MAP
 from service.spec import JobSpec
 from service.stages import arrays
@@ -32,30 +40,31 @@ def caustic(shop: Workshop) -> None:
     target = shop.receive(MAP, arrays.load_target)
     bench = bench_of(shop.spec)
     with shop.watch.stage("caustic") as reached:
-        seen = []
-        for number, factor in enumerate(THROUGH_FOCUS, 1):
-            seen.append(_at(factor, heightfield, bench, target))
-            reached(number / (len(THROUGH_FOCUS) + 2))
-        in_focus = seen[THROUGH_FOCUS.index(1.0)]
+        sharp = sharp_light(heightfield, bench, _shape(target))
+        without_size = replace(sharp, irradiance=in_pixels(sharp.irradiance))
+        reached(0.2)
+        in_focus = without_size
+        if bench.light.extended:
+            in_focus = simulate_caustic(heightfield, bench, pixels=_shape(target))
+        reached(0.4)
         _tell(shop, in_focus, score_caustic(in_focus.irradiance, target))
         if bench.light.extended:
-            sharp = simulate_caustic(heightfield, bench, pixels=_shape(target), beams=1)
-            _tell_without_size(shop, score_caustic(sharp.irradiance, target))
+            _tell_without_size(shop, score_caustic(without_size.irradiance, target))
+        seen = [in_focus if factor == 1.0 else _at(factor, heightfield, bench, target) for factor in THROUGH_FOCUS]
+        reached(0.7)
         _draw(shop, target, seen)
         if shop.is_shown:
             _through_focus(shop, heightfield, target)
     with shop.watch.stage("tolerances") as reached:
-        found = lens_tolerances(heightfield, bench, target, on_progress=reached)
+        found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=reached)
         shop.report["optics"]["tolerances"] = _figures(found)
         _draw_tolerances(shop, target, found)
 
 
 def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) -> Caustic:
-    """The light on a screen at that factor of the throw; out of focus with fewer tubes and beams."""
+    """The light on a screen far out of focus, at that factor of the throw."""
     moved = replace(bench, throw_mm=factor * bench.throw_mm)
-    if factor == 1.0:
-        return simulate_caustic(heightfield, moved, pixels=_shape(target))
-    return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=2, beams=_BEAMS_OUT_OF_FOCUS)
+    return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=1, beams=_BEAMS_OUT_OF_FOCUS)
 
 
 def _through_focus(shop: Workshop, heightfield: Heightfield, target: Array) -> None:

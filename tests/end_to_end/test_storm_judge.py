@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import sqlite3
 import subprocess
@@ -16,7 +17,7 @@ import pytest
 from tests.trials.server.chaos import SHARES, deck
 from tests.trials.server.customers import Customers, Order
 from tests.trials.server.deployment import Deployment, embedded
-from tests.trials.server.judge import Verdict, database_faults, judged
+from tests.trials.server.judge import Verdict, database_faults, half_objects, judged
 from tests.trials.server.processes import MARK, wait_until
 from tests.trials.server.storm import Result, Size, _calm, _stopped
 from tests.trials.server.watching import Watching
@@ -139,3 +140,13 @@ def test_a_deck_holds_enough_of_each_kind() -> None:
     cards = deck(125, freezes=12, restarts=12)
     assert len(cards) == 149
     assert min(cards.count(kind) for kind in (*SHARES, "freeze", "database restart")) >= 10
+
+
+def test_the_judge_sees_half_objects(tmp_path: Path) -> None:
+    whole = b"whole"
+    name = hashlib.sha256(whole).hexdigest()
+    (tmp_path / name).write_bytes(whole)
+    assert half_objects(tmp_path) == []
+    (tmp_path / name).write_bytes(whole[:-1])
+    (tmp_path / ".tmp-1").write_bytes(b"")
+    assert len(half_objects(tmp_path)) == 2

@@ -13,6 +13,7 @@ from cam.reading.gcode import read_program
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from tests.end_to_end.command import ran
+from tests.levels import mostly_thorough
 from tests.waiting import PATIENCE_S
 
 SPEC = """
@@ -46,7 +47,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return sorted((folder / "job").glob("pass-*.nc"))
 
 
-@pytest.mark.parametrize("number", [0, *(pytest.param(one, marks=pytest.mark.thorough) for one in (1, 2))])
+@pytest.mark.parametrize("number", mostly_thorough(range(3), quick=(0,)))
 def test_the_path_cut_is_the_path_programmed(programs: list[Path], tmp_path: Path, number: int) -> None:
     """Every move of the program is executed once, in order, to where the program says; read by cam's own parser."""
     (tmp_path / "config" / "machines").mkdir(parents=True)

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from machines.simulated.traits import Traits
+from tests.levels import mostly_thorough
 from tests.service.mills import (
     AT_ZERO,
     IN_THE_CUT,
@@ -51,7 +52,7 @@ def spindle_words(mill: Bench) -> str:
     return "spindle ON" if mill.mill.firmware.spindle_on() else "spindle off"
 
 
-@pytest.mark.parametrize("number", range(1, 11))
+@pytest.mark.parametrize("number", mostly_thorough(range(1, 11), quick=(1, 8)))  # all: machines/grbl/test_alarms.py
 def test_after_every_alarm_a_person_gets_back_to_cutting(tmp_path: Path, number: int) -> None:
     """And what is said of the spindle is true, at every end."""
     path = program(tmp_path / "p.nc", LINES)

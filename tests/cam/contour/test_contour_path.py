@@ -14,6 +14,7 @@ from cam.passes import PassSpec
 from cam.tool_surface import ToolSurface
 from cam.vertices import finish_rule, rough_rule
 from optics.heightfield import Heightfield
+from tests.levels import mostly_thorough
 
 SIDE, PITCH, RADIUS = 10.0, 0.1, 1.5
 WAYS = {
@@ -123,9 +124,7 @@ def judge(tips: np.ndarray, heightfield: Heightfield, spec: PassSpec) -> None:
     assert np.abs(tips[:, 2] - on_it).max() < 1e-7
 
 
-@pytest.mark.parametrize(
-    "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.thorough) for name in WAYS]
-)
+@pytest.mark.parametrize("name", mostly_thorough(WAYS, QUICK))
 def test_any_shape_is_covered_by_one_path_on_the_surface(name):
     heightfield = lens(WAYS[name])
     tips = tips_of(heightfield)

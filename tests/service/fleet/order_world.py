@@ -128,7 +128,7 @@ class _OwnedMill(Mill):
         return planned
 
     def _vouch(self, driver: Driver) -> None:
-        self.last_setup = self._setup_digest()  # before the person's word makes the position a trusted one
+        self.last_setup = self._setup_digest(self.status)  # before the person's word makes the position a trusted one
         super()._vouch(driver)
 
     def _require_permit(self) -> None:
@@ -194,6 +194,12 @@ class World:
 
     def pass_s(self, seconds: float) -> None:
         self.loop.run_until_complete(asyncio.sleep(seconds))
+
+    def pass_until_all_came(self, seconds: float) -> None:
+        """Until no message and nobody who presses is waited for; so long at most, for an answer may be lost."""
+        end_s = self.sim.now_s + seconds
+        while self._tasks and self.sim.now_s < end_s:
+            self.pass_s(0.5)
 
     def suspend(self, seconds: float) -> None:
         """Server and agent sleep; the mill and the people do not."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.levels import mostly_thorough
 from tests.service.fleet.shop import MACHINE, Shop, kill_agents, own_folders, shop, write_profile
 from tests.service.fleet.test_control import Person, people
 from tests.service.mills import (
@@ -76,7 +77,7 @@ def home(floor: Shop, person: Person) -> None:
     until_told(floor, "idle")
 
 
-@pytest.mark.parametrize("number", range(1, 11))
+@pytest.mark.parametrize("number", mostly_thorough(range(1, 11), quick=(1, 8)))  # all: machines/grbl/test_alarms.py
 def test_after_every_alarm_a_person_gets_back_to_cutting(locked: Shop, number: int) -> None:
     floor, mill, firmware = locked, locked.bench, locked.bench.mill.firmware
     with people(floor) as (ada, _):

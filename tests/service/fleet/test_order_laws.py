@@ -60,7 +60,8 @@ class OrderHistories(RuleBasedStateMachine):
 
     def teardown(self) -> None:
         if hasattr(self, "world"):
-            self.judge(41.0)
+            self.world.pass_until_all_came(41.0)
+            self.judge(1.0)
             self.world.close()
             OrderHistories.tally.update(["histories", *self.world.judged])
             self.folder.cleanup()
