@@ -31,9 +31,9 @@ _WIDEST = 0.2  # of the throw: no depth of focus is claimed beyond
 _RAYS = 96  # along a side, for the picture's shift
 _BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from where the picture may lie to where it does
 _FINE = 2  # blurred in half pixels: whole ones, each evenly lit, would blur by themselves
-# Tubes along a side of a cell. Held against 4: the picture is worth the same to 0.1 dB, far out of focus to 0.35 dB.
-_TUBES_NEAR, _TUBES, _TUBES_COARSE = 3, 2, 1
-_NEAR = 0.005  # of the throw: not yet far out of focus
+# Tubes along a side of a cell. Fewer than 4 miss some error, the same one near focus: it is added from the middle's.
+_TUBES, _TUBES_COARSE = 2, 1
+_NEAR = 0.005  # of the throw: not yet far out of focus, where the coarse are within 0.35 dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -108,15 +108,15 @@ def lens_tolerances(
     sharp: Array | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Tolerances:
-    """Tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 16 simulations.
+    """Tolerances of a lens for `target` (ny, nx), work frame, mean 1, by 17 simulations.
 
     sharp : irradiance of `sharp_light`, where it is known
     """
     report = on_progress or (lambda share: None)
     if sharp is None:
         sharp = sharp_light(heightfield, bench, (target.shape[0], target.shape[1])).irradiance
-    view = _View(heightfield, bench, target, report)
-    middle = view.middle(sharp)
+    view = _View(heightfield, bench, target, sharp, report)
+    middle = view.middle
     focus = tuple(middle if share == 0.0 else view.focus_point(share) for share in FOCUS_SHARES)
     near = view.depth_of_focus([p for p in focus if p.offset_mm < 0][::-1], middle)
     far = view.depth_of_focus([p for p in focus if p.offset_mm > 0], middle)
@@ -158,27 +158,31 @@ def blur_mm(heightfield: Heightfield, bench: Bench, size_rad: float) -> float:
 class _View:
     """One lens, seen under changed conditions by the light of its bench."""
 
-    def __init__(self, lens: Heightfield, bench: Bench, target: Array, report: Callable[[float], None]) -> None:
+    def __init__(
+        self, lens: Heightfield, bench: Bench, target: Array, sharp: Array, report: Callable[[float], None]
+    ) -> None:
         self._lens, self._target, self._report = lens, target, report
         self._bench = without_size(bench)
         self._blur_mm = blur_mm(lens, bench, source_rad(lens, bench))
-        self._peak = float(target.max())
         self._done = 0
-
-    def middle(self, sharp: Array) -> FocusPoint:
-        """As designed."""
         light = in_pixels(sharp) if self._blur_mm == 0 else self._spread(sharp, self._blur_mm)
-        return FocusPoint(offset_mm=0.0, psnr_db=psnr_db(light, self._target), irradiance=light)
+        self.middle = FocusPoint(offset_mm=0.0, psnr_db=psnr_db(light, target), irradiance=light)
+        self._missed = _error(light, target) - _error(self._light(self._bench, _TUBES), target)
 
-    def _seen(self, bench: Bench, tubes: int) -> tuple[float, Array]:
+    def _light(self, bench: Bench, tubes: int) -> Array:
         fine = 1 if self._blur_mm == 0 else _FINE
         ny, nx = self._target.shape
         light = simulate_caustic(self._lens, bench, pixels=(fine * ny, fine * nx), tubes_per_cell=tubes).irradiance
         self._done += 1
-        self._report(self._done / (len(FOCUS_SHARES) + 1 + 2 * len(TILTS_DEG)))
-        if self._blur_mm > 0:
-            light = self._spread(light, self._blur_mm)
-        return psnr_db(light, self._target), light
+        self._report(self._done / (len(FOCUS_SHARES) + 2 + 2 * len(TILTS_DEG)))
+        return light if self._blur_mm == 0 else self._spread(light, self._blur_mm)
+
+    def _seen(self, bench: Bench, tubes: int) -> tuple[float, Array]:
+        light = self._light(bench, tubes)
+        error = _error(light, self._target)
+        if tubes == _TUBES:
+            error = max(error + self._missed, error / 2)
+        return self._psnr_db(error), light
 
     def _spread(self, sharp: Array, diameter_mm: float) -> Array:
         """What a source with a size makes of `sharp`, in fine pixels: each point spread over a disc."""
@@ -198,16 +202,20 @@ class _View:
         The mean square error that defocus adds grows as a power of the offset. One more simulation, where the points
         say that the loss is, settles it.
         """
-        allowed = self._error(middle.psnr_db) * (10 ** (FOCUS_LOSS_DB / 10) - 1)
-        added = [(abs(p.offset_mm), self._error(p.psnr_db) - self._error(middle.psnr_db)) for p in side]
+        least = self._error_of(middle.psnr_db)
+        allowed = least * (10 ** (FOCUS_LOSS_DB / 10) - 1)
+        added = [(abs(p.offset_mm), self._error_of(p.psnr_db) - least) for p in side]
         sign = math.copysign(1.0, side[0].offset_mm)
         first = self._where(added, allowed)
-        psnr, _ = self._seen(replace(self._bench, throw_mm=self._bench.throw_mm + sign * first), _TUBES_NEAR)
-        found = self._where([*added, (first, self._error(psnr) - self._error(middle.psnr_db))], allowed)
+        psnr, _ = self._seen(replace(self._bench, throw_mm=self._bench.throw_mm + sign * first), _TUBES)
+        found = self._where([*added, (first, self._error_of(psnr) - least)], allowed)
         return sign * found
 
-    def _error(self, psnr: float) -> float:
-        return float(self._peak**2 * 10 ** (-psnr / 10))
+    def _error_of(self, psnr: float) -> float:
+        return float(self._target.max() ** 2 * 10 ** (-psnr / 10))
+
+    def _psnr_db(self, error: float) -> float:
+        return 10 * math.log10(float(self._target.max()) ** 2 / max(error, 1e-300))
 
     def _where(self, added: list[tuple[float, float]], allowed: float) -> float:
         """Offset at which the added error is `allowed`: a power law through the two points next to it."""
@@ -245,6 +253,10 @@ class _View:
             psnr_db=psnr_db(light, self._target),
             irradiance=light,
         )
+
+
+def _error(light: Array, target: Array) -> float:
+    return float(np.mean((light - target) ** 2))
 
 
 def _moved(bench: Bench, by_x: float, by_y: float) -> Bench:

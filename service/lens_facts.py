@@ -21,7 +21,7 @@ class LensFacts:
 
     min_concave_radius_mm                  : largest ball that fits everywhere; inf where nothing is concave
     radius_for_99_mm, radius_for_999_mm    : largest ball for 99 % and 99.9 % of the aperture
-    curvature                              : (n,) greatest principal curvature, sorted, positive in a hollow [1/mm]
+    curvature                              : (n,) greatest principal curvature, positive in a hollow [1/mm]
     """
 
     relief_mm: float
@@ -39,13 +39,14 @@ class LensFacts:
 
     def reached_share(self, radius_mm: float) -> float:
         """Share of the aperture whose curvature a ball of this radius fits."""
-        return float(np.searchsorted(self.curvature, 1.0 / radius_mm, side="right")) / self.curvature.size
+        return float(np.count_nonzero(self.curvature <= 1.0 / radius_mm)) / self.curvature.size
 
 
 def measure_lens(heightfield: Heightfield) -> LensFacts:
     """Curvature on a lattice twice as fine as the vertices, slope at the vertices; both of the C2 spline."""
-    curvature = np.sort(concave_curvature(heightfield), axis=None)
-    for_99, for_999, for_all = (_radius(float(curvature[int(share * (curvature.size - 1))])) for share in _SHARES)
+    curvature = concave_curvature(heightfield).ravel()
+    ranks = [int(share * (curvature.size - 1)) for share in _SHARES]
+    for_99, for_999, for_all = (_radius(float(value)) for value in np.partition(curvature, ranks)[ranks])
     return LensFacts(
         relief_mm=heightfield.relief_mm,
         max_slope_deg=degrees(atan(_steepest(heightfield))),

@@ -18,6 +18,7 @@ from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.stages.arrays import load_heightfield, load_target
 from service.stages.lens import require_fit_in_stock, solid_block
+from service.stages.easel import Easel
 from service.stages.order import merge_notes, merge_reports
 from service.stages.plan import plan, stage_of
 from service.stages.words import in_the_services_words
@@ -34,6 +35,7 @@ class Job:
     spec: JobSpec
     folder: Path
     reporter: Reporter
+    easel: Easel
     picture: Path = Path()
     report: dict[str, Any] = field(default_factory=dict)
     notes: dict[str, list[str]] = field(default_factory=dict)
@@ -41,6 +43,8 @@ class Job:
 
     def run(self, *stages: str) -> None:
         for name in stages:
+            if name == _LAST:
+                self.work(lambda shop: shop.easel.finish())
             stage = stage_of(name)
             self.work(stage.load(), number=stage.number)
             self.spec = with_plan(self.spec, self.report)
@@ -51,6 +55,7 @@ class Job:
             spec=self.spec,
             folder=self.folder,
             watch=Stopwatch(self.reporter),
+            easel=self.easel,
             number=number,
             so_far=self.report,
             earlier_notes=self.notes,
@@ -131,8 +136,8 @@ def _job(
     """A job in a staging folder."""
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
-    with job_files.staging_folder(output, keep=kept) as folder:
-        job = Job(spec=spec, folder=folder, reporter=reporter, picture=picture)
+    with job_files.staging_folder(output, keep=kept) as folder, Easel() as easel:
+        job = Job(spec=spec, folder=folder, reporter=reporter, easel=easel, picture=picture)
         if kept:
             _take_over(job, earlier, programs=any(job_files.is_program(name) for name in kept))
         yield job

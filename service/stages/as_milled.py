@@ -151,5 +151,6 @@ def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None
     viewed_from = shop.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
     white = float(target.max())
-    shop.save("caustic-as-milled.png", figures.picture_png(views[2], white=white))
-    shop.save("as-milled.png", figures_milled.as_milled_png(*views, figures=shop.report["as_milled"]))
+    told = shop.report["as_milled"]
+    shop.draw("caustic-as-milled.png", lambda: figures.picture_png(views[2], white=white))
+    shop.draw("as-milled.png", lambda: figures_milled.as_milled_png(*views, figures=told))

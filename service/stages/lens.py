@@ -50,18 +50,27 @@ def image(shop: Workshop) -> None:
 
 def irradiance(shop: Workshop) -> None:
     """Linear light -> target irradiance (ny, nx) in the work frame; target.png, and small for the operator page."""
-    from service import figures
-    from service.drawing.thumbnail import thumbnail_png
-
     linear = shop.receive(PICTURE, arrays.load_picture)
     viewed_from = shop.spec.optics.viewed_from
     with shop.watch.stage("target"):
         target = target_irradiance(linear, viewed_from=viewed_from)
         shop.hand_over(TARGET, target, arrays.target_bytes)
-        seen = picture_from_irradiance(target, viewed_from=viewed_from)
-        shop.save(TARGET_PICTURE, figures.picture_png(seen, white=float(target.max())))
+        seen, white = picture_from_irradiance(target, viewed_from=viewed_from), float(target.max())
+        shop.draw(TARGET_PICTURE, lambda: _target_png(seen, white))
         if shop.is_shown:
-            shop.save(THUMBNAIL, thumbnail_png(seen, white=float(target.max())))
+            shop.draw(THUMBNAIL, lambda: _thumbnail_png(seen, white))
+
+
+def _target_png(seen: Array, white: float) -> bytes:
+    from service import figures
+
+    return figures.picture_png(seen, white=white)
+
+
+def _thumbnail_png(seen: Array, white: float) -> bytes:
+    from service.drawing.thumbnail import thumbnail_png
+
+    return thumbnail_png(seen, white=white)
 
 
 def transport_map(shop: Workshop) -> None:
@@ -77,8 +86,8 @@ def transport_map(shop: Workshop) -> None:
     if design.flow is not None:
         from service import figures_lens
 
-        picture = figures_lens.flow_png(design.flow.snapshots, viewed_from=shop.spec.optics.viewed_from)
-        shop.save("flow.png", picture)
+        snapshots, viewed_from = design.flow.snapshots, shop.spec.optics.viewed_from
+        shop.draw("flow.png", lambda: figures_lens.flow_png(snapshots, viewed_from=viewed_from))
 
 
 def aim_of(spec: JobSpec, target: Array) -> Array:
@@ -122,7 +131,9 @@ def solid_block(shop: Workshop, lens: Heightfield) -> None:
             outline_mm=outline_mm,
         )
         shop.save(SOLID, solid.stl_bytes(mesh))
-        shop.save("lens.png", figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=outline_mm))
+        shop.draw(
+            "lens.png", lambda: figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=outline_mm)
+        )
 
 
 def require_fit_in_stock(shop: Workshop, lens: Heightfield) -> None:

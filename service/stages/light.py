@@ -91,10 +91,10 @@ def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
     pictures = [_as_seen(shop, one.irradiance) for one in seen]
     in_focus = pictures[THROUGH_FOCUS.index(1.0)]
     series = list(zip(THROUGH_FOCUS, pictures, strict=True))
-    shop.save("caustic.png", figures.picture_png(in_focus, white=white))
-    shop.save("comparison.png", figures.comparison_png(_as_seen(shop, target), in_focus))
-    throw_mm = shop.spec.optics.throw_mm
-    shop.save("through-focus.png", figures.through_focus_png(series, throw_mm=throw_mm, white=white))
+    aim, throw_mm = _as_seen(shop, target), shop.spec.optics.throw_mm
+    shop.draw("caustic.png", lambda: figures.picture_png(in_focus, white=white))
+    shop.draw("comparison.png", lambda: figures.comparison_png(aim, in_focus))
+    shop.draw("through-focus.png", lambda: figures.through_focus_png(series, throw_mm=throw_mm, white=white))
 
 
 def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
@@ -112,7 +112,7 @@ def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
     ]
     pictures = [(caption, _as_seen(shop, irradiance)) for caption, irradiance in shown]
     white = float(target.max())
-    shop.save("tolerances.png", figures_tolerances.tolerances_png(found, pictures, white=white))
+    shop.draw("tolerances.png", lambda: figures_tolerances.tolerances_png(found, pictures, white=white))
 
 
 def _figures(found: Tolerances) -> dict[str, Any]:

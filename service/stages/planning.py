@@ -36,4 +36,4 @@ def _tell(shop: Workshop, planned: Planned) -> None:
     shop.report["plan"] = planned.figures()
     for sentence in planned.warnings(milled_next=True):
         shop.note("passes", sentence)
-    shop.save(PLAN, figures_plan.plan_png(planned, viewed_from=shop.spec.optics.viewed_from))
+    shop.draw(PLAN, lambda: figures_plan.plan_png(planned, viewed_from=shop.spec.optics.viewed_from))

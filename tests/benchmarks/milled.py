@@ -29,6 +29,7 @@ from service.spec_files import resolve_spec, validated
 from service.stages.arrays import heightfield_bytes, target_bytes
 from service.stages.as_milled import as_milled
 from service.stages.optical_task import branch_of, lens_settings
+from service.stages.easel import Easel
 from service.stages.workshop import Workshop, peak_rss_mb
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target
@@ -105,9 +106,11 @@ def run(folder: Path) -> dict[str, Any]:
     """The stage on what is in the folder: seconds, memory, and what it says of the picture."""
     spec, watch = validated(json.loads((folder / SPEC).read_text())), Stopwatch(QuietReporter())
     rows = [{"file": PROGRAM} for _ in spec.passes]
-    shop = Workshop(spec=spec, folder=folder, watch=watch, so_far={"passes": rows})
     started, cpu = time.perf_counter(), time.process_time()
-    as_milled(shop)
+    with Easel() as easel:
+        shop = Workshop(spec=spec, folder=folder, watch=watch, easel=easel, so_far={"passes": rows})
+        as_milled(shop)
+        easel.finish()
     return {
         "wall_s": time.perf_counter() - started,
         "cpu_s": time.process_time() - cpu,

@@ -104,10 +104,8 @@ def test_the_ends_of_the_focus_range_lose_what_they_say() -> None:
     near, far = found.focus_range_mm
     assert near < 0 < far
     for offset in found.focus_range_mm:
-        light = simulate_caustic(
-            lens, replace(BENCH, throw_mm=40.0 + offset), pixels=target.shape, tubes_per_cell=2
-        ).irradiance
-        assert found.psnr_db - psnr_db(light, target) == pytest.approx(FOCUS_LOSS_DB, abs=0.15)
+        light = simulate_caustic(lens, replace(BENCH, throw_mm=40.0 + offset), pixels=target.shape).irradiance
+        assert found.psnr_db - psnr_db(light, target) == pytest.approx(FOCUS_LOSS_DB, abs=0.25)
 
 
 def test_each_step_away_from_the_set_up_costs() -> None:
