@@ -19,6 +19,7 @@ from service.client import commands as client_commands
 from service.errors import EXIT_FAILURE
 from service.host import commands as host_commands
 from service.jobs import token_commands
+from service.kernel_cache import JOBS, LENSES
 
 if TYPE_CHECKING:
     from service.progress import Reporter
@@ -61,11 +62,14 @@ def make(
     quiet: QuietOption = False,
 ) -> None:
     """Picture to lens, checked programs, previews and setup sheet."""
-    from service import pipeline, spec_files
+    from service.worker import preparing
 
-    resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
-    with _reporter(quiet) as reporter:
-        report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
+    with preparing.beside(JOBS):
+        from service import pipeline, spec_files
+
+        resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        with _reporter(quiet) as reporter:
+            report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _summary(output, report, quiet)
 
 
@@ -81,11 +85,14 @@ def design(
     quiet: QuietOption = False,
 ) -> None:
     """Picture to lens only: heightfield, solid, simulated caustic. No programs."""
-    from service import pipeline, spec_files
+    from service.worker import preparing
 
-    resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
-    with _reporter(quiet) as reporter:
-        report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
+    with preparing.beside(LENSES):
+        from service import pipeline, spec_files
+
+        resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        with _reporter(quiet) as reporter:
+            report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
     _summary(output, report, quiet)
 
 

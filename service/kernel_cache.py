@@ -20,11 +20,12 @@ from pathlib import Path
 
 from service.private import make_private
 
-ESTIMATES, JOBS = "estimates", "jobs"  # tasks of `ready_mark`
+ESTIMATES, LENSES, JOBS = "estimates", "lenses", "jobs"  # tasks of `ready_mark`
 
 _UNUSED_S = 30 * 86400.0  # after which a kernel is deleted
 _LOCATORS = "service.kernel_locator.KernelLocator,UserProvidedCacheLocator"  # the latter for kernels of others
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+_COMPILED = {"NUMBA_LOOP_VECTORIZE": "0"}  # a seventh less to compile, and no kernel of ours is slower for it
 
 
 def use_current_kernels() -> None:
@@ -32,7 +33,7 @@ def use_current_kernels() -> None:
 
     A NUMBA_CACHE_DIR set by the user stays.
     """
-    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1") | _COMPILED)
     if "NUMBA_CACHE_DIR" not in os.environ:
         folder = _folder()
         try:

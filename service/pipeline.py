@@ -17,8 +17,8 @@ from service.passes import cam_passes_of, cam_stock_of, with_plan
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.stages.arrays import load_heightfield, load_target
-from service.stages.lens import require_fit_in_stock, solid_block
 from service.stages.easel import Easel
+from service.stages.lens import require_fit_in_stock, solid_block
 from service.stages.order import merge_notes, merge_reports
 from service.stages.plan import plan, stage_of
 from service.stages.words import in_the_services_words

@@ -1,30 +1,32 @@
-"""What stages need is compiled soon after the worker's start, where it was not yet: by small jobs that nobody asked
-for, so that the first person's need not wait for it.
+"""What stages need is compiled where it was not yet, by small jobs that nobody asked for: soon after a worker's start,
+so that the first person's job need not wait for it, and beside a command whose first stages compile other kernels.
 
-A process of its own, `python -m service.worker.preparing PART PARENT`, that gives way to all others and ends with the
-thread that started it. It begins with light, while an estimate that somebody may wait for solves its map, and goes on
-with a lens and with reading a program; another one, begun by it, makes programs for a lens that is there already and
-shows them as milled. The mark of `kernel_cache` says that all is done.
+A process of its own, `python -m service.worker.preparing TASK PARENT`, that gives way to all others and ends with the
+thread that started it. It begins with light, while whoever waits for a lens solves its map; for whole jobs it goes on
+with a lens and with reading a program, and another one, begun by it, makes programs for a lens that is there already
+and shows them as milled. The marks of `kernel_cache` say that all is done.
 """
 
 from __future__ import annotations
 
-import contextlib
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from service.child_path import python_path
-from service.kernel_cache import JOBS, ready_mark, use_current_kernels
+from service.kernel_cache import JOBS, LENSES, ready_mark, use_current_kernels
 from service.process_priority import give_way
 
 if TYPE_CHECKING:
     from service.spec import JobSpec
 
+_PROGRAMS = "programs"
 _SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3
 _SMALL = (
     f"image.pixels={_VERTICES - 1}",
@@ -35,9 +37,28 @@ _SMALL = (
 _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\n"
 
 
-def begin() -> subprocess.Popen[bytes] | None:
-    """The process, or None where nothing is left to compile. Somebody has to wait for its end."""
-    return None if ready_mark(JOBS).exists() else _process("light")
+def begin(task: str = JOBS) -> subprocess.Popen[bytes] | None:
+    """The process, or None where nothing of the task is left to compile. Somebody has to wait for its end."""
+    return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _process(task)
+
+
+@contextmanager
+def beside(task: str) -> Iterator[None]:
+    """Compile for this task while the block does it, which then leaves nothing to compile."""
+    process = begin(task)
+    try:
+        yield
+        if process is not None:
+            _mark(task)
+    finally:
+        if process is not None:
+            process.terminate()
+            process.wait()
+
+
+def _mark(task: str) -> None:
+    with suppress(OSError):
+        ready_mark(task).touch()
 
 
 def _process(part: str) -> subprocess.Popen[bytes]:
@@ -58,30 +79,36 @@ def main(part: str, parent: int) -> int:
     die_with_parent(parent, signal.SIGTERM)
     name_process("cm-preparing")
     give_way()
-    other = _process("programs") if part == "light" else None
+    other = _process(_PROGRAMS) if part == JOBS else None
     use_current_kernels()  # before numba is imported
     with tempfile.TemporaryDirectory() as folder:
         _PARTS[part](Path(folder))
-    if other is None:
-        return 0
-    if other.wait() == 0:
-        with contextlib.suppress(OSError):
-            ready_mark(JOBS).touch()
-    return other.returncode
+    if other is not None and other.wait() != 0:
+        return other.returncode
+    if part == JOBS:
+        _mark(part)
+    return 0
 
 
 def _light(folder: Path) -> None:
+    from service.pipeline import caustic
+    from service.progress import QuietReporter
+
+    _put_dome(folder / "dome")
+    caustic(folder / "dome", _spec(), reporter=QuietReporter())
+
+
+def _all_but_programs(folder: Path) -> None:
     from PIL import Image
 
     from machines.gcode.limits import limits_of
     from service.passes import machine_of
-    from service.pipeline import caustic, design
+    from service.pipeline import design
     from service.preflight_worker import examine
     from service.progress import QuietReporter
 
-    dome, picture, program = folder / "dome", folder / "wedge.png", folder / "cut.nc"
-    _put_dome(dome)
-    caustic(dome, _spec(), reporter=QuietReporter())
+    _light(folder)
+    picture, program = folder / "wedge.png", folder / "cut.nc"
     Image.linear_gradient("L").resize((64, 64)).save(picture)
     design(picture, folder / "lens", _spec(), reporter=QuietReporter())
     program.write_text(_PROGRAM, encoding="ascii")
@@ -118,7 +145,7 @@ def _spec() -> JobSpec:
     return resolve_spec(preset="draft", overrides=_SMALL)
 
 
-_PARTS = {"light": _light, "programs": _programs}
+_PARTS = {LENSES: _light, JOBS: _all_but_programs, _PROGRAMS: _programs}
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1], int(sys.argv[2])))

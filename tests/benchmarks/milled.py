@@ -28,8 +28,8 @@ from service.spec import JobSpec
 from service.spec_files import resolve_spec, validated
 from service.stages.arrays import heightfield_bytes, target_bytes
 from service.stages.as_milled import as_milled
-from service.stages.optical_task import branch_of, lens_settings
 from service.stages.easel import Easel
+from service.stages.optical_task import branch_of, lens_settings
 from service.stages.workshop import Workshop, peak_rss_mb
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target

@@ -111,7 +111,7 @@ def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, 
     hold_the_laws(design, settings, target.shape)
 
 
-@hypothesis_settings(max_examples=300, suppress_health_check=[HealthCheck.too_slow])
+@hypothesis_settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 @given(bench=benches(), target=pictures(), radius_mm=st.sampled_from([0.0, 0.5, 3.0]), polish=st.sampled_from([0, 3]))
 def test_a_lens_or_a_reason_thoroughly(bench: Bench, target: np.ndarray, radius_mm: float, polish: int) -> None:
     settings = LensSettings(bench=bench, skim_mm=0.1, corrections=2, min_radius_mm=radius_mm, polish_steps=polish)
