@@ -6,9 +6,11 @@ import asyncio
 import contextlib
 import hashlib
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -88,16 +90,35 @@ def api_server(data: Path, **settings: Any) -> Iterator[ApiServer]:
     given = ServerSettings.load(
         **{"data": data, "port": 0, "requests_per_s": 1e5, "jobs_per_min": 1e6, "free_disk_mb": 0} | settings
     )
-    data.mkdir(parents=True, exist_ok=True)
-    database = connect(given.sqlalchemy_url)
-    upgrade_schema(database)
-    database.dispose()
+    migrate(given)
     with contextlib.closing(address.bound(given.host, given.port)) as listener, open_services(given) as services:
         server = server_of(services)
         with _serving(server, listener):
             running = ApiServer(services, address.url_of(listener), server)
             with running.client:
                 yield running
+
+
+def migrate(settings: ServerSettings) -> None:
+    """Its tables up to date; a new SQLite file is a copy of one that was made once."""
+    settings.data.mkdir(parents=True, exist_ok=True)
+    if settings.sqlalchemy_url == ServerSettings(data=settings.data).sqlalchemy_url and not settings.sqlite.exists():
+        settings.sqlite.write_bytes(_new_database())
+        settings.sqlite.chmod(0o600)
+        return
+    database = connect(settings.sqlalchemy_url)
+    upgrade_schema(database)
+    database.dispose()
+
+
+@cache
+def _new_database() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        settings = ServerSettings(data=Path(folder))
+        database = connect(settings.sqlalchemy_url)
+        upgrade_schema(database)
+        database.dispose()
+        return settings.sqlite.read_bytes()
 
 
 @contextlib.contextmanager
