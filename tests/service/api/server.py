@@ -6,11 +6,9 @@ import asyncio
 import contextlib
 import hashlib
 import socket
-import tempfile
 import threading
 import time
 from collections.abc import Iterator
-from functools import cache
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -28,6 +26,7 @@ from service.jobs.events import write_event
 from service.jobs.schema import upgrade_schema
 from service.jobs.tables import artifacts, jobs, stage_runs
 from service.settings import ServerSettings
+from tests.service import databases
 from tests.waiting import PATIENCE_S, until
 
 
@@ -101,24 +100,12 @@ def api_server(data: Path, **settings: Any) -> Iterator[ApiServer]:
 
 def migrate(settings: ServerSettings) -> None:
     """Its tables up to date; a new SQLite file is a copy of one that was made once."""
-    settings.data.mkdir(parents=True, exist_ok=True)
-    if settings.sqlalchemy_url == ServerSettings(data=settings.data).sqlalchemy_url and not settings.sqlite.exists():
-        settings.sqlite.write_bytes(_new_database())
-        settings.sqlite.chmod(0o600)
+    if settings.embedded and not settings.sqlite.exists():
+        databases.copy_to(settings, engine=False)
         return
     database = connect(settings.sqlalchemy_url)
     upgrade_schema(database)
     database.dispose()
-
-
-@cache
-def _new_database() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        settings = ServerSettings(data=Path(folder))
-        database = connect(settings.sqlalchemy_url)
-        upgrade_schema(database)
-        database.dispose()
-        return settings.sqlite.read_bytes()
 
 
 @contextlib.contextmanager

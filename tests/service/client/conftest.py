@@ -29,8 +29,9 @@ def working_shop(tmp_path_factory: pytest.TempPathFactory) -> Iterator[ShopWithW
 
 
 @pytest.fixture(autouse=True)
-def _nobody_s_settings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Not those of whoever runs the tests."""
+def _nobody_s_settings(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Not those of whoever runs the tests; a shop with a mill has its own."""
     for name in ("CAUSTICMILL_SERVER", "CAUSTICMILL_TOKEN"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path / "config"))
+    if "mill_shop" not in request.fixturenames:
+        monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path / "config"))

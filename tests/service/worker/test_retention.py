@@ -37,7 +37,6 @@ class Stand:
         self.book = JobBook(database, self.store)
         self.work = WorkBook(database, lease_s=10.0)
         self.engine = DbosEngine(settings)
-        self.engine.prepare()
 
     def file(self, content: bytes) -> FileRef:
         path = self.folder / "file"
