@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
+import httpx
 import pytest
 import sqlalchemy as sa
 
@@ -12,6 +14,14 @@ from service.jobs.database import open_database
 from service.settings import ServerSettings
 from tests.service import databases
 from tests.service.worker.postgres import Postgres, missing, running_postgres
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_tls_context() -> Iterator[None]:
+    """httpx reads all certificates for each client, which takes it longer than a request; no test speaks TLS by it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(httpx._config, "create_ssl_context", cache(httpx._config.create_ssl_context))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -35,11 +45,7 @@ def empty_farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings
 @pytest.fixture(params=["sqlite", "postgresql"])
 def farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
     """The same with its tables, and the engine's, up to date: a copy of a database that was made once."""
-    if request.param == "sqlite":
-        settings = ServerSettings(data=tmp_path / "data")
-        databases.copy_to(settings)
-        return settings
-    return databases.on_postgres(tmp_path, databases.copy_on(request.getfixturevalue("postgres")))
+    return databases.farm(request, tmp_path)
 
 
 @pytest.fixture

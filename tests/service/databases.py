@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import psycopg
+import pytest
 
 from service.jobs.database import connect
 from service.jobs.schema import upgrade_schema
@@ -41,6 +42,15 @@ def on_postgres(folder: Path, url: str) -> ServerSettings:
     return ServerSettings(
         data=folder / "data", database_url=url, store_url=(folder / "store").as_uri(), store_is_shared=True
     )
+
+
+def farm(request: pytest.FixtureRequest, folder: Path) -> ServerSettings:
+    """For a fixture with the parameters "sqlite" and "postgresql"."""
+    if request.param == "sqlite":
+        settings = ServerSettings(data=folder / "data")
+        copy_to(settings)
+        return settings
+    return on_postgres(folder, copy_on(request.getfixturevalue("postgres")))
 
 
 @cache

@@ -36,7 +36,7 @@ FILES = {
     "pass-1-rough.nc": 8_000,
     "report.html": 3_000,
     "thumbnail.png": 900,
-    "path.bin": 700,
+    "surface.bin": 700,
 }
 
 
