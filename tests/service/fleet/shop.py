@@ -18,9 +18,13 @@ from typing import Any
 import httpx
 import pytest
 
+from machines.gcode.limits import MillLimits
+from machines.gcode.preflight import Preflight
+from service import preflight
 from service.agent.card import AgentCard, read_card
 from service.fleet.launching import is_owned
 from service.jobs.tokens import TokenScope
+from service.preflight_worker import examine
 from service.settings import ServerSettings
 from tests.service.agent.in_process import AgentThread
 from tests.service.api.server import ApiServer, api_server, png
@@ -199,5 +203,13 @@ def shop(
 
 
 def own_folders(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """And an agent in this process reads programs itself: pre-flight's process loads compiled kernels each time."""
     monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
     monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(folder / "config"))
+    monkeypatch.setattr(preflight, "_computed", _read_here)
+
+
+def _read_here(path: Path, limits: MillLimits, folder: Path, held_against: str, _: object) -> Preflight:
+    found = examine(path, limits, lambda _share: None)
+    (folder / f"{held_against}-{found.bytes}-{found.sha256}.json").write_text(found.to_json(), encoding="utf-8")
+    return found
