@@ -29,8 +29,9 @@ _MOST_WAITING = 65536
 class Endpoint:
     """A served mill. `run(stop)` serves in the caller's thread; as a context manager it has a thread of its own.
 
-    url  : what to open: a device path, or socket://host:port
-    lock : hold it to touch the mill while it is served (press, unplug, power_cycle)
+    url         : what to open: a device path, or socket://host:port
+    lock        : hold it to touch the mill while it is served (press, unplug, power_cycle)
+    time_factor : simulated seconds per second from now on
     """
 
     url: str
@@ -69,11 +70,11 @@ class Endpoint:
     def run(self, stop: threading.Event) -> None:
         """Serve until `stop` is set."""
         mill = self.mill
-        start_s, start = mill.now_s, time.monotonic()
+        clock = _Clock(mill.now_s)
         plugged = True
         while not stop.is_set():
             with self.lock:
-                now_s = start_s + (time.monotonic() - start) * self.time_factor
+                now_s = clock.go_on(self.time_factor)
                 mill.advance(now_s)
                 self._waiting = (self._waiting + mill.output())[-_MOST_WAITING:]
                 due_s = min(mill.next_event_s(), mill.output_s())
@@ -87,8 +88,7 @@ class Endpoint:
             ready, _, _ = select.select(self._files(), [], [], sleep_s)
             if ready and (data := self._receive(ready)):
                 with self.lock:
-                    now_s = start_s + (time.monotonic() - start) * self.time_factor
-                    mill.advance(now_s)
+                    mill.advance(clock.go_on(self.time_factor))
                     mill.receive(data)
 
     def __enter__(self) -> Endpoint:
@@ -103,6 +103,20 @@ class Endpoint:
         if self._thread is not None:
             self._thread.join()
         self.close()
+
+
+class _Clock:
+    """Simulated time: its pace may change, but never what has passed."""
+
+    def __init__(self, now_s: float) -> None:
+        self._now_s = now_s
+        self._looked_s = time.monotonic()
+
+    def go_on(self, factor: float) -> float:
+        looked_s = time.monotonic()
+        self._now_s += (looked_s - self._looked_s) * factor
+        self._looked_s = looked_s
+        return self._now_s
 
 
 class _Pty(Endpoint):

@@ -13,7 +13,8 @@ import logging
 import signal
 import socket
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 import uvicorn
@@ -48,10 +49,11 @@ _STANDSTILL_S = 10.0
 _DRAIN_S = 2
 _CONNECTIONS = 200
 _FILES = 1024
+CatchStop = Callable[[], AbstractContextManager[asyncio.Event]]
 
 
-def run_agent(settings: AgentSettings, profile: MachineProfile) -> None:
-    """Serve until told to stop."""
+def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: CatchStop | None = None) -> None:
+    """Serve until told to stop: by a signal, or by what else `catch_stop` listens to."""
     go_first()
     with contextlib.ExitStack() as stack:
         allow_open_files(_FILES)
@@ -66,7 +68,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile) -> None:
         stack.callback(connector.close_unused)
         _first_link(connector, settings.port_url)
         thread.start()
-        asyncio.run(_serve(settings, profile, connector, thread, listener))
+        asyncio.run(_serve(settings, profile, connector, thread, listener, catch_stop or _catch_stop_signals))
 
 
 def bound_socket(host: str, port: int) -> socket.socket:
@@ -101,7 +103,12 @@ def _first_link(connector: Connector, url: str) -> None:
 
 
 async def _serve(
-    settings: AgentSettings, profile: MachineProfile, connector: Connector, thread: MillThread, listener: socket.socket
+    settings: AgentSettings,
+    profile: MachineProfile,
+    connector: Connector,
+    thread: MillThread,
+    listener: socket.socket,
+    catch_stop: CatchStop,
 ) -> None:
     access = MillAccess(thread)
     hub = Hub(ring=settings.ring_events, readers=settings.subscribers)
@@ -136,7 +143,7 @@ async def _serve(
     )
     watch.start()
     try:
-        with _catch_stop_signals() as stop, _announce(settings, listener):
+        with catch_stop() as stop, _announce(settings, listener):
             serving = asyncio.ensure_future(server.serve(sockets=[listener]))
             stopping = asyncio.ensure_future(stop.wait())
             await asyncio.wait({serving, stopping}, return_when=asyncio.FIRST_COMPLETED)

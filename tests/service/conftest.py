@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
+import httpx
 import pytest
 import sqlalchemy as sa
 
 from service.jobs.database import open_database
 from service.settings import ServerSettings
+from tests.service import databases
 from tests.service.worker.postgres import Postgres, missing, running_postgres
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _one_tls_context() -> Iterator[None]:
+    """httpx reads all certificates for each client, which takes it longer than a request; no test speaks TLS by it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(httpx._config, "create_ssl_context", cache(httpx._config.create_ssl_context))
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -23,20 +34,23 @@ def postgres() -> Iterator[Postgres]:
 
 
 @pytest.fixture(params=["sqlite", "postgresql"])
-def farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
+def empty_farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
     """Settings of a server with a database of its own, of each kind; the artifact store is a folder."""
     if request.param == "sqlite":
         return ServerSettings(data=tmp_path / "data")
     server: Postgres = request.getfixturevalue("postgres")
-    store = tmp_path / "store"
-    return ServerSettings(
-        data=tmp_path / "data", database_url=server.url(), store_url=store.as_uri(), store_is_shared=True
-    )
+    return databases.on_postgres(tmp_path, server.url())
+
+
+@pytest.fixture(params=["sqlite", "postgresql"])
+def farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
+    """The same with its tables, and the engine's, up to date: a copy of a database that was made once."""
+    return databases.farm(request, tmp_path)
 
 
 @pytest.fixture
 def database(farm: ServerSettings) -> Iterator[sa.Engine]:
-    """The database of `farm`, its tables up to date."""
-    opened = open_database(farm, migrate=True)
+    """The database of `farm`."""
+    opened = open_database(farm)
     yield opened
     opened.dispose()

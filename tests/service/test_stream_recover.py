@@ -52,7 +52,8 @@ def spindle_words(mill: Bench) -> str:
     return "spindle ON" if mill.mill.firmware.spindle_on() else "spindle off"
 
 
-@pytest.mark.parametrize("number", mostly_thorough(range(1, 11), quick=(1, 8)))  # all: machines/grbl/test_alarms.py
+# One of a kind: in the cut, soft limit, with the spindle left on, while homing. All: machines/grbl/test_alarms.py
+@pytest.mark.parametrize("number", mostly_thorough((1, 2, 4, 6, 9), quick=(9,)))
 def test_after_every_alarm_a_person_gets_back_to_cutting(tmp_path: Path, number: int) -> None:
     """And what is said of the spindle is true, at every end."""
     path = program(tmp_path / "p.nc", LINES)
@@ -93,6 +94,7 @@ def test_after_every_alarm_a_person_gets_back_to_cutting(tmp_path: Path, number:
         assert not mill.mill.firmware.position_lost
 
 
+@pytest.mark.thorough
 def test_an_untrusted_position_is_asked_for_and_refuses_nothing(tmp_path: Path) -> None:
     """$20=1, and the way back in at its usual height would leave the travel: home first, then as high as the mill gets.
 
@@ -140,6 +142,7 @@ def test_a_zero_that_was_set_elsewhere_is_put_back(tmp_path: Path) -> None:
         assert ends_on_the_mill(LINES) <= set(mill.cut)
 
 
+@pytest.mark.thorough
 def test_a_locked_mill_is_offered_home_and_unlock_before_the_questions(tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", LINES)
     with bench(6.0, traits=WITH_SWITCHES) as mill:

@@ -26,6 +26,7 @@ from service.jobs.events import write_event
 from service.jobs.schema import upgrade_schema
 from service.jobs.tables import artifacts, jobs, stage_runs
 from service.settings import ServerSettings
+from tests.service import databases
 from tests.waiting import PATIENCE_S, until
 
 
@@ -88,16 +89,23 @@ def api_server(data: Path, **settings: Any) -> Iterator[ApiServer]:
     given = ServerSettings.load(
         **{"data": data, "port": 0, "requests_per_s": 1e5, "jobs_per_min": 1e6, "free_disk_mb": 0} | settings
     )
-    data.mkdir(parents=True, exist_ok=True)
-    database = connect(given.sqlalchemy_url)
-    upgrade_schema(database)
-    database.dispose()
+    migrate(given)
     with contextlib.closing(address.bound(given.host, given.port)) as listener, open_services(given) as services:
         server = server_of(services)
         with _serving(server, listener):
             running = ApiServer(services, address.url_of(listener), server)
             with running.client:
                 yield running
+
+
+def migrate(settings: ServerSettings) -> None:
+    """Its tables up to date; a new SQLite file is a copy of one that was made once."""
+    if settings.embedded and not settings.sqlite.exists():
+        databases.copy_to(settings, engine=False)
+        return
+    database = connect(settings.sqlalchemy_url)
+    upgrade_schema(database)
+    database.dispose()
 
 
 @contextlib.contextmanager

@@ -119,7 +119,7 @@ def guarded(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guarded]:
         own_folders(patch, folder)
         write_profile(endpoint.url)
         try:
-            with shop(folder / "data", Bench(mill, endpoint.url)) as floor:
+            with shop(folder / "data", Bench(mill, endpoint.url, endpoint, 8.0)) as floor:
                 run = floor.park(floor.job((60,)))
                 spare, _ = floor.server.services.tokens.create("spare", ["jobs:read"])
                 yield Guarded(floor, mill, run, floor.token("machine:run", "jobs:read"), spare.id)

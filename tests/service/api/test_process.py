@@ -17,9 +17,8 @@ import httpx
 import pytest
 
 from service.jobs.database import connect
-from service.jobs.schema import upgrade_schema
 from service.settings import ServerSettings
-from tests.service.api.server import png
+from tests.service.api.server import migrate, png
 from tests.waiting import PATIENCE_S, until
 
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "PIL", "skimage", "trimesh", "optics")
@@ -33,10 +32,7 @@ def environment(data: Path, **values: str) -> dict[str, str]:
 
 
 def migrated(data: Path) -> None:
-    data.mkdir(parents=True, exist_ok=True)
-    database = connect(ServerSettings(data=data).sqlalchemy_url)
-    upgrade_schema(database)
-    database.dispose()
+    migrate(ServerSettings(data=data))
 
 
 @contextmanager

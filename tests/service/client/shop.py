@@ -9,14 +9,17 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from random import Random
 from types import TracebackType
 from typing import Self
 
 import httpx
 
+from tests.service.api.server import ApiServer
 from tests.trials.server.deployment import Deployment
 from tests.trials.server.pictures import picture
 from tests.waiting import PATIENCE_S
@@ -26,20 +29,55 @@ SMALL = ("--preset", "draft", "--set", "image.pixels=48", "--set", "optics.width
 SHARED = (*SMALL, "--set", "optics.throw_mm=33")
 
 
+FILES = {
+    "target.png": 5_000,
+    "heightfield.npz": 90_000,
+    "lens.stl": 30_000,
+    "pass-1-rough.nc": 8_000,
+    "report.html": 3_000,
+    "thumbnail.png": 900,
+    "surface.bin": 700,
+}
+
+
 @dataclass(frozen=True)
 class Shop:
-    deployment: Deployment
+    url: str
     folder: Path
-    _made: list[subprocess.CompletedProcess[str]] = field(default_factory=list)
-
-    @property
-    def url(self) -> str:
-        return self.deployment.url
 
     def picture(self, number: int = 0) -> Path:
         path = self.folder / f"picture-{number}.png"
         path.write_bytes(picture(number, 48))
         return path
+
+    def count(self) -> int:
+        return len(httpx.get(f"{self.url}/v1/jobs?limit=200", trust_env=False, timeout=PATIENCE_S).json()["jobs"])
+
+
+@dataclass(frozen=True)
+class ShopWithoutWorker(Shop):
+    """A server in this process; its job is as it is once its stages are done, though nobody computed it."""
+
+    server: ApiServer
+    _job: list[str] = field(default_factory=list)
+
+    def job(self) -> str:
+        """Id of that job."""
+        if not self._job:
+            self._job.append(self.server.submit()["id"])
+            for number, (name, size) in enumerate(FILES.items()):
+                self.server.put_artifact(self._job[0], name, Random(number).randbytes(size))
+            self.server.put_stage(self._job[0], "heightfield")
+            self.server.put_state(self._job[0], "succeeded", ended_at=time.time())
+        return self._job[0]
+
+
+@dataclass(frozen=True)
+class ShopWithWorker(Shop):
+    """A server as `serve` starts it."""
+
+    deployment: Deployment
+    _made: list[subprocess.CompletedProcess[str]] = field(default_factory=list)
 
     @property
     def out(self) -> Path:
@@ -58,9 +96,6 @@ class Shop:
         done = self.made()
         assert done.returncode == 0, done.stderr
         return done.stdout.splitlines()[0]
-
-    def count(self) -> int:
-        return len(httpx.get(f"{self.url}/v1/jobs?limit=200", trust_env=False, timeout=PATIENCE_S).json()["jobs"])
 
 
 def run(*words: str, server: str | None = None, **environment: str) -> subprocess.CompletedProcess[str]:

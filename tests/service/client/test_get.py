@@ -8,11 +8,11 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.service.client.shop import BadWire, Shop, run
+from tests.service.client.shop import BadWire, ShopWithoutWorker, run
 from tests.waiting import PATIENCE_S
 
 
-def listing(shop: Shop) -> dict[str, dict[str, object]]:
+def listing(shop: ShopWithoutWorker) -> dict[str, dict[str, object]]:
     answer = httpx.get(
         f"{shop.url}/v1/jobs/{shop.job()}/artifacts", trust_env=False, timeout=PATIENCE_S
     ).raise_for_status()
@@ -24,7 +24,7 @@ def hashes(folder: Path) -> dict[str, str]:
 
 
 @pytest.mark.thorough
-def test_all_files_come_and_come_once(shop: Shop, tmp_path: Path) -> None:
+def test_all_files_come_and_come_once(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     """The folder holds what the list names, but for what only the page draws; asked again, nothing is sent anew."""
     drawn = (".bin", ".path", "thumbnail.png")
     wanted = {name: item["sha256"] for name, item in listing(shop).items() if not name.endswith(drawn)}
@@ -37,7 +37,7 @@ def test_all_files_come_and_come_once(shop: Shop, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_wire_that_breaks_every_few_kilobytes_costs_no_byte(shop: Shop, tmp_path: Path) -> None:
+def test_a_wire_that_breaks_every_few_kilobytes_costs_no_byte(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     """Each connection is cut; the next goes on where the file ends, and the hash is right at last."""
     with BadWire(shop.url, lambda _, came: len(came) > 20_000) as wire:
         done = run("get", shop.job(), "-o", str(tmp_path / "out"), "--only", "heightfield.npz", server=wire.url)
@@ -46,7 +46,7 @@ def test_a_wire_that_breaks_every_few_kilobytes_costs_no_byte(shop: Shop, tmp_pa
     assert hashes(tmp_path / "out") == {"heightfield.npz": listing(shop)["heightfield.npz"]["sha256"]}
 
 
-def test_a_part_that_is_wrong_is_not_believed(shop: Shop, tmp_path: Path) -> None:
+def test_a_part_that_is_wrong_is_not_believed(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     """A damaged beginning is found by the hash and fetched again; a part of another content is not touched."""
     item = listing(shop)["target.png"]
     part = tmp_path / f"target.png.{str(item['sha256'])[:12]}.part"
@@ -60,7 +60,7 @@ def test_a_part_that_is_wrong_is_not_believed(shop: Shop, tmp_path: Path) -> Non
     assert other.read_bytes() == b"of an earlier job"
 
 
-def test_what_is_not_there_is_named(shop: Shop, tmp_path: Path) -> None:
+def test_what_is_not_there_is_named(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     done = run("get", shop.job(), "-o", str(tmp_path / "out"), "--only", "lens.obj", server=shop.url)
     assert done.returncode == 2
     assert "no file 'lens.obj'" in done.stderr and "lens.stl" in done.stderr

@@ -11,32 +11,35 @@ from pathlib import Path
 import httpx
 import pytest
 
-from tests.service.client.shop import ROOT, SHARED, SMALL, BadWire, Shop, begun, run
+from tests.service.client.shop import ROOT, SHARED, SMALL, BadWire, ShopWithoutWorker, ShopWithWorker, begun, run
 from tests.trials.server.deployment import free_port
 from tests.waiting import PATIENCE_S
 
 
-def test_a_picture_becomes_files_with_one_command(shop: Shop) -> None:
+@pytest.mark.thorough
+def test_a_picture_becomes_files_with_one_command(working_shop: ShopWithWorker) -> None:
     """Id, stages, then the files; the spec that the server resolved is what was asked for."""
-    done = shop.made()
+    done = working_shop.made()
     assert done.returncode == 0, done.stderr
     job_id, *lines = done.stdout.splitlines()
-    job = httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False, timeout=PATIENCE_S).json()
+    job = httpx.get(f"{working_shop.url}/v1/jobs/{job_id}", trust_env=False, timeout=PATIENCE_S).json()
     assert job["spec"]["optics"]["throw_mm"] == 33
     assert job["spec"]["preset"] == "draft"
     for stage in ("image", "map", "heightfield", "pass-1", "check", "report"):
         assert any(line.startswith(f"{stage}:") for line in lines), done.stdout
-    assert {"report.html", "heightfield.npz", "pass-1-rough.nc"} <= {path.name for path in shop.out.iterdir()}
+    assert {"report.html", "heightfield.npz", "pass-1-rough.nc"} <= {path.name for path in working_shop.out.iterdir()}
 
 
 @pytest.mark.thorough
-def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: Shop) -> None:
+def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(working_shop: ShopWithWorker) -> None:
     """By the events of the second job: the lens, its light and the roughing are taken over, the rest is made."""
-    assert shop.job()
-    words = ("submit", str(shop.picture(1)), *SHARED, "--set", "passes.1.pitch_mm=0.3", "--follow", "--quiet")
-    done = run(*words, server=shop.url)
+    assert working_shop.job()
+    words = ("submit", str(working_shop.picture(1)), *SHARED, "--set", "passes.1.pitch_mm=0.3", "--follow", "--quiet")
+    done = run(*words, server=working_shop.url)
     assert done.returncode == 0, done.stderr
-    events = httpx.get(f"{shop.url}/v1/jobs/{done.stdout.strip()}/events", trust_env=False, timeout=PATIENCE_S).text
+    events = httpx.get(
+        f"{working_shop.url}/v1/jobs/{done.stdout.strip()}/events", trust_env=False, timeout=PATIENCE_S
+    ).text
     kinds: dict[str, list[str]] = {"stage.reused": [], "stage.committed": []}
     for kind, stage in re.findall(r'^event: (\S+)\ndata: {"stage":"(\S+?)"', events, flags=re.MULTILINE):
         if kind in kinds:
@@ -45,7 +48,7 @@ def test_jobs_that_differ_in_the_finish_pitch_share_every_stage_before_it(shop: 
     assert kinds["stage.committed"] == ["pass-2", "check", "as-milled", "report"]
 
 
-def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: Shop) -> None:
+def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: ShopWithoutWorker) -> None:
     """The first two answers never arrive; the request is sent again with its key."""
     before = shop.count()
     with BadWire(shop.url, lambda number, _came: number <= 2, swallow=True) as wire:
@@ -67,7 +70,7 @@ def test_an_answer_that_is_lost_makes_one_job_all_the_same(shop: Shop) -> None:
         (("--priority", "urgent"), "--priority: 'urgent' is not allowed; allowed: low, normal, high"),
     ],
 )
-def test_what_cannot_be_used_is_named_by_its_key(shop: Shop, words: tuple[str, ...], told: str) -> None:
+def test_what_cannot_be_used_is_named_by_its_key(shop: ShopWithoutWorker, words: tuple[str, ...], told: str) -> None:
     before = shop.count()
     done = run("submit", str(shop.picture()), *words, server=shop.url)
     assert done.returncode == 2
@@ -77,7 +80,7 @@ def test_what_cannot_be_used_is_named_by_its_key(shop: Shop, words: tuple[str, .
 
 
 @pytest.mark.thorough
-def test_a_file_that_is_no_picture_is_refused(shop: Shop, tmp_path: Path) -> None:
+def test_a_file_that_is_no_picture_is_refused(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     (tmp_path / "p.png").write_bytes(b"hello")
     done = run("submit", str(tmp_path / "p.png"), server=shop.url)
     assert done.returncode == 2
@@ -94,7 +97,7 @@ def test_no_server_is_one_line() -> None:
 
 
 @pytest.mark.thorough
-def test_jobs_are_listed_and_shown(shop: Shop) -> None:
+def test_jobs_are_listed_and_shown(shop: ShopWithoutWorker) -> None:
     job_id = shop.job()
     listed = run("jobs", server=shop.url)
     assert listed.returncode == 0
@@ -106,10 +109,10 @@ def test_jobs_are_listed_and_shown(shop: Shop) -> None:
 
 
 @pytest.mark.thorough
-def test_ctrl_c_leaves_the_job_alone(shop: Shop) -> None:
+def test_ctrl_c_leaves_the_job_alone(working_shop: ShopWithWorker) -> None:
     """The command says that the job goes on, and it does."""
-    words = ("submit", str(shop.picture()), "--preset", "draft", "--set", "optics.throw_mm=61", "--follow")
-    with begun(*words, server=shop.url) as process:
+    words = ("submit", str(working_shop.picture()), "--preset", "draft", "--set", "optics.throw_mm=61", "--follow")
+    with begun(*words, server=working_shop.url) as process:
         assert process.stdout is not None
         job_id = process.stdout.readline().strip()
         while not process.stdout.readline().startswith("irradiance"):
@@ -118,17 +121,17 @@ def test_ctrl_c_leaves_the_job_alone(shop: Shop) -> None:
         _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert f"the job goes on; `causticmill jobs follow {job_id}`" in errors
-    job = httpx.get(f"{shop.url}/v1/jobs/{job_id}", trust_env=False, timeout=PATIENCE_S).json()
+    job = httpx.get(f"{working_shop.url}/v1/jobs/{job_id}", trust_env=False, timeout=PATIENCE_S).json()
     assert job["state"] in ("queued", "running")
-    cancelled = run("jobs", "cancel", job_id, server=shop.url)
+    cancelled = run("jobs", "cancel", job_id, server=working_shop.url)
     assert cancelled.returncode == 0
-    followed = run("jobs", "follow", job_id, server=shop.url)
+    followed = run("jobs", "follow", job_id, server=working_shop.url)
     assert followed.returncode == 1 and "was cancelled" in followed.stderr
-    assert run("jobs", "retry", job_id, server=shop.url).returncode == 0
-    assert run("jobs", "cancel", job_id, server=shop.url).returncode == 0
-    assert run("jobs", "follow", job_id, "-q", server=shop.url).returncode == 1
-    assert run("jobs", "delete", job_id, server=shop.url).returncode == 0
-    assert run("jobs", "show", job_id, server=shop.url).returncode == 2
+    assert run("jobs", "retry", job_id, server=working_shop.url).returncode == 0
+    assert run("jobs", "cancel", job_id, server=working_shop.url).returncode == 0
+    assert run("jobs", "follow", job_id, "-q", server=working_shop.url).returncode == 1
+    assert run("jobs", "delete", job_id, server=working_shop.url).returncode == 0
+    assert run("jobs", "show", job_id, server=working_shop.url).returncode == 2
 
 
 def test_the_client_starts_without_arrays() -> None:

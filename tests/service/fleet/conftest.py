@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from service.fleet.launching import start_agents
 from tests.service.fleet.shop import Shop, kill_agents, own_folders, shop, write_profile
 from tests.service.mills import Bench, bench
 
@@ -26,4 +27,11 @@ def mill(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 @pytest.fixture
 def floor(tmp_path: Path, mill: Bench) -> Iterator[Shop]:
     with shop(tmp_path / "data", mill) as found:
+        yield found
+
+
+@pytest.fixture
+def floor_of_processes(tmp_path: Path, mill: Bench) -> Iterator[Shop]:
+    """With an agent that can be killed."""
+    with shop(tmp_path / "data", mill, start=start_agents) as found:
         yield found

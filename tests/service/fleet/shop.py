@@ -1,4 +1,8 @@
-"""A small shop: a simulated mill on a pty, its profile, its real agent, a real API server, and a job with programs."""
+"""A small shop: a simulated mill on a pty, its profile, its real agent, a real API server, and a job with programs.
+
+Server and agent are threads of this process. Where a law is about an agent's process, its death for example, a test
+asks for one (`start=start_agents`).
+"""
 
 from __future__ import annotations
 
@@ -14,17 +18,24 @@ from typing import Any
 import httpx
 import pytest
 
+from machines.gcode.limits import MillLimits
+from machines.gcode.preflight import Preflight
+from service import preflight
 from service.agent.card import AgentCard, read_card
-from service.fleet.launching import is_owned, start_agents
+from service.fleet.launching import is_owned
 from service.jobs.tokens import TokenScope
+from service.preflight_worker import examine
 from service.settings import ServerSettings
-from tests.service.api.server import ApiServer, api_server
+from tests.service.agent.in_process import AgentThread
+from tests.service.api.server import ApiServer, api_server, png
 from tests.service.mills import Bench, program
 from tests.waiting import PATIENCE_S, seen, until
 
 MACHINE = "shop"
 CHECKS = ["tool", "zero", "stock", "clear"]
 LINES = (40, 60, 30)
+LOOK_S = 0.1  # between two questions to a server
+_threads: list[AgentThread] = []
 
 
 @dataclass
@@ -63,7 +74,7 @@ class Shop:
         services = self.server.services
         posted = self.server.client.post(
             "/v1/jobs",
-            files={"image": ("p.png", _png())},
+            files={"image": ("p.png", png())},
             headers={"Authorization": f"Bearer {self.token('jobs:write')}"},
         )
         assert posted.status_code == 202, posted.text
@@ -102,10 +113,15 @@ class Shop:
         return self.post(f"/v1/runs/{run['id']}:start", status, operator="Ada", checks=checks or run["required_checks"])
 
     def until(self, run: Any, good: Callable[[Any], bool]) -> Any:
-        return seen(lambda: self.get(f"/v1/runs/{run['id']}"), good, every_s=0.02)
+        return seen(lambda: self.get(f"/v1/runs/{run['id']}"), good, every_s=LOOK_S)
 
     def until_state(self, run: Any, *states: str) -> Any:
         return self.until(run, lambda now: now["state"] in states)
+
+    def until_finished(self, run: Any) -> Any:
+        """What is left to be cut is cut in a hurry."""
+        self.bench.hurry()
+        return self.until_state(run, "finished")
 
     def until_cut(self, blocks: int) -> None:
         until(lambda: len(self.bench.cut) >= blocks)
@@ -115,7 +131,7 @@ class Shop:
             mill = self.get(f"/v1/machines/{MACHINE}")["mill"]
             return bool(mill) and mill["state"] == "idle"
 
-        until(idle)
+        seen(idle, bool, every_s=LOOK_S)
 
 
 def write_profile(port: str, *, name: str = MACHINE, text: str = "") -> Path:
@@ -128,20 +144,30 @@ def write_profile(port: str, *, name: str = MACHINE, text: str = "") -> Path:
 
 
 def agent_pids(data: Path) -> list[int]:
-    """Living owners of the mill folders below, agents whose port is not open yet included."""
+    """Living owners of the mill folders below, agents whose port is not open yet included; not this process."""
     pids = []
     for lock in data.rglob("lock"):
         if is_owned(lock.parent) and (text := lock.read_text().strip()).isdigit():
             pids.append(int(text))
-    return pids
+    return [pid for pid in pids if pid != os.getpid()]
 
 
 def kill_agents(data: Path, number: signal.Signals = signal.SIGKILL) -> None:
-    """And wait until they are gone, which their locks show."""
+    """And wait until they are gone, which their locks show. Those of this process are told to stop."""
+    for thread in [one for one in _threads if one.folder.is_relative_to(data)]:
+        thread.stop()
+        _threads.remove(thread)
     for pid in agent_pids(data):
         with contextlib.suppress(ProcessLookupError):
             os.kill(pid, number)
     until(lambda: not agent_pids(data))
+
+
+def start_here(settings: ServerSettings) -> None:
+    """The agent of the shop's mill in this process, where it has none yet."""
+    folder = settings.agents_folder / MACHINE
+    if not is_owned(folder):
+        _threads.append(AgentThread(MACHINE, folder))
 
 
 def await_agent(folder: Path) -> AgentCard:
@@ -153,17 +179,22 @@ def await_agent(folder: Path) -> AgentCard:
             return httpx.get(f"{card.url}/livez", trust_env=False, timeout=PATIENCE_S).status_code == 200
         return False
 
-    until(answers)
+    seen(answers, bool, every_s=0.02)
     card = read_card(folder)
     assert card is not None
     return card
 
 
 @contextlib.contextmanager
-def shop(data: Path, bench: Bench, **settings: Any) -> Iterator[Shop]:
-    """An API server on this data folder, the agent of its mill started as `serve` does."""
+def shop(
+    data: Path, bench: Bench, *, start: Callable[[ServerSettings], object] = start_here, **settings: Any
+) -> Iterator[Shop]:
+    """An API server on this data folder, and the agent of its mill, which outlives it.
+
+    start : `start_agents` for an agent in a process of its own, as `serve` has it
+    """
     with api_server(data, **settings) as server:
-        start_agents(server.services.settings)
+        start(server.services.settings)
         found = Shop(data, bench, server, httpx.Client(timeout=PATIENCE_S))
         with found.client(TokenScope.JOBS_READ, TokenScope.MACHINE_RUN) as found.operator:
             await_agent(found.folder)
@@ -172,11 +203,13 @@ def shop(data: Path, bench: Bench, **settings: Any) -> Iterator[Shop]:
 
 
 def own_folders(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    """And an agent in this process reads programs itself: pre-flight's process loads compiled kernels each time."""
     monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
     monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(folder / "config"))
+    monkeypatch.setattr(preflight, "_computed", _read_here)
 
 
-def _png() -> bytes:
-    from tests.service.api.server import png
-
-    return png()
+def _read_here(path: Path, limits: MillLimits, folder: Path, held_against: str, _: object) -> Preflight:
+    found = examine(path, limits, lambda _share: None)
+    (folder / f"{held_against}-{found.bytes}-{found.sha256}.json").write_text(found.to_json(), encoding="utf-8")
+    return found

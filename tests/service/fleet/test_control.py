@@ -215,7 +215,8 @@ def test_a_stop_by_one_server_ends_an_order_that_waits_in_another(
             slow.setattr(core, "do", do_late)
             order = pool.submit(ada.http.post, path, json=body, headers=ada.headers)
             assert waits.wait(PATIENCE_S)
-            assert httpx.post(f"{second.address}{HERE}/jog-cancel", timeout=PATIENCE_S).status_code == 202
+            stop = f"{second.address}{HERE}/jog-cancel"
+            until(lambda: httpx.post(stop, timeout=PATIENCE_S).status_code == 202)
             free.set()
             assert problem(order.result(), 409).get("code") in ("grant_stopped", "grant_expired")
 
@@ -275,7 +276,8 @@ def control_floor(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Sh
 
 
 @pytest.mark.thorough
-def test_an_order_to_an_agent_that_is_away_never_comes_true(floor: Shop) -> None:
+def test_an_order_to_an_agent_that_is_away_never_comes_true(floor_of_processes: Shop) -> None:
+    floor = floor_of_processes
     with people(floor) as (ada, _):
         ada.take()
         kill_agents(floor.data)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import signal
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +11,24 @@ import httpx
 import pytest
 
 from service.agent.card import AgentCard
-from tests.service.api.crashing import RUN_STEPS, points
 from tests.service.api.test_process import api_process
 from tests.service.fleet.shop import MACHINE, shop
 from tests.service.mills import Bench
 from tests.waiting import PATIENCE_S, until
 
+CRASHES = [f"after {step}" for step in ("row", "put", "post", "parked")]
 CRASHING = [sys.executable, "-m", "tests.service.api.crashing"]
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    "crashes",
-    [("after row", "after post"), points(RUN_STEPS)],
-    ids=["before and behind the agent", "everywhere"],
-)
 def test_a_killed_hand_over_is_one_parked_run_or_none(
-    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch, crashes: Sequence[str]
+    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """After each of its steps that leaves something behind: here, at the agent's store, at its mill, here again."""
     data, trap = tmp_path / "data", tmp_path / "trap"
     monkeypatch.setenv("CRASH_AT", str(trap))
     with shop(data, mill) as floor:
-        jobs = {point: floor.job((20,)) for point in crashes}
+        jobs = {point: floor.job((20,)) for point in CRASHES}
         headers, card = {"Authorization": f"Bearer {floor.token('machine:run', 'jobs:read')}"}, floor.card()
     before = ""
     for point in [*jobs, ""]:

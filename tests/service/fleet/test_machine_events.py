@@ -120,7 +120,8 @@ def test_a_run_is_seen_from_parking_to_its_end(floor: Shop) -> None:
 
 
 @pytest.mark.thorough
-def test_it_goes_on_while_the_agent_is_away(floor: Shop) -> None:
+def test_it_goes_on_while_the_agent_is_away(floor_of_processes: Shop) -> None:
+    floor = floor_of_processes
     reader = Reader()
     with floor.operator.stream("GET", f"{HERE}/events") as answer:
         found = events(answer.iter_lines())

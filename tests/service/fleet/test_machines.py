@@ -76,8 +76,9 @@ def test_the_card_is_there_while_the_agent_is(tmp_path: Path, mill: Bench) -> No
 
 
 @pytest.mark.thorough
-def test_a_card_that_points_to_another_mills_agent_is_not_believed(floor: Shop) -> None:
+def test_a_card_that_points_to_another_mills_agent_is_not_believed(floor_of_processes: Shop) -> None:
     """As after a crash, when the port has been given to somebody else: nothing is sent there but the question."""
+    floor = floor_of_processes
     with bench(1.0) as other, AgentProcess(floor.data / "other", other.url) as agent:
         kill_agents(floor.folder)
         card = json.loads((floor.folder / CARD_FILE).read_text())

@@ -16,7 +16,8 @@ from tests.waiting import PATIENCE_S
 pytestmark = pytest.mark.thorough
 
 
-def test_a_run_is_followed_through_an_agents_restart_to_its_end(floor: Shop) -> None:
+def test_a_run_is_followed_through_an_agents_restart_to_its_end(floor_of_processes: Shop) -> None:
+    floor = floor_of_processes
     run = floor.park(floor.job((200,)))
     states: list[str] = []
     with floor.operator.stream("GET", f"/v1/runs/{run['id']}/events") as answer:

@@ -30,7 +30,7 @@ def test_a_program_is_parked_started_held_resumed_and_finished(floor: Shop) -> N
     assert floor.bench.stands and held["share"] < 1
     assert floor.get(f"/v1/machines/{MACHINE}")["mill"]["state"] == "held"
     floor.post(f"/v1/runs/{run['id']}:resume", 202)
-    done = floor.until_state(run, "finished")
+    done = floor.until_finished(run)
     assert (done["share"], done["open"], done["next"], done["required_checks"]) == (1.0, False, None, [])
     assert floor.bench.cut == ends(500)
 
@@ -80,7 +80,7 @@ def test_passes_follow_each_other_and_the_tool_change_is_told(floor: Shop) -> No
             assert "from R 3 (Ø 6 mm) to R 0.5 (Ø 1 mm)" in change["words"] and "Z zero again" in change["words"]
         assert (run["next"] or {}).get("number") == {1: 2, 2: 3, 3: None}[number]
         floor.start(run)
-        floor.until_state(run, "finished")
+        floor.until_finished(run)
     assert floor.bench.cut == [end for count in LINES for end in ends(count)]
     assert "every program" in floor.park(job, 409)["detail"]
     assert floor.park(job, program="pass-1-rough.nc")["program"]["number"] == 1
@@ -94,7 +94,7 @@ def test_a_pass_out_of_order_needs_a_word_about_it(floor: Shop) -> None:
     refused = floor.start(run, 409, checks=CHECKS)
     assert (refused["field"], "pass-1-rough.nc" in refused["detail"], floor.bench.cut) == ("checks", True, [])
     floor.start(run, checks=[*CHECKS, "order"])
-    floor.until_state(run, "finished")
+    floor.until_finished(run)
 
 
 @pytest.mark.thorough
@@ -120,7 +120,7 @@ def test_programs_may_be_run_as_soon_as_all_are_checked(floor: Shop) -> None:
         again = writer.post(f"/v1/jobs/{job}:retry")
         assert (again.status_code, run["id"] in again.json()["detail"]) == (409, True)
         floor.start(run)
-        floor.until_state(run, "finished")
+        floor.until_finished(run)
         assert writer.post(f"/v1/jobs/{job}:retry").status_code == 202
 
 
@@ -150,7 +150,8 @@ def test_a_program_whose_content_is_not_what_its_hash_says_never_reaches_the_mil
     assert floor.get("/v1/runs?machine=shop")["runs"][0]["state"] == "refused"
 
 
-def test_an_agent_that_was_killed_leaves_a_run_that_a_person_recovers(floor: Shop) -> None:
+def test_an_agent_that_was_killed_leaves_a_run_that_a_person_recovers(floor_of_processes: Shop) -> None:
+    floor = floor_of_processes
     run = floor.park(floor.job((600,)))
     floor.start(run)
     floor.until_cut(30)
@@ -172,7 +173,7 @@ def test_an_agent_that_was_killed_leaves_a_run_that_a_person_recovers(floor: Sho
     floor.until(run, lambda now: floor.get(f"/v1/runs/{run['id']}/recovery")["ready"])
     said = {"operator": "Ada", "checks": found["required_checks"]}
     floor.post(f"/v1/runs/{run['id']}:recover", 202, **said)
-    floor.until_state(run, "finished")
+    floor.until_finished(run)
     assert set(ends(600)) <= set(floor.bench.cut)
 
 
@@ -192,9 +193,10 @@ def test_an_aborted_run_frees_the_mill_and_can_still_be_recovered(floor: Shop) -
     assert other["id"] in floor.post(f"/v1/runs/{run['id']}:recover", 409, **said)["detail"]
     floor.post(f"/v1/runs/{other['id']}:abort", 202)
     floor.until_idle()
+    said["plan"] = floor.get(f"/v1/runs/{run['id']}/recovery")["plan"]  # the first was made while the mill came to rest
     floor.post(f"/v1/runs/{run['id']}:recover", 202, **said)
     assert floor.get(f"/v1/runs/{run['id']}")["open"] is True
-    floor.until_state(run, "finished")
+    floor.until_finished(run)
 
 
 def test_an_agent_that_is_down_takes_nothing_and_the_mill_is_not_taken(floor: Shop) -> None:
@@ -233,7 +235,7 @@ def test_a_run_goes_on_without_the_server_and_the_next_one_finds_it(tmp_path: Pa
         floor.until_cut(8)
     with shop(tmp_path / "data", mill) as floor:
         floor.until(run, lambda now: now["state"] in ("running", "finished") and not now["unreachable"])
-        assert floor.until_state(run, "finished")["share"] == 1.0
+        assert floor.until_finished(run)["share"] == 1.0
     assert mill.cut == ends(300)
 
 
@@ -252,7 +254,7 @@ def test_a_hand_over_cut_short_is_finished_by_the_next_server(tmp_path: Path, mi
         found = floor.until_state(run, "parked")
         assert found["open"]
         floor.start(found)
-        floor.until_state(run, "finished")
+        floor.until_finished(run)
     assert mill.cut == ends(LINES[0])
 
 

@@ -24,7 +24,7 @@ from tests.service.api.server import api_server, problem
 from tests.service.fleet.rogue import as_json, rogue_agent
 from tests.service.fleet.shop import MACHINE, Shop, own_folders
 from tests.service.fleet.test_control import Person
-from tests.waiting import PATIENCE_S, until
+from tests.waiting import PATIENCE_S, seen, until
 
 HERE = f"/v1/machines/{MACHINE}/control"
 ELSEWHERE = {"X-Forwarded-For": "192.0.2.1"}  # a proxy has passed it on: not from this computer
@@ -97,7 +97,8 @@ def test_who_may(floor: Shop) -> None:
     assert httpx.post(hold, headers=authorization, timeout=PATIENCE_S).status_code == 202
     with writing(floor.server.services.database) as connection:
         connection.execute(tokens.update().values(revoked_at=time.time()))
-    until(lambda: httpx.post(hold, headers=authorization, timeout=PATIENCE_S).status_code == 401)
+    press = lambda: httpx.post(hold, headers=authorization, timeout=PATIENCE_S).status_code  # noqa: E731
+    seen(press, lambda code: code == 401, every_s=0.25)
 
 
 class StopSocket:

@@ -42,6 +42,7 @@ def open_to_others(folder: Path) -> dict[str, str]:
     return found
 
 
+@pytest.mark.thorough
 def test_nothing_of_a_server_is_open_to_others(tmp_path: Path, open_umask: None) -> None:
     """Databases with their logs, uploads, objects, stage logs and scratch, locks, the simulated mill and its agent."""
     data = tmp_path / "shop" / "data"

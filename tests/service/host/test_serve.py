@@ -12,6 +12,7 @@ import httpx
 import pytest
 
 from service.cli import run
+from tests.levels import mostly_thorough
 from tests.service.host.processes import Serving, descendants, is_alive, served
 from tests.waiting import PATIENCE_S, until
 
@@ -26,8 +27,9 @@ def ready(serving: Serving) -> bool:
         return False
 
 
-def test_it_is_ready_stops_well_and_starts_again(tmp_path: Path) -> None:
-    for _ in range(2):
+@pytest.mark.parametrize("starts", mostly_thorough((1, 2), quick=(1,)))
+def test_it_is_ready_stops_well_and_starts_again(tmp_path: Path, starts: int) -> None:
+    for _ in range(starts):
         with served("--no-agents", data=tmp_path) as serving:
             serving.until_ready()
             assert ready(serving)

@@ -52,9 +52,9 @@ sys.exit("alembic" in sys.modules)
     assert subprocess.run([sys.executable, "-c", code], env=farm.environment()).returncode == 0
 
 
-def test_workers_that_start_together_upgrade_once(farm: ServerSettings) -> None:
+def test_workers_that_start_together_upgrade_once(empty_farm: ServerSettings) -> None:
     """Four at a time on an empty database: all succeed."""
-    databases = [open_database(farm) for _ in range(4)]
+    databases = [open_database(empty_farm) for _ in range(4)]
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(upgrade_schema, databases))
     await_schema(databases[0], 0)
@@ -132,8 +132,8 @@ def test_postgresql_is_upgraded_once_a_person_keeps_a_copy(postgres: Postgres) -
     database.dispose()
 
 
-def test_waiting_for_a_schema_that_does_not_come_ends(farm: ServerSettings) -> None:
-    database = open_database(farm)
+def test_waiting_for_a_schema_that_does_not_come_ends(empty_farm: ServerSettings) -> None:
+    database = open_database(empty_farm)
     with pytest.raises(FailedError, match="not ready"):
         await_schema(database, 0.1)
     database.dispose()
@@ -146,9 +146,9 @@ def test_an_older_program_refuses_a_newer_database(database: sa.Engine) -> None:
         upgrade_schema(database)
 
 
-def test_what_was_acknowledged_is_on_disk(farm: ServerSettings, database: sa.Engine) -> None:
+def test_what_was_acknowledged_is_on_disk(empty_farm: ServerSettings, database: sa.Engine) -> None:
     """SQLite: WAL, every commit synced, foreign keys kept."""
-    if not farm.embedded:
+    if not empty_farm.embedded:
         return
     with reading(database) as connection:
         found = {
@@ -158,9 +158,9 @@ def test_what_was_acknowledged_is_on_disk(farm: ServerSettings, database: sa.Eng
     assert found == {"journal_mode": "wal", "synchronous": 2, "foreign_keys": 1, "busy_timeout": 30_000}
 
 
-def test_an_older_database_is_brought_up_to_date_with_what_is_in_it(farm: ServerSettings) -> None:
+def test_an_older_database_is_brought_up_to_date_with_what_is_in_it(empty_farm: ServerSettings) -> None:
     """From version 0003: the counters and the files of results are what a count of the old rows gives."""
-    database = open_database(farm)
+    database = open_database(empty_farm)
     config = alembic_config()
     with writing(database) as connection:
         config.attributes["connection"] = connection

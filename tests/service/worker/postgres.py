@@ -18,6 +18,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from uuid import uuid4
 
+import psycopg
+
 DEBIAN = Path("/usr/lib/postgresql")
 USERS = ("postgres", "nobody")
 FAST = ("fsync=off", "synchronous_commit=off", "full_page_writes=off")
@@ -33,10 +35,14 @@ class Postgres:
     user: str | None
     options: tuple[str, ...]
 
-    def url(self) -> str:
-        """A fresh, empty database."""
-        name = f"t{uuid4().hex[:12]}"
-        self._run("createdb", "-h", "127.0.0.1", "-p", str(self.port), "-U", "tester", name)
+    def url(self, name: str = "", *, template: str = "template1") -> str:
+        """A fresh database: empty, or a copy of the template."""
+        name = name or f"t{uuid4().hex[:12]}"
+        with psycopg.connect(self.url_of("postgres"), autocommit=True) as connection:
+            connection.execute(f"CREATE DATABASE {name} TEMPLATE {template}")
+        return self.url_of(name)
+
+    def url_of(self, name: str) -> str:
         return f"postgresql://tester@127.0.0.1:{self.port}/{name}"
 
     def start(self) -> None:

@@ -29,7 +29,6 @@ class Stand:
         self.book = JobBook(database)
         self.work = WorkBook(database, lease_s=10.0)
         self.engine = DbosEngine(settings)
-        self.engine.prepare()
         self.running: set[str] = set()
         self.me = Lease(database, "me", 10.0, pid=1, version="1")
         self.me.take()

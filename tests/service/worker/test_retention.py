@@ -24,6 +24,8 @@ from service.store.store import MissingObjectError
 from service.worker.dbos_engine import DbosEngine
 from service.worker.engine import Ticket
 from service.worker.retention import DAY_S, Retention
+from tests.levels import mostly_thorough
+from tests.service import databases
 
 
 class Stand:
@@ -37,7 +39,6 @@ class Stand:
         self.book = JobBook(database, self.store)
         self.work = WorkBook(database, lease_s=10.0)
         self.engine = DbosEngine(settings)
-        self.engine.prepare()
 
     def file(self, content: bytes) -> FileRef:
         path = self.folder / "file"
@@ -94,6 +95,11 @@ class Stand:
             return self.book.get(job_id).id == job_id
         except UnknownJobError:
             return False
+
+
+@pytest.fixture(params=mostly_thorough(("sqlite", "postgresql"), quick=("sqlite",)))
+def farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
+    return databases.farm(request, tmp_path)
 
 
 @pytest.fixture

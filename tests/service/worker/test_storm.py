@@ -18,10 +18,10 @@ LEASE_S = 2.0
 
 
 def test_storm_on_sqlite(tmp_path: Path) -> None:
-    """One worker, ten kills of it and of its stages."""
+    """One worker, seven kills of it and of its stages."""
     storm = Storm(tmp_path, {"only": ServerSettings(data=tmp_path / "data", lease_s=LEASE_S, free_disk_mb=0)})
     jobs = storm.submit(6)
-    rage(storm, seed=1, kills=10, calm_s=(0.2, 1.0), restart=None)
+    rage(storm, seed=1, kills=7, calm_s=(0.2, 1.0), restart=None)
     storm.await_all(jobs)
     broken = storm.broken(jobs)
     storm.stop()
@@ -35,7 +35,7 @@ def test_storm_on_postgresql_with_two_workers(tmp_path: Path) -> None:
     with running_postgres(durable=True) as server:
         storm = Storm(tmp_path, two_workers(tmp_path, server))
         jobs = storm.submit(6)
-        rage(storm, seed=2, kills=10, calm_s=(0.2, 1.0), restart=server.crash_and_restart)
+        rage(storm, seed=2, kills=6, calm_s=(0.2, 1.0), restart=server.crash_and_restart)
         storm.await_all(jobs)
         broken = storm.broken(jobs)
         storm.stop()
@@ -54,7 +54,7 @@ def test_two_live_workers_both_work(tmp_path: Path) -> None:
             runs = [run for job in jobs for run in storm.book.stages(job)]
             return {run.executor for run in runs if run.state == "running" and run.started_at > since}
 
-        for name in ("one", "two", "one", None):
+        for name in ("one", "two", None):
             killed_at = time.time()
             until(lambda: at_work(killed_at) == {"one", "two"}, what="both workers at work")  # noqa: B023
             if name is not None:

@@ -15,9 +15,16 @@ import pytest
 from service.jobs.states import JobState, StageState
 from service.settings import ServerSettings
 from service.worker.engine import Ticket
+from tests.levels import mostly_thorough
+from tests.service import databases
 from tests.service.worker.stage_bench import PROMPT_S
 from tests.service.worker.storm import Storm
 from tests.waiting import PATIENCE_S, until
+
+
+@pytest.fixture(params=mostly_thorough(("sqlite", "postgresql"), quick=("sqlite",)))
+def farm(request: pytest.FixtureRequest, tmp_path: Path) -> ServerSettings:
+    return databases.farm(request, tmp_path)
 
 
 @pytest.fixture
