@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from pathlib import Path
 
-import httpx
+import certifi
 import pytest
 import sqlalchemy as sa
 
@@ -17,10 +16,13 @@ from tests.service.worker.postgres import Postgres, missing, running_postgres
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _one_tls_context() -> Iterator[None]:
-    """httpx reads all certificates for each client, which takes it longer than a request; no test speaks TLS by it."""
+def _one_certificate(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """httpx reads all certificates for each client, which takes it longer than a request; no test needs one."""
+    end = "-----END CERTIFICATE-----\n"
+    path = tmp_path_factory.mktemp("tls") / "one.pem"
+    path.write_text(Path(certifi.where()).read_text().partition(end)[0] + end)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(httpx._config, "create_ssl_context", cache(httpx._config.create_ssl_context))
+        patch.setenv("SSL_CERT_FILE", str(path))
         yield
 
 
