@@ -9,18 +9,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
 from service.drawing.layout import parted
 from service.report_words import duration, psnr_in_words
 from service.spec_files import resolve_spec
 from service.stages.plan import usual_seconds
 from tests.page import canned_job
-from tests.page.browser import SIZES, Watched, every_screen
-from tests.page.conftest import Opened, keep, visit
+from tests.page.browser import SIZES, every_screen, nothing
+from tests.page.conftest import Kept, Opened, visit
 from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
 from tests.page.machine_states import NAME as MILL
-from tests.page.stub import Stub
 
 NEAR_PX = 150
 AWAY = (r"net::ERR_", r"status of 50[234]")
@@ -31,9 +30,9 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 
 
 @pytest.fixture(scope="module")
-def at_job(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Iterator[Page]:
+def at_job(browser: Browser, kept: Kept) -> Iterator[Page]:
     """One look at the finished job, for all who change nothing of it."""
-    watched = Watched(keep(kept, browser, stub, "wide"))
+    watched = kept.pages(browser, "wide", once=True)
     page = watched.page()
     visit(page, f"#/jobs/{canned_job.JOB_ID}")
     expect(page.get_by_role("heading", name="Programs")).to_be_visible()
@@ -290,10 +289,7 @@ def test_the_lens_turns_by_hand_and_rests_for_who_wants_no_motion(at_job: Page) 
 
 
 def test_without_webgl_there_is_the_map_of_heights(opened: Opened) -> None:
-    page = opened("#/machines")
-    page.add_init_script(NO_WEBGL)
-    page.reload()
-    page.evaluate("id => { location.hash = `#/jobs/${id}` }", canned_job.JOB_ID)
+    page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)
     chart = page.locator(".height-map")
     chart.scroll_into_view_if_needed()
     expect(page.locator(".height-bar")).to_be_visible()
@@ -395,7 +391,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
     report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5}}
     other = like(job, 5, name="other.png", spec=spec, report=report)
-    page = opened("#/machines")
+    page = nothing(opened, "job")
     answer(page, other, files)
     page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")

@@ -14,7 +14,7 @@ from playwright.sync_api import Page, Route, expect
 from service.drawing.thumbnail import thumbnail_png
 from service.tone import srgb_to_linear
 from tests.page import form
-from tests.page.browser import Watched, every_screen
+from tests.page.browser import NOWHERE, Watched, every_screen
 from tests.page.conftest import Opened
 from tests.page.listed import answer_with, summary
 from tests.page.shop import PICTURE
@@ -32,7 +32,7 @@ DROP = """([place, name, bytes]) => {
 
 
 def shown(opened: Opened, jobs: list[dict[str, Any]], **how: Any) -> Page:
-    page = opened("#/machines", **how)
+    page = opened(NOWHERE, **how)
     answer_with(page, jobs)
     page.evaluate("location.hash = '#/'")
     expect(page.get_by_role("heading", level=1, name="Jobs")).to_be_visible()
@@ -159,7 +159,7 @@ def test_a_view_that_comes_too_late_is_not_shown(opened: Opened) -> None:
 def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_sees_the_list(
     opened: Opened, stub: Stub
 ) -> None:
-    page = opened("#/machines", errors=("status of 401",))
+    page = opened(NOWHERE, errors=("status of 401",))
 
     def ask_for_a_key(route: Route) -> None:
         known = "authorization" in route.request.headers

@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.answers import problem
+from tests.page.browser import NOWHERE, nothing
 from tests.page.conftest import Opened
 from tests.page.machine_states import MACHINE, told, with_control
 from tests.page.machine_states import NAME as MILL
@@ -53,7 +54,7 @@ def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(module
     [(False, "To connect it again, start the server again."), (True, "Switch it on, or start causticmill mill on it.")],
 )
 def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bool, then: str) -> None:
-    page = opened("#/jobs")
+    page = opened(NOWHERE)
     told(page, "no-agent")
     agent = {"reachable": False, "words": f"machine '{MILL}' has no agent at present; `serve` starts one"}
     machine: dict[str, Any] = MACHINE | {"remote": remote, "agent": agent, "mill": None}
@@ -63,7 +64,7 @@ def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bo
 
 
 def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
-    page = opened("#/machines", errors=("status of 504",))
+    page = nothing(opened, "machine", errors=("status of 504",))
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
     page.route(
