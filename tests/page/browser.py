@@ -34,12 +34,6 @@ _FLAGS = (
 
 Scheme = Literal["light", "dark"]
 
-_SCREENS: tuple[tuple[str, Scheme, bool], ...] = (
-    ("wide", "light", True),
-    ("tablet", "dark", False),
-    ("phone", "dark", True),
-)
-
 
 def missing() -> str:
     """Why there can be no browser here, in one line; "" where there can."""
@@ -166,21 +160,6 @@ def layout_faults(page: Page, *, least_px: int = TOUCH_PX) -> list[str]:
     page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     found: list[str] = page.evaluate(_LAYOUT, {"least": least_px})
     return found
-
-
-def every_screen(page: Page) -> Iterator[str]:
-    """The page at each width, light or dark: laws of layout hold, and axe-core finds no serious fault where it listens.
-
-    All widths in both, and more of them, are for `test_screens`.
-    """
-    for size, scheme, heard in _SCREENS:
-        width, height = SIZES[size]
-        page.set_viewport_size({"width": width, "height": height})
-        page.emulate_media(color_scheme=scheme)
-        yield f"{size}-{scheme}"
-        assert not (faults := layout_faults(page)), (size, scheme, faults)
-        if heard:
-            assert not (faults := serious_faults(page)), (size, scheme, faults)
 
 
 def shoot(page: Page, folder: Path, name: str) -> Path:

@@ -140,7 +140,7 @@ def modules(browser: Browser, kept: Kept) -> Page:
 
 
 class Kept:
-    """Contexts of the stub's pages, until the browser ends. The first page of each stays, and with it the process of the others."""
+    """Contexts of the stub's pages, until the browser ends. The first page of each keeps the others' process."""
 
     def __init__(self, stub: Stub) -> None:
         self._stub = stub

@@ -157,6 +157,8 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
     "bad-profile": ({"problem": 'shop.toml: extends = "grlb": allowed: "grbl", "grbl-3018"'}, {}, None),
 }
 
+USED = ("idle", "parked", "running", "held", "interrupted", "stopped")  # mills with every button that is on
+
 
 def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """The machine as the API tells it, and the run that is on it, or was the last one."""

@@ -77,6 +77,7 @@ def test_a_camera_that_may_not_be_used_is_said_so(page: Page) -> None:
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_phone_takes_it_with_its_own_program(opened: Opened) -> None:
     page = opened("#/new", size="phone")
     with page.expect_file_chooser() as asked:

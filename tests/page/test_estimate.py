@@ -64,6 +64,7 @@ def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(modules: P
         assert modules.evaluate(LINE, ESTIMATE_EXAMPLE | {"psnr_db": 20.9} | change).endswith(words)
 
 
+@pytest.mark.thorough
 def test_only_an_older_question_of_the_same_tab_is_ended(opened: Opened) -> None:
     """Each tab has a name of its own, by which the server knows it; a page that is loaded anew is another tab."""
     page = nothing(opened, "new")

@@ -15,8 +15,9 @@ from service.drawing.layout import parted
 from service.report_words import duration, psnr_in_words
 from service.spec_files import resolve_spec
 from service.stages.plan import usual_seconds
+from tests.levels import mostly_thorough
 from tests.page import canned_job
-from tests.page.browser import SIZES, every_screen, nothing
+from tests.page.browser import SIZES, nothing
 from tests.page.conftest import Kept, Opened, visit
 from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
 from tests.page.machine_states import NAME as MILL
@@ -288,6 +289,7 @@ def test_the_lens_turns_by_hand_and_rests_for_who_wants_no_motion(at_job: Page) 
     assert body.screenshot() != turned
 
 
+@pytest.mark.thorough
 def test_without_webgl_there_is_the_map_of_heights(opened: Opened) -> None:
     page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)
     chart = page.locator(".height-map")
@@ -303,11 +305,10 @@ def test_a_failed_job_says_what_to_change(opened: Opened) -> None:
     stages = stopped_at(job, "pass-2", "failed")
     failed = like(job, 1, state="failed", error=error, stages=stages, programs=[], progress=0.6)
     page = shown(opened, failed, files[:4])
-    for _ in every_screen(page):
-        told = page.locator(".notice.bad")
-        expect(told).to_contain_text("The ball of 3 mm does not fit.")
-        expect(told).to_contain_text("Change ball radius of pass 2 (finish)")
-        expect(told.get_by_role("link")).to_have_attribute("href", f"#/new?from={failed['id']}")
+    told = page.locator(".notice.bad")
+    expect(told).to_contain_text("The ball of 3 mm does not fit.")
+    expect(told).to_contain_text("Change ball radius of pass 2 (finish)")
+    expect(told.get_by_role("link")).to_have_attribute("href", f"#/new?from={failed['id']}")
     expect(page.locator(".stages [data-state=failed]")).to_have_text(re.compile("pass 2.*failed"))
     asked: list[str] = []
     page.route("**:retry", lambda route: (asked.append(route.request.method), route.fulfill(status=202, json=job)))
@@ -329,8 +330,7 @@ def test_a_job_without_results_explains_itself(opened: Opened, state: str, words
     stages = stopped_at(job, "image", "cancelled" if state == "cancelled" else "waiting")
     empty: dict[str, Any] = {"report": None, "programs": [], "stages": stages, "progress": 0.0, "queue_position": 3}
     page = shown(opened, like(job, 2, state=state, **empty), [])
-    for _ in every_screen(page):
-        expect(page.get_by_text(words)).to_be_visible()
+    expect(page.get_by_text(words)).to_be_visible()
 
 
 def test_a_deleted_job_is_gone_after_a_question(opened: Opened) -> None:
@@ -381,8 +381,6 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened) -> None:
         page.get_by_role("button", name="Sharper").click()
     expect(points.nth(4)).to_have_attribute("aria-checked", "true")
     expect(chosen).to_contain_text("every 0.1 mm")
-    for _ in every_screen(page):
-        expect(link).to_be_visible()
 
 
 @pytest.mark.thorough
@@ -400,25 +398,15 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     better = page.get_by_role("row", name="On the wall, as milled").get_by_role("cell", name="better")
     expect(better).to_have_text(re.compile("31.5 dB"))
     expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()
-    for _ in every_screen(page):
-        expect(rows).to_have_count(2)
 
 
-def test_every_screen_of_a_finished_job(at_job: Page, picture: Any) -> None:
-    for part in ("#lens-title", "#path-title", "#files-title"):
-        at_job.locator(part).scroll_into_view_if_needed()
-    expect(at_job.locator("[data-level]")).to_be_attached()
-    for screen in every_screen(at_job):
-        expect(at_job.get_by_role("heading", name="Tool path")).to_be_visible()
-        picture(at_job, f"job-{screen}")
-
-
+@pytest.mark.thorough
 def test_a_job_that_is_not_there_is_said_so(opened: Opened) -> None:
     page = opened("#/jobs/00000000-0000-4000-8000-00000000dead", errors=("status of 404",))
     expect(page.get_by_role("alert")).to_contain_text("no job")
 
 
-@pytest.mark.parametrize("size", ["wide", "tablet"])
+@pytest.mark.parametrize("size", mostly_thorough(["wide", "tablet"], quick=["wide"]))
 def test_beside_the_pictures_no_column_is_left_empty(opened: Opened, size: str) -> None:
     """With two programs and two things to look out for: where each column's last words are, the other's are near."""
     job, files = canned()

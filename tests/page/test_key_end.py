@@ -41,6 +41,7 @@ def test_a_code_that_ends_is_said_two_hours_before_and_again(opened: Opened) -> 
     expect(warning).to_have_count(0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("left", [60, -1])
 def test_during_a_run_it_is_said_what_ends_with_the_code(opened: Opened, left: float) -> None:
     page = opened(NOWHERE, key="Ada")

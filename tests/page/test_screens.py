@@ -10,16 +10,15 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
+from tests.levels import mostly_thorough
 from tests.page import jobs
-from tests.page.browser import Scheme, layout_faults, nothing, serious_faults
+from tests.page.browser import NOWHERE, Scheme, layout_faults, nothing, serious_faults
 from tests.page.conftest import Opened
 from tests.page.form import refuse_picture
 from tests.page.listed import answer_with, summary
 from tests.page.machine_states import NAME as MILL
-from tests.page.machine_states import STATES, machine_in, told, with_control
+from tests.page.machine_states import STATES, USED, machine_in, told, with_control
 from tests.page.shop import PICTURE
-
-pytestmark = pytest.mark.thorough
 
 Screen = Callable[[Opened], Page]
 
@@ -34,7 +33,6 @@ SIZES: dict[str, tuple[int, int, Scheme, bool]] = {
     "zoomed": (720, 450, "dark", False),
     "keyboard": (390, 420, "light", False),
 }
-USED = ("idle", "parked", "running", "held", "interrupted", "stopped")  # mills with every button that is on
 STYLES = ("job/job.css", "machine/machine.css", "new/new.css")
 PLACES = """async () => {
     const now = () => [...document.querySelectorAll("main *")].filter((one) => one.checkVisibility()).map((one) => {
@@ -99,6 +97,19 @@ def of_a_job(state: str, **more: Any) -> Screen:
         return jobs.shown(opened, jobs.like(job, 1, name=LONG_NAME, state=state, **more), files[:4])
 
     return screen
+
+
+def of_a_job_without_results(state: str) -> Screen:
+    stages = jobs.stopped_at(jobs.canned()[0], "image", "cancelled" if state == "cancelled" else "waiting")
+    return of_a_job(state, report=None, programs=[], stages=stages, progress=0.0, queue_position=3)
+
+
+def of_no_jobs(opened: Opened) -> Page:
+    page = opened(NOWHERE)
+    answer_with(page, [])
+    page.evaluate("location.hash = '#/'")
+    expect(page.locator(".drop")).to_be_visible()
+    return page
 
 
 def of_a_plan(opened: Opened) -> Page:
@@ -177,12 +188,15 @@ def of_a_machine(state: str) -> Screen:
 
 SCREENS: dict[str, Screen] = {
     "jobs": of_jobs,
+    "no-jobs": of_no_jobs,
     "key": of_the_key,
     "new": of_a_new_job,
     "new-broken": of_a_picture_that_is_none,
     "new-everything": of_a_new_job_with_everything,
     "job-failed": of_a_job("failed", error=FAULT),
     "job-running": of_a_job("running", progress=0.4, report=None, programs=[]),
+    "job-queued": of_a_job_without_results("queued"),
+    "job-cancelled": of_a_job_without_results("cancelled"),
     "job-planned": of_a_plan,
     "two-jobs": of_two_jobs,
     "two-jobs-waiting": of_two_jobs_without_pictures,
@@ -193,7 +207,10 @@ SCREENS: dict[str, Screen] = {
 }
 
 
-@pytest.mark.parametrize("name", SCREENS)
+QUICK = ("jobs", "new-everything", "job-failed", "machine-interrupted")
+
+
+@pytest.mark.parametrize("name", mostly_thorough(SCREENS, quick=QUICK))
 def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, name: str) -> None:
     page = SCREENS[name](opened)
     for size, (width, height, scheme, heard) in SIZES.items():
@@ -206,6 +223,7 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, 
             expect(button).to_be_in_viewport(ratio=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["jobs", "new", "job-planned", "machine-idle"])
 def test_a_view_looks_the_same_whatever_was_looked_at_before(opened: Opened, name: str) -> None:
     """Sheets stay once they are loaded: none of them may change another view."""

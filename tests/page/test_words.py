@@ -29,7 +29,10 @@ SENTENCES = "async (said) => { const words = await import('/page/machine/words.j
 
 def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
     """Every text of a module with one of these words in it, its values filled in; no docstrings, no names."""
-    tree = ast.parse(path.read_text())
+    source = path.read_text()
+    if not words.search(source):
+        return
+    tree = ast.parse(source)
     parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
     parts |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
@@ -49,6 +52,7 @@ def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(module
     assert not [pair for pair in zip(said, shown, strict=True) if JARGON.search(pair[1])]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("remote", "then"),
     [(False, "To connect it again, start the server again."), (True, "Switch it on, or start causticmill mill on it.")],
@@ -78,6 +82,7 @@ def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("rest", "brief"),
     [
