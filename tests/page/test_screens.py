@@ -88,6 +88,7 @@ def of_a_new_job_with_everything(opened: Opened) -> Page:
         page.get_by_label(label, exact=True).fill(value)
     page.get_by_role("button", name="Make the lens").click()
     expect(page.get_by_text("'abc' is no number.")).to_be_visible()
+    expect(page.locator(".estimate[aria-busy=true]")).to_have_count(0)  # dimmed while it is asked for anew
     return page
 
 
