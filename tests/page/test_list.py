@@ -173,7 +173,7 @@ def test_who_declines_to_give_a_key_is_not_asked_again_and_who_gives_it_later_se
     page.evaluate("location.hash = '#/'")
     dialog = page.get_by_role("dialog", name="Enter the code")
     dialog.get_by_role("button", name="Cancel").click()
-    expect(page.get_by_text("This server asks for its code")).to_be_visible()
+    expect(page.get_by_text("This server asks for its code before it shows this.")).to_be_visible()
     expect(page.get_by_text("token")).to_have_count(0)
     page.get_by_role("button", name="Try again").click()
     expect(page.get_by_role("heading", level=1, name="Not shown")).to_be_visible()
