@@ -123,7 +123,6 @@ def test_an_order_whose_grant_comes_too_late_is_not_sent(opened: Opened) -> None
     assert sent == []
 
 
-@pytest.mark.thorough
 def test_a_computer_that_slept_after_the_press_sends_no_order(opened: Opened) -> None:
     """The clock of the page may stand still then; the other one says how long it was."""
     page = at_mill(opened, "idle")
