@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -14,6 +14,7 @@ from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, s
 
 ANSWER_MS = 120_000.0  # a page that answers at all does so sooner; jobs are waited for with JOB_MS
 SIZES = {"wide": (1440, 900), "tablet": (1024, 768), "phone": (390, 844)}
+NOWHERE = "#/-"  # an address of no view
 TOUCH_PX = 44  # that a finger in a glove hits
 SERIOUS = ("serious", "critical")
 _LAYOUT = Path(__file__).with_name("layout.js").read_text()
@@ -33,12 +34,6 @@ _FLAGS = (
 
 Scheme = Literal["light", "dark"]
 
-_SCREENS: tuple[tuple[str, Scheme, bool], ...] = (
-    ("wide", "light", True),
-    ("tablet", "dark", False),
-    ("phone", "dark", True),
-)
-
 
 def missing() -> str:
     """Why there can be no browser here, in one line; "" where there can."""
@@ -56,18 +51,26 @@ def running_browser() -> Iterator[Browser]:
 
 
 class Watched:
-    """Pages of a context. `complaints`: errors on their consoles, but those a test has said it expects."""
+    """Pages of a context. `complaints`: errors on their consoles, but those a test has said it expects.
 
-    def __init__(self, context: BrowserContext) -> None:
+    stays: there is one page, which the next test loads anew; what the last one's still says then is nobody's.
+    """
+
+    def __init__(self, context: BrowserContext, *, stays: bool = False) -> None:
         self.context = context
         self.complaints: list[str] = []
+        self._stays = stays
+        self._rests = False
         self._pages: list[Page] = []
         self._expected: list[re.Pattern[str]] = []
 
     def page(self) -> Page:
+        if self._stays and self._pages:
+            return self._pages[0]
         page = self.context.new_page()
         page.on("console", self._heard)
-        page.on("pageerror", lambda error: self.complaints.append(f"uncaught: {error}"))
+        page.on("pageerror", lambda error: self._complain(f"uncaught: {error}"))
+        page.on("domcontentloaded", lambda _: setattr(self, "_rests", False))
         self._pages.append(page)
         return page
 
@@ -79,13 +82,32 @@ class Watched:
         """AssertionError with whatever the pages complained of."""
         while self._pages:
             self._pages.pop().close()
+        self._judge()
+
+    def rest(self) -> None:
+        """The end of a test: `close`, but a page that stays is only given back as it was got."""
+        self.context.clear_permissions()
+        if not self._stays:
+            self.close()
+            return
+        for page in self._pages:
+            page.unroute_all(behavior="ignoreErrors")
+        self._rests = True
+        self._judge()
+
+    def _judge(self) -> None:
         unexpected = [one for one in self.complaints if not any(known.search(one) for known in self._expected)]
+        self.complaints, self._expected = [], []
         assert not unexpected, "\n".join(unexpected)
+
+    def _complain(self, words: str) -> None:
+        if not self._rests:
+            self.complaints.append(words)
 
     def _heard(self, message: ConsoleMessage) -> None:
         if message.type == "error":
             where = message.location.get("url", "")
-            self.complaints.append(f"{message.text} ({where})")
+            self._complain(f"{message.text} ({where})")
 
 
 def new_context(browser: Browser, base_url: str, *, size: str = "wide", scheme: Scheme = "light") -> BrowserContext:
@@ -99,6 +121,22 @@ def new_context(browser: Browser, base_url: str, *, size: str = "wide", scheme: 
     )
     found.set_default_timeout(ANSWER_MS)
     return found
+
+
+def nothing(opened: Callable[..., Page], view: str, **how: Any) -> Page:
+    """A page that shows nothing yet and asks for nothing; the files of this view ("machine") are there already.
+
+    For who tells the page what it hears before it looks: from then on the browser keeps no files.
+    """
+    page = opened(NOWHERE, **how)
+    page.evaluate(
+        """async (view) => {
+            const [{ sheet }] = await Promise.all([import("/page/lib/dom.js"), import(`/page/${view}/view.js`)]);
+            await sheet(`/page/${view}/${view}.css`);
+        }""",
+        view,
+    )
+    return page
 
 
 def serious_faults(page: Page) -> list[str]:
@@ -122,21 +160,6 @@ def layout_faults(page: Page, *, least_px: int = TOUCH_PX) -> list[str]:
     page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     found: list[str] = page.evaluate(_LAYOUT, {"least": least_px})
     return found
-
-
-def every_screen(page: Page) -> Iterator[str]:
-    """The page at each width, light or dark: laws of layout hold, and axe-core finds no serious fault where it listens.
-
-    All widths in both, and more of them, are for `test_screens`.
-    """
-    for size, scheme, heard in _SCREENS:
-        width, height = SIZES[size]
-        page.set_viewport_size({"width": width, "height": height})
-        page.emulate_media(color_scheme=scheme)
-        yield f"{size}-{scheme}"
-        assert not (faults := layout_faults(page)), (size, scheme, faults)
-        if heard:
-            assert not (faults := serious_faults(page)), (size, scheme, faults)
 
 
 def shoot(page: Page, folder: Path, name: str) -> Path:

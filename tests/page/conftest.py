@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -16,10 +17,11 @@ import pytest
 from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from tests.page.answers import watched_answers
-from tests.page.browser import ANSWER_MS, SIZES, Scheme, Watched, missing, new_context, running_browser, shoot
+from tests.page.browser import ANSWER_MS, NOWHERE, SIZES, Scheme, Watched, missing, new_context, running_browser, shoot
 from tests.page.stub import Stub, running_stub
 
 Opened = Callable[..., Page]
+_loads = itertools.count()  # an address that differs by more than its view's is loaded, not only gone to
 
 expect.set_options(timeout=ANSWER_MS)
 
@@ -55,9 +57,9 @@ def stub() -> Iterator[Stub]:
 
 
 @pytest.fixture(scope="package")
-def kept() -> dict[str, BrowserContext]:
-    """Contexts by size: a page of its own is all that a test needs."""
-    return {}
+def kept(stub: Stub) -> Kept:
+    """What a new page costs most is paid once: contexts by size, each with a page that `opened` loads anew."""
+    return Kept(stub)
 
 
 @pytest.fixture(autouse=True)
@@ -90,8 +92,12 @@ def watched(browser: Browser, site: str) -> Iterator[Callable[..., Watched]]:
 
 
 @pytest.fixture
-def opened(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Iterator[Opened]:
-    """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",)), instead of the last."""
+def opened(browser: Browser, kept: Kept, stub: Stub) -> Iterator[Opened]:
+    """opened("#/machines", size="phone", scheme="dark", key="Ada", errors=("status of 409",)), instead of the last.
+
+    script: runs before the page's own, in a page that is used once; what a test does to the browser, not to what is
+    loaded, takes one with `once` too.
+    """
     with contextlib.ExitStack() as stack:
 
         def make(
@@ -101,17 +107,19 @@ def opened(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Ite
             scheme: Scheme = "light",
             key: str = "",
             errors: tuple[str, ...] = (),
+            script: str = "",
+            once: bool = False,
         ) -> Page:
             stack.close()
-            touch = "phone" if size == "phone" else "wide"
-            context = keep(kept, browser, stub, touch)
-            pages = Watched(context)
-            stack.callback(pages.close)
-            stack.callback(context.clear_permissions)
+            pages = kept.pages(browser, size, once=once or script != "")
+            stack.callback(pages.rest)
             pages.expect_errors(*errors)
             page = pages.page()
+            if script:
+                page.add_init_script(script)
             width, height = SIZES[size]
-            page.set_viewport_size({"width": width, "height": height})
+            if page.viewport_size != {"width": width, "height": height}:
+                page.set_viewport_size({"width": width, "height": height})
             page.emulate_media(color_scheme=scheme)
             visit(page, address, stub.key(key) if key else "")
             return page
@@ -126,24 +134,43 @@ def page(opened: Opened) -> Page:
 
 
 @pytest.fixture
-def modules(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Page:
+def modules(browser: Browser, kept: Kept) -> Page:
     """Where the page's modules can be imported, and nothing else goes on: for what has neither screen nor server."""
-    return keep(kept, browser, stub, "wide").pages[0]
+    return kept.context(browser, "wide").pages[0]
 
 
-def keep(kept: dict[str, BrowserContext], browser: Browser, stub: Stub, size: str) -> BrowserContext:
-    """The context of this size. Its first page stays, and with it the process of the others."""
-    if size not in kept:
-        kept[size] = new_context(browser, stub.url, size=size)
-        kept[size].new_page().goto("/page/icon.svg")
-    return kept[size]
+class Kept:
+    """Contexts of the stub's pages, until the browser ends. The first page of each keeps the others' process."""
+
+    def __init__(self, stub: Stub) -> None:
+        self._stub = stub
+        self._contexts: dict[str, BrowserContext] = {}
+        self._pages: dict[str, Watched] = {}
+
+    def context(self, browser: Browser, size: str) -> BrowserContext:
+        touch = "phone" if size == "phone" else "wide"
+        if touch not in self._contexts:
+            self._contexts[touch] = new_context(browser, self._stub.url, size=touch)
+            self._contexts[touch].new_page().goto("/page/icon.svg")
+        return self._contexts[touch]
+
+    def pages(self, browser: Browser, size: str, *, once: bool = False) -> Watched:
+        """The page of this size that is loaded anew for each test, or one for this test only."""
+        context = self.context(browser, size)
+        if once:
+            return Watched(context)
+        touch = "phone" if size == "phone" else "wide"
+        if touch not in self._pages:
+            self._pages[touch] = Watched(context, stays=True)
+        return self._pages[touch]
 
 
 def visit(page: Page, address: str, token: str = "") -> None:
-    page.goto("/")
+    """The page loaded anew; who has a token is known before the view of that address asks for anything."""
+    page.goto(f"/?{next(_loads)}{NOWHERE if token else address}")
     if token:
         sign_in(page, token)
-    page.evaluate("hash => { location.hash = hash }", address)
+        page.evaluate("hash => { location.hash = hash }", address)
 
 
 def sign_in(page: Page, token: str) -> None:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from playwright.sync_api import Locator, Page, expect
 
 from tests.page.shop import MILL
+from tests.waiting import until
 
 
 def go_to_machine(page: Page, name: str = MILL) -> None:
@@ -128,12 +129,20 @@ def load(page: Page, job: str, program: str) -> None:
 
 
 def start(page: Page) -> None:
-    """Every tick is needed, and a name."""
+    """Every tick is needed, and a name. A plan that the mill has changed meanwhile is ticked anew, as a person does."""
     go = page.get_by_role("button", name=re.compile("^(Start|Go on from)"))
     for box in page.locator(".checklist:visible input[type=checkbox]").all():
         expect(go).to_be_disabled()
         box.check()
     page.get_by_label("Operator").fill("")
     expect(go).to_be_disabled()
-    page.get_by_label("Operator").fill("Ada")
+
+    def ready() -> bool:
+        for box in page.locator(".checklist:visible input[type=checkbox]").all():
+            box.check()
+        page.get_by_label("Operator").fill("Ada")
+        page.wait_for_timeout(100)
+        return go.is_enabled()
+
+    until(ready, what="a program that can be started")
     go.click()

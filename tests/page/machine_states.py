@@ -11,6 +11,7 @@ from typing import Any
 from playwright.sync_api import Page, Route, expect
 
 from tests.page import canned_job
+from tests.page.browser import nothing
 
 NAME = "shop"
 RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
@@ -156,6 +157,8 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
     "bad-profile": ({"problem": 'shop.toml: extends = "grlb": allowed: "grbl", "grbl-3018"'}, {}, None),
 }
 
+USED = ("idle", "parked", "running", "held", "interrupted", "stopped")  # mills with every button that is on
+
 
 def machine_in(state: str) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """The machine as the API tells it, and the run that is on it, or was the last one."""
@@ -217,7 +220,7 @@ def told(
 
 def with_control(opened: Callable[..., Page], state: str, *, mill: dict[str, Any] | None = None, **how: Any) -> Page:
     """A page at this mill, with control of it."""
-    page = opened("#/machines", key="Ada", **how)
+    page = nothing(opened, "machine", key="Ada", **how)
     told(page, state, operator="Ada", mill=mill)
     page.evaluate(f"location.hash = '#/machines/{NAME}'")
     page.get_by_role("button", name="Take over").click()

@@ -19,7 +19,9 @@ from typing import Any
 
 import uvicorn
 from fastapi import FastAPI, Request, WebSocket
+from starlette.datastructures import MutableHeaders
 from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.api import routes_page, routes_root
 from service.api.problems import install_problems
@@ -184,6 +186,20 @@ class Stub:
         return found
 
 
+def keeping_files(app: ASGIApp) -> ASGIApp:
+    """The files of the page stay in the browser as long as the stub runs: half of what loading them anew would cost."""
+
+    async def answer(scope: Scope, receive: Receive, send: Send) -> None:
+        async def kept(message: Message) -> None:
+            if message["type"] == "http.response.start" and scope["path"].startswith(routes_page.PREFIX):
+                MutableHeaders(scope=message)["Cache-Control"] = "max-age=86400, immutable"
+            await send(message)
+
+        await app(scope, receive, kept)
+
+    return answer
+
+
 @contextlib.contextmanager
 def running_stub() -> Iterator[Stub]:
     """On a socket of its own, in a thread of this process."""
@@ -204,7 +220,7 @@ def running_stub() -> Iterator[Stub]:
             await way.close(4401)
 
         app.add_api_websocket_route("/v1/stops", refuse)
-        config = uvicorn.Config(app, log_level="warning", access_log=False, timeout_graceful_shutdown=1)
+        config = uvicorn.Config(keeping_files(app), log_level="warning", access_log=False, timeout_graceful_shutdown=1)
         server = uvicorn.Server(config)
         thread = threading.Thread(target=lambda: asyncio.run(server.serve(sockets=[listener])), daemon=True)
         thread.start()

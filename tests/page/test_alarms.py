@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from playwright.sync_api import Route, expect
+import pytest
+from playwright.sync_api import Page, Route, expect
 
 from machines.grbl.codes import SPINDLE_ON_ALARMS, alarm_words
 from tests.page.conftest import Opened
@@ -33,20 +34,32 @@ def way_on(number: int) -> Callable[[Route], None]:
     return lambda route: route.fulfill(json=plan)
 
 
-def test_after_every_alarm_its_words_the_spindle_home_and_the_way_on_are_on_the_page(opened: Opened) -> None:
-    page = with_control(opened, "interrupted")
+def locked(page: Page, number: int) -> None:
+    """This alarm in the middle of a program: its words are on the page, and whether the spindle turns."""
+    on, line = number in SPINDLE_ON_ALARMS, page.locator(".next")
+    turns = {"spindle_on": on, "spindle_rpm": 18000 if on else 0}
+    told(page, "interrupted", operator="Ada", mill=LOST | turns | {"state": "alarm", "detail": alarm_words(number)})
+    expect(line).to_contain_text(f"Locked: {SAID[number]}.")
+    assert "(" not in line.text_content().split(SAID[number])[0], number
+    expect(machine_state(page)).to_have_text("locked")
+    expect(page.locator(".running .mark")).to_have_text("interrupted")
     spindle = page.locator(".pace div", has_text="Spindle").locator("dd")
+    expect(spindle).to_have_text("on, 18000 rpm" if on else "off")
+
+
+@pytest.mark.thorough
+def test_after_every_alarm_its_words_and_the_spindle_are_on_the_page(opened: Opened) -> None:
+    page = with_control(opened, "interrupted")
+    for number in SAID:
+        locked(page, number)
+
+
+def test_after_an_alarm_home_and_the_way_on_are_offered(opened: Opened) -> None:
+    """Whether the spindle turns or not."""
+    page = with_control(opened, "interrupted")
     line, go = page.locator(".next"), page.get_by_role("button", name="Go on from line 8,640")
-    for number, words in SAID.items():
-        on = number in SPINDLE_ON_ALARMS
-        turns = {"spindle_on": on, "spindle_rpm": 18000 if on else 0}
-        alarm = LOST | turns | {"state": "alarm", "detail": alarm_words(number)}
-        told(page, "interrupted", operator="Ada", mill=alarm)
-        expect(line).to_contain_text(f"Locked: {words}.")
-        assert "(" not in line.text_content().split(words)[0], number
-        expect(machine_state(page)).to_have_text("locked")
-        expect(page.locator(".running .mark")).to_have_text("interrupted")
-        expect(spindle).to_have_text("on, 18000 rpm" if on else "off")
+    for number in (min(SAID.keys() & SPINDLE_ON_ALARMS), min(SAID.keys() - SPINDLE_ON_ALARMS)):
+        locked(page, number)
         expect(go).to_be_hidden()
         sent = orders_of(page)
         line.get_by_role("button", name="Home", exact=True).click()

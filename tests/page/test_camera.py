@@ -7,7 +7,7 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.page.browser import layout_faults, serious_faults
+from tests.page.browser import layout_faults, nothing, serious_faults
 from tests.page.conftest import Opened
 
 TRACKS = "window.streams.flatMap((one) => one.getTracks()).map((one) => one.readyState)"
@@ -27,7 +27,7 @@ null"""
 
 @pytest.fixture
 def page(opened: Opened) -> Page:
-    found = opened("#/machines")
+    found = nothing(opened, "new")
     found.context.grant_permissions(["camera"])
     found.evaluate("location.hash = '#/new'")
     expect(found.get_by_role("heading", level=1, name="New job")).to_be_visible()
@@ -77,6 +77,7 @@ def test_a_camera_that_may_not_be_used_is_said_so(page: Page) -> None:
     expect(page.get_by_role("dialog")).to_have_count(0)
 
 
+@pytest.mark.thorough
 def test_a_phone_takes_it_with_its_own_program(opened: Opened) -> None:
     page = opened("#/new", size="phone")
     with page.expect_file_chooser() as asked:

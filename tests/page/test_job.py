@@ -9,18 +9,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
+from playwright.sync_api import Browser, Locator, Page, expect
 
 from service.drawing.layout import parted
 from service.report_words import duration, psnr_in_words
 from service.spec_files import resolve_spec
 from service.stages.plan import usual_seconds
+from tests.levels import mostly_thorough
 from tests.page import canned_job
-from tests.page.browser import SIZES, Watched, every_screen
-from tests.page.conftest import Opened, keep, visit
+from tests.page.browser import SIZES, nothing
+from tests.page.conftest import Kept, Opened, visit
 from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
 from tests.page.machine_states import NAME as MILL
-from tests.page.stub import Stub
 
 NEAR_PX = 150
 AWAY = (r"net::ERR_", r"status of 50[234]")
@@ -31,9 +31,9 @@ HTMLCanvasElement.prototype.getContext = function (kind, ...more) {
 
 
 @pytest.fixture(scope="module")
-def at_job(browser: Browser, stub: Stub, kept: dict[str, BrowserContext]) -> Iterator[Page]:
+def at_job(browser: Browser, kept: Kept) -> Iterator[Page]:
     """One look at the finished job, for all who change nothing of it."""
-    watched = Watched(keep(kept, browser, stub, "wide"))
+    watched = kept.pages(browser, "wide", once=True)
     page = watched.page()
     visit(page, f"#/jobs/{canned_job.JOB_ID}")
     expect(page.get_by_role("heading", name="Programs")).to_be_visible()
@@ -289,11 +289,9 @@ def test_the_lens_turns_by_hand_and_rests_for_who_wants_no_motion(at_job: Page) 
     assert body.screenshot() != turned
 
 
+@pytest.mark.thorough
 def test_without_webgl_there_is_the_map_of_heights(opened: Opened) -> None:
-    page = opened("#/machines")
-    page.add_init_script(NO_WEBGL)
-    page.reload()
-    page.evaluate("id => { location.hash = `#/jobs/${id}` }", canned_job.JOB_ID)
+    page = opened(f"#/jobs/{canned_job.JOB_ID}", script=NO_WEBGL)
     chart = page.locator(".height-map")
     chart.scroll_into_view_if_needed()
     expect(page.locator(".height-bar")).to_be_visible()
@@ -307,11 +305,10 @@ def test_a_failed_job_says_what_to_change(opened: Opened) -> None:
     stages = stopped_at(job, "pass-2", "failed")
     failed = like(job, 1, state="failed", error=error, stages=stages, programs=[], progress=0.6)
     page = shown(opened, failed, files[:4])
-    for _ in every_screen(page):
-        told = page.locator(".notice.bad")
-        expect(told).to_contain_text("The ball of 3 mm does not fit.")
-        expect(told).to_contain_text("Change ball radius of pass 2 (finish)")
-        expect(told.get_by_role("link")).to_have_attribute("href", f"#/new?from={failed['id']}")
+    told = page.locator(".notice.bad")
+    expect(told).to_contain_text("The ball of 3 mm does not fit.")
+    expect(told).to_contain_text("Change ball radius of pass 2 (finish)")
+    expect(told.get_by_role("link")).to_have_attribute("href", f"#/new?from={failed['id']}")
     expect(page.locator(".stages [data-state=failed]")).to_have_text(re.compile("pass 2.*failed"))
     asked: list[str] = []
     page.route("**:retry", lambda route: (asked.append(route.request.method), route.fulfill(status=202, json=job)))
@@ -333,8 +330,7 @@ def test_a_job_without_results_explains_itself(opened: Opened, state: str, words
     stages = stopped_at(job, "image", "cancelled" if state == "cancelled" else "waiting")
     empty: dict[str, Any] = {"report": None, "programs": [], "stages": stages, "progress": 0.0, "queue_position": 3}
     page = shown(opened, like(job, 2, state=state, **empty), [])
-    for _ in every_screen(page):
-        expect(page.get_by_text(words)).to_be_visible()
+    expect(page.get_by_text(words)).to_be_visible()
 
 
 def test_a_deleted_job_is_gone_after_a_question(opened: Opened) -> None:
@@ -385,8 +381,6 @@ def test_a_plan_is_taken_by_click_and_by_key(opened: Opened) -> None:
         page.get_by_role("button", name="Sharper").click()
     expect(points.nth(4)).to_have_attribute("aria-checked", "true")
     expect(chosen).to_contain_text("every 0.1 mm")
-    for _ in every_screen(page):
-        expect(link).to_be_visible()
 
 
 @pytest.mark.thorough
@@ -395,7 +389,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
     report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5}}
     other = like(job, 5, name="other.png", spec=spec, report=report)
-    page = opened("#/machines")
+    page = nothing(opened, "job")
     answer(page, other, files)
     page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")
@@ -404,25 +398,15 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     better = page.get_by_role("row", name="On the wall, as milled").get_by_role("cell", name="better")
     expect(better).to_have_text(re.compile("31.5 dB"))
     expect(page.get_by_role("slider", name="Wipe between logo and other")).to_be_visible()
-    for _ in every_screen(page):
-        expect(rows).to_have_count(2)
 
 
-def test_every_screen_of_a_finished_job(at_job: Page, picture: Any) -> None:
-    for part in ("#lens-title", "#path-title", "#files-title"):
-        at_job.locator(part).scroll_into_view_if_needed()
-    expect(at_job.locator("[data-level]")).to_be_attached()
-    for screen in every_screen(at_job):
-        expect(at_job.get_by_role("heading", name="Tool path")).to_be_visible()
-        picture(at_job, f"job-{screen}")
-
-
+@pytest.mark.thorough
 def test_a_job_that_is_not_there_is_said_so(opened: Opened) -> None:
     page = opened("#/jobs/00000000-0000-4000-8000-00000000dead", errors=("status of 404",))
     expect(page.get_by_role("alert")).to_contain_text("no job")
 
 
-@pytest.mark.parametrize("size", ["wide", "tablet"])
+@pytest.mark.parametrize("size", mostly_thorough(["wide", "tablet"], quick=["wide"]))
 def test_beside_the_pictures_no_column_is_left_empty(opened: Opened, size: str) -> None:
     """With two programs and two things to look out for: where each column's last words are, the other's are near."""
     job, files = canned()

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 import pytest
 from playwright.sync_api import Page, expect
 
+from tests.page.browser import NOWHERE
 from tests.page.conftest import Opened
 from tests.page.machine_states import told
 
@@ -23,7 +24,7 @@ def end_in(page: Page, minutes: float) -> None:
 
 
 def test_a_code_that_ends_is_said_two_hours_before_and_again(opened: Opened) -> None:
-    page = opened("#/machines", key="Ada", errors=("status of 401",))
+    page = opened(NOWHERE, key="Ada", errors=("status of 401",))
     end_in(page, 125)
     warning = page.locator(WARNING)
     page.wait_for_timeout(300)
@@ -40,9 +41,10 @@ def test_a_code_that_ends_is_said_two_hours_before_and_again(opened: Opened) -> 
     expect(warning).to_have_count(0)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("left", [60, -1])
 def test_during_a_run_it_is_said_what_ends_with_the_code(opened: Opened, left: float) -> None:
-    page = opened("#/machines", key="Ada")
+    page = opened(NOWHERE, key="Ada")
     told(page, "running")
     end_in(page, left)
     when = "ends in 1 h" if left > 0 else "has ended"

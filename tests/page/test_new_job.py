@@ -17,7 +17,7 @@ from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.tone import invert_tones, linear_to_srgb, srgb_to_linear
 from tests.page import canned_job
-from tests.page.browser import every_screen
+from tests.page.browser import nothing
 from tests.page.conftest import Opened
 from tests.page.form import as_floats, choose, fill, make_it, parts, picture, pixels_of, pressed, refuse_picture, wall
 from tests.page.jobs import canned, shown, with_plan
@@ -30,7 +30,7 @@ PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
 @pytest.fixture
 def new_job(opened: Opened) -> Page:
     """The view with a picture; estimates are answered by nobody, so that only what is asked for happens."""
-    page = opened("#/machines", errors=("status of 422",))
+    page = nothing(opened, "new", errors=("status of 422",))
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
     return page
@@ -121,7 +121,6 @@ def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: lis
     expect(new_job.locator(".submit-bar")).to_contain_text("enough for this test")
 
 
-@pytest.mark.thorough
 def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, sent: list[Any]) -> None:
     """So that pressing again after a fault makes no second job."""
     first = pressed(new_job, sent)
@@ -195,7 +194,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
 
 @pytest.mark.thorough
 def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened) -> None:
-    page = opened("#/machines", errors=("status of 422",))
+    page = nothing(opened, "new", errors=("status of 422",))
     caught: list[tuple[dict[str, Any], bytes]] = []
 
     def take(route: Route) -> None:
@@ -216,6 +215,7 @@ def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened) -> 
     assert as_floats(caught[0][0]) == as_floats(asked["spec"])
 
 
+@pytest.mark.thorough
 def test_another_plan_is_a_click_away_from_its_own_job(opened: Opened) -> None:
     """What is posted then is that plan and nothing else that the first job had not."""
     job, files = canned()
@@ -326,7 +326,7 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
 
 @pytest.mark.thorough
 def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
-    page = opened("#/machines", errors=("status of 422",))
+    page = nothing(opened, "new", errors=("status of 422",))
     told = [("spec.passes.1", "it cuts nothing"), ("spec.passes.0.pitch_mm", "more than 0 is needed")]
     problems = [{"field": field, "detail": detail} for field, detail in told]
     answer = {"status": 422, "detail": "see there", "problems": problems}
@@ -348,10 +348,3 @@ def test_nobody_is_asked_to_drop_with_a_finger(opened: Opened, size: str, words:
     for address in ("#/new", "#/"):
         page = opened(address, size=size)
         expect(page.locator(".drop p")).to_contain_text(words)
-
-
-def test_every_screen_of_a_new_job_is_in_order(new_job: Page) -> None:
-    new_job.get_by_text("Expert:").click()
-    new_job.get_by_label("Set every pass by hand").check()
-    for _ in every_screen(new_job):
-        expect(make_it(new_job)).to_be_in_viewport()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.page.browser import SIZES
+from tests.page.browser import SIZES, nothing
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import MACHINE, PLAN, RUN, taken, told, with_control
@@ -109,11 +109,8 @@ def test_every_step_comes_after_the_one_before(modules: Page) -> None:
     assert due(ALL_SET, run=finished)[::2] == ["load", f"load the next program, {RUN['next']['name']}."]
 
 
-SEEN = ("parked", "stopped", *(pytest.param(one, marks=pytest.mark.thorough) for one in ("locked", "held", "finished")))
-
-
 @pytest.mark.thorough
-@pytest.mark.parametrize("state", SEEN)
+@pytest.mark.parametrize("state", ["parked", "stopped", "locked", "held", "finished"])
 def test_only_what_is_due_is_blue_and_every_word_is_plain(opened: Opened, state: str) -> None:
     def without_jobs(*place: str, **how: Any) -> Page:
         page = opened(*place, **how)
@@ -167,7 +164,11 @@ def test_nothing_is_said_to_be_left_while_the_tool_stands_in_the_block(opened: O
 
 
 @pytest.mark.parametrize(
-    ("state", "button"), [("stopped", "Go on from line 8,640"), ("parked", "Start pass-2-finish.nc")]
+    ("state", "button"),
+    [
+        ("stopped", "Go on from line 8,640"),
+        pytest.param("parked", "Start pass-2-finish.nc", marks=pytest.mark.thorough),
+    ],
 )
 def test_no_program_goes_while_the_line_says_to_raise_the_tool(opened: Opened, state: str, button: str) -> None:
     """Every tick is given, and a name: what is in the way is the tool, and the button says so until it is up."""
@@ -252,7 +253,13 @@ def test_keys_to_jog_by_and_their_steps_are_in_sight_together(opened: Opened) ->
         assert out_of_sight(page, ".readout .work, .pad button, .steps label") == [], (width, height)
 
 
-@pytest.mark.parametrize(("state", "mill"), [("unplugged", {}), ("locked", {}), ("parked", OVER_IT)])
+@pytest.mark.parametrize(
+    ("state", "mill"),
+    [
+        ("unplugged", {}),
+        *(pytest.param(*one, marks=pytest.mark.thorough) for one in (("locked", {}), ("parked", OVER_IT))),
+    ],
+)
 def test_on_a_phone_the_next_step_leaves_room_for_the_mill(opened: Opened, state: str, mill: dict[str, Any]) -> None:
     """Its words are within it; with all of them unfolded it takes a third of the height, and what stops is in reach."""
     page = with_control(opened, state, mill=mill, size="phone")
@@ -267,6 +274,7 @@ def test_on_a_phone_the_next_step_leaves_room_for_the_mill(opened: Opened, state
         page.get_by_role("button", name=name).click(trial=True)
 
 
+@pytest.mark.thorough
 def test_a_drawing_says_which_corner_is_zero_before_a_program_is_loaded(opened: Opened) -> None:
     page = with_control(opened, "idle")
     drawing = page.get_by_role("img", name="X0 Y0 is the front left corner of the lens, inside the block, not to scale")
@@ -321,6 +329,7 @@ def test_what_is_held_goes_on_by_key_only_where_that_is_meant(opened: Opened) ->
     assert [name for name, _ in sent[2:]] == ["hold", "abort"]
 
 
+@pytest.mark.thorough
 def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
     page = with_control(opened, "running")
     page.route("**/v1/machines/shop/control", lambda route: route.fulfill(status=204))
@@ -348,8 +357,9 @@ def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
     expect(page.locator(".recover .needs")).to_contain_text("Touch off and set X, Y and Z again")
 
 
+@pytest.mark.thorough
 def test_the_console_tells_what_matters(opened: Opened) -> None:
-    page = opened("#/machines", key="Ada")
+    page = nothing(opened, "machine", key="Ada")
     told(page, "idle")
     entries = [("state", "run"), ("state", "idle"), ("state", "jog"), ("state", "alarm"), ("command", "Home: done")]
     entries += [("run", "pass-1.nc: parked"), ("state", "idle"), ("command", "Read settings: done")]

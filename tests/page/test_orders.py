@@ -10,7 +10,9 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
+from tests.levels import mostly_thorough
 from tests.page.answers import problem
+from tests.page.browser import nothing
 from tests.page.conftest import Opened
 from tests.page.driving import setup
 from tests.page.machine_states import GRANT, PLAN, STOPS, taken, told, with_control
@@ -91,7 +93,7 @@ def at_mill(opened: Opened, state: str, **how: Any) -> Page:
     return page
 
 
-@pytest.mark.parametrize("what", PRESSES)
+@pytest.mark.parametrize("what", mostly_thorough(PRESSES, quick=["jog", "start", "recover"]))
 def test_every_order_goes_under_a_grant_that_is_asked_for_at_the_press(opened: Opened, what: str) -> None:
     state, press = PRESSES[what]
     page = at_mill(opened, state)
@@ -221,7 +223,7 @@ class Way:
 
 def watching(opened: Opened, answer: dict[str, Any] | None, **how: Any) -> tuple[Page, Way]:
     """A page without control of a mill that runs, its way for stops open."""
-    page = opened("#/machines", **how)
+    page = nothing(opened, "machine", once=True, **how)  # no route of a socket ends
     told(page, "running")
     way = Way(page, answer)
     page.evaluate(f"location.hash = '{SCREEN}'")
@@ -241,7 +243,9 @@ def test_a_stop_goes_by_a_way_of_its_own(opened: Opened) -> None:
     expect(page.locator(".arrived")).to_be_empty()
 
 
-@pytest.mark.parametrize("answer", [None, {"taken": False, "detail": "no answer in time"}])
+@pytest.mark.parametrize(
+    "answer", [None, pytest.param({"taken": False, "detail": "no answer in time"}, marks=pytest.mark.thorough)]
+)
 def test_a_stop_without_an_answer_goes_the_other_way_too(opened: Opened, answer: dict[str, Any] | None) -> None:
     page, way = watching(opened, answer)
     sent = record_orders(page)
@@ -252,6 +256,7 @@ def test_a_stop_without_an_answer_goes_the_other_way_too(opened: Opened, answer:
     expect(page.locator(".arrived")).to_be_empty()
 
 
+@pytest.mark.thorough
 def test_an_order_after_our_own_stop_is_no_order_before_it(opened: Opened) -> None:
     """The answer to the stop counts, where what the mill says comes later."""
     page = at_mill(opened, "held")
@@ -292,9 +297,10 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
     expect(alarm).to_be_empty()
 
 
+@pytest.mark.thorough
 def test_nothing_can_be_loaded_while_an_order_is_on_its_way(opened: Opened) -> None:
     """Taken is not carried out: between the two the button said that it could, and then that it could not."""
-    page = opened("#/machines", key="Ada")
+    page = nothing(opened, "machine", key="Ada")
     told(page, "idle", operator="Ada")
     page.evaluate(f"location.hash = '{SCREEN}'")
     page.get_by_role("button", name="Take over").click()
@@ -341,6 +347,7 @@ def test_a_line_that_changes_the_mill_itself_is_asked_for_once_more(opened: Open
     expect(page.get_by_label("One line to the mill")).to_have_value("")
 
 
+@pytest.mark.thorough
 def test_who_gave_which_order_can_be_read(opened: Opened) -> None:
     def given(number: int, **more: Any) -> dict[str, Any]:
         base = {"number": number, "at_s": 1795284531.5 + number, "kind": "command", "by": "Ada", "from": "192.168.1.20"}
@@ -356,7 +363,7 @@ def test_who_gave_which_order_can_be_read(opened: Opened) -> None:
         before = re.search(r"before=(\d+)", route.request.url)
         route.fulfill(json=pages[before[1] if before else ""])
 
-    page = opened("#/machines")
+    page = nothing(opened, "machine")
     told(page, "idle")
     page.route("**/v1/machines/shop/orders**", answer)
     page.evaluate(f"location.hash = '{SCREEN}'")

@@ -10,16 +10,15 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
+from tests.levels import mostly_thorough
 from tests.page import jobs
-from tests.page.browser import Scheme, layout_faults, serious_faults
+from tests.page.browser import NOWHERE, Scheme, layout_faults, nothing, serious_faults
 from tests.page.conftest import Opened
 from tests.page.form import refuse_picture
 from tests.page.listed import answer_with, summary
 from tests.page.machine_states import NAME as MILL
-from tests.page.machine_states import STATES, machine_in, told, with_control
+from tests.page.machine_states import STATES, USED, machine_in, told, with_control
 from tests.page.shop import PICTURE
-
-pytestmark = pytest.mark.thorough
 
 Screen = Callable[[Opened], Page]
 
@@ -34,7 +33,6 @@ SIZES: dict[str, tuple[int, int, Scheme, bool]] = {
     "zoomed": (720, 450, "dark", False),
     "keyboard": (390, 420, "light", False),
 }
-USED = ("idle", "parked", "running", "held", "interrupted", "stopped")  # mills with every button that is on
 STYLES = ("job/job.css", "machine/machine.css", "new/new.css")
 PLACES = """async () => {
     const now = () => [...document.querySelectorAll("main *")].filter((one) => one.checkVisibility()).map((one) => {
@@ -66,7 +64,7 @@ def of_the_key(opened: Opened) -> Page:
 
 
 def of_a_new_job(opened: Opened) -> Page:
-    page = opened("#/machines")
+    page = nothing(opened, "new")
     page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE))
     page.evaluate("location.hash = '#/new'")
     page.locator("input[type=file]").first.set_input_files(PICTURE)
@@ -90,6 +88,7 @@ def of_a_new_job_with_everything(opened: Opened) -> Page:
         page.get_by_label(label, exact=True).fill(value)
     page.get_by_role("button", name="Make the lens").click()
     expect(page.get_by_text("'abc' is no number.")).to_be_visible()
+    expect(page.locator(".estimate[aria-busy=true]")).to_have_count(0)  # dimmed while it is asked for anew
     return page
 
 
@@ -99,6 +98,19 @@ def of_a_job(state: str, **more: Any) -> Screen:
         return jobs.shown(opened, jobs.like(job, 1, name=LONG_NAME, state=state, **more), files[:4])
 
     return screen
+
+
+def of_a_job_without_results(state: str) -> Screen:
+    stages = jobs.stopped_at(jobs.canned()[0], "image", "cancelled" if state == "cancelled" else "waiting")
+    return of_a_job(state, report=None, programs=[], stages=stages, progress=0.0, queue_position=3)
+
+
+def of_no_jobs(opened: Opened) -> Page:
+    page = opened(NOWHERE)
+    answer_with(page, [])
+    page.evaluate("location.hash = '#/'")
+    expect(page.locator(".drop")).to_be_visible()
+    return page
 
 
 def of_a_plan(opened: Opened) -> Page:
@@ -124,7 +136,7 @@ def of_two_jobs_without_pictures(opened: Opened) -> Page:
 def compared(opened: Opened, pictures: str = "") -> Page:
     job, files = jobs.canned()
     other = jobs.like(job, 3, name=LONG_NAME, spec=job["spec"] | {"image": job["spec"]["image"] | {"pixels": 128}})
-    page = opened("#/machines")
+    page = nothing(opened, "job")
     jobs.answer(page, other, files)
     if pictures:
         page.route(pictures, lambda _route: None)
@@ -135,7 +147,7 @@ def compared(opened: Opened, pictures: str = "") -> Page:
 
 def of_the_key_beside_a_mill(opened: Opened) -> Page:
     """HOLD and STOP are used while it is asked for."""
-    page = opened("#/machines")
+    page = nothing(opened, "machine")
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
     page.get_by_role("button", name="Take over").click()
@@ -154,7 +166,7 @@ def of_a_question(opened: Opened) -> Page:
 
 
 def of_machines(opened: Opened) -> Page:
-    page = opened()
+    page = nothing(opened, "machine")
     found = [machine_in(state)[0] | {"name": f"{state}-{LONG_NAME}"} for state in STATES]
     told = {"machines": found, "problems": [f"{LONG_NAME}: line 3: no value"]}
     page.route("**/v1/machines", lambda route: route.fulfill(json=told))
@@ -177,12 +189,15 @@ def of_a_machine(state: str) -> Screen:
 
 SCREENS: dict[str, Screen] = {
     "jobs": of_jobs,
+    "no-jobs": of_no_jobs,
     "key": of_the_key,
     "new": of_a_new_job,
     "new-broken": of_a_picture_that_is_none,
     "new-everything": of_a_new_job_with_everything,
     "job-failed": of_a_job("failed", error=FAULT),
     "job-running": of_a_job("running", progress=0.4, report=None, programs=[]),
+    "job-queued": of_a_job_without_results("queued"),
+    "job-cancelled": of_a_job_without_results("cancelled"),
     "job-planned": of_a_plan,
     "two-jobs": of_two_jobs,
     "two-jobs-waiting": of_two_jobs_without_pictures,
@@ -193,7 +208,10 @@ SCREENS: dict[str, Screen] = {
 }
 
 
-@pytest.mark.parametrize("name", SCREENS)
+QUICK = ("jobs", "new-everything", "job-failed", "machine-interrupted")
+
+
+@pytest.mark.parametrize("name", mostly_thorough(SCREENS, quick=QUICK))
 def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, name: str) -> None:
     page = SCREENS[name](opened)
     for size, (width, height, scheme, heard) in SIZES.items():
@@ -206,6 +224,7 @@ def test_nothing_is_cut_or_in_the_way_at_any_width_in_any_theme(opened: Opened, 
             expect(button).to_be_in_viewport(ratio=1)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["jobs", "new", "job-planned", "machine-idle"])
 def test_a_view_looks_the_same_whatever_was_looked_at_before(opened: Opened, name: str) -> None:
     """Sheets stay once they are loaded: none of them may change another view."""

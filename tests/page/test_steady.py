@@ -148,6 +148,7 @@ def test_a_run_that_begins_or_ends_is_shown_from_the_top_without_empty_space(ope
             assert out_of_sight(page, ".next .trouble, .recover h2") == []
 
 
+@pytest.mark.thorough
 def test_while_a_program_runs_all_that_tells_of_it_is_in_sight(opened: Opened) -> None:
     page = with_control(opened, "parked")
     page.evaluate("scrollTo(0, document.documentElement.scrollHeight)")

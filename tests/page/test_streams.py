@@ -58,6 +58,7 @@ def tabs(watched: Callable[..., Watched]) -> Tabs:
     return Tabs(watched())
 
 
+@pytest.mark.thorough
 def test_six_tabs_with_a_job_leave_hold_free(tabs: Tabs, stub: Stub) -> None:
     pages = [tabs.add(f"#/jobs/{GOING}") for _ in range(TABS)]
     for page in pages:
@@ -99,6 +100,7 @@ def test_a_tab_that_nobody_sees_follows_nothing_and_comes_back(tabs: Tabs) -> No
     tabs.await_streams(page, 1)
 
 
+@pytest.mark.thorough
 def test_only_tabs_with_the_same_token_share_and_it_stays_in_its_tab(tabs: Tabs, stub: Stub) -> None:
     tabs.watched.context.add_init_script("""
         window.said = [];

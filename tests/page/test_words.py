@@ -12,6 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.answers import problem
+from tests.page.browser import NOWHERE, nothing
 from tests.page.conftest import Opened
 from tests.page.machine_states import MACHINE, told, with_control
 from tests.page.machine_states import NAME as MILL
@@ -28,7 +29,10 @@ SENTENCES = "async (said) => { const words = await import('/page/machine/words.j
 
 def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
     """Every text of a module with one of these words in it, its values filled in; no docstrings, no names."""
-    tree = ast.parse(path.read_text())
+    source = path.read_text()
+    if not words.search(source):
+        return
+    tree = ast.parse(source)
     parts = {id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values}
     parts |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}
     for node in ast.walk(tree):
@@ -48,12 +52,13 @@ def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(module
     assert not [pair for pair in zip(said, shown, strict=True) if JARGON.search(pair[1])]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("remote", "then"),
     [(False, "To connect it again, start the server again."), (True, "Switch it on, or start causticmill mill on it.")],
 )
 def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bool, then: str) -> None:
-    page = opened("#/jobs")
+    page = opened(NOWHERE)
     told(page, "no-agent")
     agent = {"reachable": False, "words": f"machine '{MILL}' has no agent at present; `serve` starts one"}
     machine: dict[str, Any] = MACHINE | {"remote": remote, "agent": agent, "mill": None}
@@ -63,7 +68,7 @@ def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bo
 
 
 def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
-    page = opened("#/machines", errors=("status of 504",))
+    page = nothing(opened, "machine", errors=("status of 504",))
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
     page.route(
@@ -77,6 +82,7 @@ def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
     )
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("rest", "brief"),
     [

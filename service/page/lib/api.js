@@ -252,13 +252,13 @@ async function readJson(response) {
 
 function setWho(found) {
   who = found;
-  for (const tell of whoListeners) tell(found);
+  for (const tell of [...whoListeners]) tell(found); // not who begins to listen meanwhile: that may be without end
 }
 
 function setAway(now) {
   if (now === away) return;
   away = now;
-  for (const tell of awayListeners) tell(now);
+  for (const tell of [...awayListeners]) tell(now);
   if (now) probe(0);
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 
+import pytest
 from playwright.sync_api import expect
 
 from tests.page.conftest import Opened
@@ -41,6 +42,7 @@ def test_the_code_of_the_terminal_gives_the_key_and_the_key_stays_in_memory(open
     expect(page.get_by_role("button", name="Enter code")).to_be_visible()
 
 
+@pytest.mark.thorough
 def test_a_new_code_is_entered_without_loading_the_page_again(opened: Opened, shop: Shop) -> None:
     """Control of the mill stays."""
     page = opened(f"#/machines/{MILL}", key="Ada")

@@ -16,6 +16,7 @@ from tests.page.shop import JOB_MS, Shop
 AWAY = (r"net::ERR_", r"status of 50[234]")
 
 
+@pytest.mark.thorough
 def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focus(opened: Opened, shop: Shop) -> None:
     page = opened("#/new", errors=("status of 4[0-9][0-9]",))
     choose(page, picture())
@@ -40,6 +41,7 @@ def test_what_cannot_be_used_is_said_beside_its_field_and_the_first_has_the_focu
     expect(page.get_by_text("is wider than the ball's radius")).to_be_visible()  # the fold has opened
 
 
+@pytest.mark.thorough
 def test_pressed_twice_and_with_the_answer_lost_it_makes_one_job(opened: Opened, shop: Shop) -> None:
     page = opened("#/new", errors=("net::ERR", "status of 404"))
     choose(page, picture(), name="once-only.png")

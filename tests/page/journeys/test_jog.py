@@ -93,6 +93,7 @@ def unfocused(page: Page) -> None:
     page.evaluate("window.dispatchEvent(new Event('blur'))")
 
 
+@pytest.mark.thorough
 def test_whatever_ends_the_hold_stops_the_mill(at_mill: Page) -> None:
     at_mill.route("**/control/jog", farther)
     finger = Finger(at_mill, "X minus")
@@ -152,6 +153,7 @@ def test_a_hold_that_nothing_ends_is_short(at_mill: Page) -> None:
     assert len(sent) == 1
 
 
+@pytest.mark.thorough
 def test_a_probe_sets_the_zero_by_the_plate(at_mill: Page) -> None:
     """The plate is felt at machine Z -25; from there the tool rises, and its height over the block is known."""
     say(at_mill, "G53 G0 Z-20")
@@ -167,6 +169,7 @@ def test_a_probe_sets_the_zero_by_the_plate(at_mill: Page) -> None:
     expect(machine_state(at_mill)).to_have_text("idle")
 
 
+@pytest.mark.thorough
 def test_a_probe_that_touches_nothing_is_said_with_what_to_do(at_mill: Page) -> None:
     unfold_probe(at_mill)
     at_mill.get_by_label("Down at most").fill("1")

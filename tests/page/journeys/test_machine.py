@@ -42,6 +42,7 @@ def press_stop(page: Page, name: str) -> None:
         page.get_by_role("button", name=name).click()
 
 
+@pytest.mark.thorough
 def test_one_press_is_one_step(at_mill: Page) -> None:
     sent = jogs_sent(at_mill)
     at_mill.get_by_label("0.1", exact=True).check()
@@ -51,6 +52,7 @@ def test_one_press_is_one_step(at_mill: Page) -> None:
     assert len(sent) == 1
 
 
+@pytest.mark.thorough
 def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill: Page) -> None:
     sent = jogs_sent(at_mill)
     at_mill.get_by_role("button", name="X minus").focus()
@@ -70,6 +72,7 @@ def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill:
     assert len(sent) == 1, "armed only as long as the focus stays in the pad"
 
 
+@pytest.mark.thorough
 def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(opened: Opened, shop: Shop) -> None:
     page = opened(SCREEN, key="Ada")
     expect(page.get_by_text("Nobody has control.")).to_be_visible()

@@ -127,6 +127,7 @@ def test_a_run_is_held_resumed_stopped_and_gone_on_with(at_mill: Page, shop: Sho
     assert cut_lines(at_mill) > stopped_at
 
 
+@pytest.mark.thorough
 def test_a_mill_that_an_alarm_locks_in_the_cut_is_homed_and_gone_on_with(
     at_mill: Page, shop: Shop, picture: Callable[[Page, str], Path | None]
 ) -> None:
@@ -157,6 +158,7 @@ def test_a_mill_that_an_alarm_locks_in_the_cut_is_homed_and_gone_on_with(
     expect(spindle).to_have_text("off")
 
 
+@pytest.mark.thorough
 def test_the_page_recovers_by_itself_from_restarts_while_the_mill_runs(at_mill: Page, shop: Shop) -> None:
     """First the API dies and is started anew by its supervisor, then the whole server goes and comes back."""
     running(at_mill, shop)
@@ -179,6 +181,7 @@ def test_the_page_recovers_by_itself_from_restarts_while_the_mill_runs(at_mill: 
     assert at_mill.evaluate("window.neverReloaded"), "nobody had to load the page again"
 
 
+@pytest.mark.thorough
 def test_a_pulled_cable_is_said_and_the_run_gone_on_with(at_mill: Page, shop: Shop) -> None:
     running(at_mill, shop)
     shop.pull_cable()
