@@ -82,7 +82,7 @@ def _first_view(browser: Browser, shop: Shop) -> Iterator[Figure]:
 def _tool_path(browser: Browser, shop: Shop, path: Path) -> Iterator[Figure]:
     points = write_huge_path(path)
     with _page(browser, shop) as page:
-        view = drawn(lambda _: _at(page, "/#/machines"), path, NOTE_FIRST_PICTURE)
+        view = drawn(lambda view, script: _at(page, f"/{view}", script), path, NOTE_FIRST_PICTURE)
         first_ms, sizes = view.first_picture_ms(), f"{points:,} points, {path.stat().st_size / 1e6:.0f} MB"
         yield Figure("page: first picture of a finish pass", first_ms, "ms", f"from the request; {sizes}")
         for steps, words in ((0, "whole"), (8, "zoomed in")):
@@ -103,6 +103,7 @@ def _page(browser: Browser, shop: Shop) -> Iterator[Page]:
         watched.close()
 
 
-def _at(page: Page, address: str) -> Page:
+def _at(page: Page, address: str, script: str) -> Page:
+    page.add_init_script(script)
     page.goto(address)
     return page

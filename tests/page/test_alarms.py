@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 import pytest
 from playwright.sync_api import Page, Route, expect
 
 from machines.grbl.codes import SPINDLE_ON_ALARMS, alarm_words
+from tests.levels import mostly_thorough
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state
 from tests.page.machine_states import PLAN, told, with_control
@@ -26,6 +27,7 @@ SAID = {
     10: "homing of a second motor failed",
 }
 LOST = {"position_trusted": False, "zeroed": ""}
+EITHER = {min(SAID.keys() & SPINDLE_ON_ALARMS), min(SAID.keys() - SPINDLE_ON_ALARMS)}  # the spindle turns, or not
 
 
 def way_on(number: int) -> Callable[[Route], None]:
@@ -54,11 +56,11 @@ def test_after_every_alarm_its_words_and_the_spindle_are_on_the_page(opened: Ope
         locked(page, number)
 
 
-def test_after_an_alarm_home_and_the_way_on_are_offered(opened: Opened) -> None:
-    """Whether the spindle turns or not."""
+@pytest.mark.parametrize("numbers", mostly_thorough((EITHER, sorted(SAID.keys() - EITHER)), quick=(EITHER,)), ids=str)
+def test_after_an_alarm_home_and_the_way_on_are_offered(opened: Opened, numbers: Iterable[int]) -> None:
     page = with_control(opened, "interrupted")
     line, go = page.locator(".next"), page.get_by_role("button", name="Go on from line 8,640")
-    for number in (min(SAID.keys() & SPINDLE_ON_ALARMS), min(SAID.keys() - SPINDLE_ON_ALARMS)):
+    for number in numbers:
         locked(page, number)
         expect(go).to_be_hidden()
         sent = orders_of(page)

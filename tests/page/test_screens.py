@@ -100,6 +100,14 @@ def of_a_job(state: str, **more: Any) -> Screen:
     return screen
 
 
+def of_a_finished_job(opened: Opened) -> Page:
+    page = jobs.shown(opened, *jobs.canned())
+    for part in ("#lens-title", "#path-title", "#files-title"):
+        page.locator(part).scroll_into_view_if_needed()
+    expect(page.locator("[data-level]")).to_be_attached()
+    return page
+
+
 def of_a_job_without_results(state: str) -> Screen:
     stages = jobs.stopped_at(jobs.canned()[0], "image", "cancelled" if state == "cancelled" else "waiting")
     return of_a_job(state, report=None, programs=[], stages=stages, progress=0.0, queue_position=3)
@@ -194,6 +202,7 @@ SCREENS: dict[str, Screen] = {
     "new": of_a_new_job,
     "new-broken": of_a_picture_that_is_none,
     "new-everything": of_a_new_job_with_everything,
+    "job": of_a_finished_job,
     "job-failed": of_a_job("failed", error=FAULT),
     "job-running": of_a_job("running", progress=0.4, report=None, programs=[]),
     "job-queued": of_a_job_without_results("queued"),
