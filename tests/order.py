@@ -7,7 +7,6 @@ just begun. And no two begin with a job, whose kernels both would have to compil
 
 from __future__ import annotations
 
-import math
 import os
 from pathlib import Path
 
@@ -49,9 +48,9 @@ def _rank(path: str) -> int:
 
 
 def processes() -> int:
-    """Half as many again as there are processors: tests of servers and mills wait half of their time."""
+    """Twice as many as there are processors: tests of servers and mills wait half of their time."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return math.ceil(1.5 * processors)
+    return 2 * processors
 
 
 class Scheduling(LoadFileScheduling):

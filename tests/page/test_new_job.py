@@ -13,6 +13,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
 
+from service.api.schemas_estimates import ESTIMATE_EXAMPLE
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.tone import invert_tones, linear_to_srgb, srgb_to_linear
@@ -22,6 +23,7 @@ from tests.page.conftest import Opened
 from tests.page.form import as_floats, choose, fill, make_it, parts, picture, pixels_of, pressed, refuse_picture, wall
 from tests.page.jobs import canned, shown, with_plan
 from tests.page.machine_states import NAME as MILL
+from tests.page.test_next_step import after
 
 REST = {"optics.light.profile"}  # reached by the text of other values
 PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
@@ -119,6 +121,27 @@ def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: lis
     _, content, _ = pressed(new_job, sent)
     assert content == picture()
     expect(new_job.locator(".submit-bar")).to_contain_text("enough for this test")
+
+
+def test_an_estimate_that_comes_late_leaves_the_words_of_a_refusal(opened: Opened) -> None:
+    page = nothing(opened, "new", errors=("status of 422",))
+    asked: list[Route] = []
+    page.route("**/v1/estimates", lambda route: asked.append(route))
+    page.route("**/v1/jobs", lambda route: route.fulfill(status=422, json={"status": 422, "detail": "no room for it"}))
+    page.evaluate("location.hash = '#/new'")
+    choose(page, picture())
+    after(asked, 1, page)
+    make_it(page).click()
+    bar = page.locator(".submit-bar")
+    expect(bar).to_contain_text("no room for it")
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
+    expect(bar).to_contain_text("of milling")
+    expect(bar).to_contain_text("no room for it")
+    fill(page, Width="30")
+    asked.clear()
+    after(asked, 1, page)
+    asked[-1].fulfill(json=ESTIMATE_EXAMPLE)
+    expect(bar).not_to_contain_text("no room for it")
 
 
 def test_the_same_request_keeps_its_key_and_another_gets_another(new_job: Page, sent: list[Any]) -> None:

@@ -63,9 +63,9 @@ async function knownProfiles() {
 
 /** {element, begin({spec, picture, edits, name, file}), draft(), stop(), leave()}. */
 function newJob(profiles, app) {
-  const now = { estimate: null, sent: false };
+  const now = { estimate: null, sent: false, refused: [] };
   const form = specForm({ profiles, onChange: changed, planned: () => now.estimate?.spec?.passes });
-  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => (asks.ask(), ready()) });
+  const side = pictureSide({ spec: () => form.read().spec, values: form.picture, onChange: () => ((now.refused = []), asks.ask(), ready()) });
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: told });
@@ -90,6 +90,7 @@ function newJob(profiles, app) {
   );
 
   function changed() {
+    now.refused = []; // what was sent is not what is here any more
     side.draw();
     asks.ask();
     ready();
@@ -118,7 +119,7 @@ function newJob(profiles, app) {
     const state = asked.kind === "none" && side.has() ? { kind: "problems" } : asked;
     card.show(state);
     if (state.kind === "known") now.estimate = state.estimate;
-    if (state.kind === "known" || state.kind === "problems") showProblems(state.problems ?? []);
+    if (state.kind === "known" || state.kind === "problems") showProblems(bothOf(state.problems ?? [], now.refused));
     if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate) : "");
     side.showBlur(now.estimate?.blur_mm ?? 0);
   }
@@ -147,8 +148,8 @@ function newJob(profiles, app) {
       if (asks.settled) foretell(job.id, now.estimate.psnr_db);
       app.go(`#/jobs/${job.id}`);
     } catch (error) {
-      const problems = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
-      showProblems(problems, { focus: true });
+      now.refused = error.problems?.length ? error.problems : [{ field: "", detail: error.detail ?? error.message }];
+      showProblems(now.refused, { focus: true });
     } finally {
       foot.busy(false);
     }
@@ -164,6 +165,12 @@ function newJob(profiles, app) {
   }
 
   return { element, begin, draft, leave, stop: asks.stop };
+}
+
+/** What the estimate and the refusal of a job say, each sentence once. */
+function bothOf(told, refused) {
+  const said = new Set(told.map(({ detail }) => detail));
+  return [...told, ...refused.filter(({ detail }) => !said.has(detail))];
 }
 
 /** The bar at the foot: what is to be expected in one line, the button, and what keeps it from being done. */

@@ -146,9 +146,9 @@ def test_an_older_program_refuses_a_newer_database(database: sa.Engine) -> None:
         upgrade_schema(database)
 
 
-def test_what_was_acknowledged_is_on_disk(empty_farm: ServerSettings, database: sa.Engine) -> None:
+def test_what_was_acknowledged_is_on_disk(farm: ServerSettings, database: sa.Engine) -> None:
     """SQLite: WAL, every commit synced, foreign keys kept."""
-    if not empty_farm.embedded:
+    if not farm.embedded:
         return
     with reading(database) as connection:
         found = {
