@@ -15,8 +15,8 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 @pytest.mark.parametrize(
     ("picture", "preset", "side_mm", "throw_mm"),
     [
-        ("camera", "draft", 20, 60),
-        ("logo", "draft", 16, 40),
+        ("camera", "draft", 14, 42),
+        ("logo", "draft", 10, 25),
         ("camera", "paper", 12, 40),
         ("logo", "recommended", 12, 40),
     ],

@@ -178,7 +178,10 @@ def test_a_frozen_owner_that_wakes_up_changes_nothing(stand: Stand) -> None:
 
 @pytest.mark.thorough
 def test_a_ticket_that_was_begun_without_anybody_knowing_runs(stand: Stand) -> None:
-    """The database died after it had noted that the executor begins, and before the executor heard of it."""
+    """The database died after it had noted that the executor begins, and before the executor heard of it.
+
+    Where the computer is too busy to call it within STRAY_S it is begun once more; a job finds its stages made.
+    """
     first, stray = Ticket("slow", 1), Ticket("stray", 1)
     stand.serve("a")
     stand.engine.submit(first, priority=1)
@@ -187,7 +190,8 @@ def test_a_ticket_that_was_begun_without_anybody_knowing_runs(stand: Stand) -> N
     begin_unheard(stand.settings, stray, "a")
     (stand.folder / "release").touch()
     stand.await_end(first, stray)
-    assert [ticket for ticket, _ in stand.notes()] == ["slow.1", "stray.1"]
+    begun = [ticket for ticket, _ in stand.notes()]
+    assert (begun[0], set(begun[1:])) == ("slow.1", {"stray.1"})
 
 
 def begin_unheard(settings: ServerSettings, ticket: Ticket, executor: str) -> None:
