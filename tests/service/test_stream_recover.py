@@ -52,8 +52,7 @@ def spindle_words(mill: Bench) -> str:
     return "spindle ON" if mill.mill.firmware.spindle_on() else "spindle off"
 
 
-# One of a kind: in the cut, soft limit, with the spindle left on, while homing. All: machines/grbl/test_alarms.py
-@pytest.mark.parametrize("number", mostly_thorough((1, 2, 4, 6, 9), quick=(9,)))
+@pytest.mark.parametrize("number", mostly_thorough(range(1, 11), quick=(9,)))
 def test_after_every_alarm_a_person_gets_back_to_cutting(tmp_path: Path, number: int) -> None:
     """And what is said of the spindle is true, at every end."""
     path = program(tmp_path / "p.nc", LINES)

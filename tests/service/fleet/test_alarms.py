@@ -77,8 +77,7 @@ def home(floor: Shop, person: Person) -> None:
     until_told(floor, "idle")
 
 
-# One of a kind: in the cut, with the spindle left on, while homing, after homing. All: machines/grbl/test_alarms.py
-@pytest.mark.parametrize("number", mostly_thorough((1, 5, 7, 8), quick=(8,)))
+@pytest.mark.parametrize("number", mostly_thorough(range(1, 11), quick=(8,)))
 def test_after_every_alarm_a_person_gets_back_to_cutting(locked: Shop, number: int) -> None:
     floor, mill, firmware = locked, locked.bench, locked.bench.mill.firmware
     with people(floor) as (ada, _):
