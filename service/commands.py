@@ -64,7 +64,7 @@ def make(
     """Picture to lens, checked programs, previews and setup sheet."""
     from service.worker import preparing
 
-    with preparing.beside(JOBS):
+    with preparing.compile_beside(JOBS):
         from service import pipeline, spec_files
 
         resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
@@ -87,7 +87,7 @@ def design(
     """Picture to lens only: heightfield, solid, simulated caustic. No programs."""
     from service.worker import preparing
 
-    with preparing.beside(LENSES):
+    with preparing.compile_beside(LENSES):
         from service import pipeline, spec_files
 
         resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)

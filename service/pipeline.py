@@ -17,9 +17,9 @@ from service.passes import cam_passes_of, cam_stock_of, with_plan
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.stages.arrays import load_heightfield, load_target
-from service.stages.easel import Easel
 from service.stages.lens import require_fit_in_stock, solid_block
 from service.stages.order import merge_notes, merge_reports
+from service.stages.picture_queue import PictureQueue
 from service.stages.plan import plan, stage_of
 from service.stages.words import in_the_services_words
 from service.stages.workshop import Workshop
@@ -35,7 +35,7 @@ class Job:
     spec: JobSpec
     folder: Path
     reporter: Reporter
-    easel: Easel
+    picture_queue: PictureQueue
     picture: Path = Path()
     report: dict[str, Any] = field(default_factory=dict)
     notes: dict[str, list[str]] = field(default_factory=dict)
@@ -44,7 +44,7 @@ class Job:
     def run(self, *stages: str) -> None:
         for name in stages:
             if name == _LAST:
-                self.work(lambda shop: shop.easel.finish())
+                self.work(lambda shop: shop.picture_queue.finish())
             stage = stage_of(name)
             self.work(stage.load(), number=stage.number)
             self.spec = with_plan(self.spec, self.report)
@@ -55,7 +55,7 @@ class Job:
             spec=self.spec,
             folder=self.folder,
             watch=Stopwatch(self.reporter),
-            easel=self.easel,
+            picture_queue=self.picture_queue,
             number=number,
             so_far=self.report,
             earlier_notes=self.notes,
@@ -136,8 +136,8 @@ def _job(
     """A job in a staging folder."""
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
-    with job_files.staging_folder(output, keep=kept) as folder, Easel() as easel:
-        job = Job(spec=spec, folder=folder, reporter=reporter, easel=easel, picture=picture)
+    with job_files.staging_folder(output, keep=kept) as folder, PictureQueue() as picture_queue:
+        job = Job(spec=spec, folder=folder, reporter=reporter, picture_queue=picture_queue, picture=picture)
         if kept:
             _take_over(job, earlier, programs=any(job_files.is_program(name) for name in kept))
         yield job

@@ -13,8 +13,8 @@ from service.errors import FailedError, InputError, JobError, SpecError, sentenc
 from service.passes import cam_passes_of, cam_stock_of
 from service.progress import Stopwatch
 from service.spec_files import validated
-from service.stages.easel import Easel
 from service.stages.order import FileRef, StageOrder, StageResult
+from service.stages.picture_queue import PictureQueue
 from service.stages.plan import Stage, reads, stage_of
 from service.stages.words import in_the_services_words
 from service.stages.workshop import Workshop, peak_rss_mb
@@ -31,14 +31,14 @@ def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], No
     begun = time.perf_counter()
     stage, scratch = stage_of(order.stage), Path(order.scratch)
     on_progress(0.0)
-    with _without_paths(scratch), _scratch_folder(scratch), Easel() as easel:
-        shop = _workshop(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), easel)
+    with _without_paths(scratch), _scratch_folder(scratch), PictureQueue() as picture_queue:
+        shop = _workshop(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), picture_queue)
         fetched = _fetch(order, stage, store, scratch)
         if stage.number:
             _require_space(shop)
         with in_the_services_words():
             stage.load()(shop)
-            easel.finish()
+            picture_queue.finish()
         outputs = _put(scratch, fetched, store)
     peak_mb = peak_rss_mb()
     shop.report.update(timings_s=dict(shop.watch.timings_s), peak_rss_mb=peak_mb)
@@ -52,12 +52,14 @@ def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], No
     )
 
 
-def _workshop(order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, easel: Easel) -> Workshop:
+def _workshop(
+    order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue
+) -> Workshop:
     return Workshop(
         spec=validated(order.spec),
         folder=scratch,
         watch=watch,
-        easel=easel,
+        picture_queue=picture_queue,
         number=stage.number,
         so_far=order.report,
         earlier_notes=order.notes,

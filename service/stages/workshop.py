@@ -20,7 +20,7 @@ from service import job_files
 from service.picture_limits import OWN_PICTURE, PictureLimits
 from service.progress import Stopwatch
 from service.spec import JobSpec
-from service.stages.easel import Easel
+from service.stages.picture_queue import PictureQueue
 
 Part = Literal["optics", "passes"]
 T = TypeVar("T")
@@ -38,14 +38,14 @@ class Workshop:
     files              : names of the job's files that need not stand in the folder
     picture            : where the person's picture is; picture_name: on the setup sheet
     picture_called     : in messages; None: by its path
-    easel              : draws the pictures
+    picture_queue      : draws the pictures
     desk               : values by file name, shared by the stages of one process; None: all goes through files
     """
 
     spec: JobSpec
     folder: Path
     watch: Stopwatch
-    easel: Easel
+    picture_queue: PictureQueue
     number: int = 0
     so_far: dict[str, Any] = field(default_factory=dict)
     earlier_notes: dict[str, list[str]] = field(default_factory=dict)
@@ -71,7 +71,7 @@ class Workshop:
 
     def draw(self, name: str, picture: Callable[[], bytes]) -> None:
         """Save what `picture` returns, drawn beside whatever comes next."""
-        self.easel.draw(self.folder / name, picture)
+        self.picture_queue.draw(self.folder / name, picture)
 
     def hand_over(self, name: str, value: T, encode: Callable[[T], bytes]) -> None:
         """Give a later stage this value, as a file of this name where it is one of the job's or there is no desk."""

@@ -43,20 +43,20 @@ def begin(task: str = JOBS) -> subprocess.Popen[bytes] | None:
 
 
 @contextmanager
-def beside(task: str) -> Iterator[None]:
+def compile_beside(task: str) -> Iterator[None]:
     """Compile for this task while the block does it, which then leaves nothing to compile."""
     process = begin(task)
     try:
         yield
         if process is not None:
-            _mark(task)
+            _mark_ready(task)
     finally:
         if process is not None:
             process.terminate()
             process.wait()
 
 
-def _mark(task: str) -> None:
+def _mark_ready(task: str) -> None:
     with suppress(OSError):
         ready_mark(task).touch()
 
@@ -86,7 +86,7 @@ def main(part: str, parent: int) -> int:
     if other is not None and other.wait() != 0:
         return other.returncode
     if part == JOBS:
-        _mark(part)
+        _mark_ready(part)
     return 0
 
 

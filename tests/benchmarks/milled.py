@@ -28,8 +28,8 @@ from service.spec import JobSpec
 from service.spec_files import resolve_spec, validated
 from service.stages.arrays import heightfield_bytes, target_bytes
 from service.stages.as_milled import as_milled
-from service.stages.easel import Easel
 from service.stages.optical_task import branch_of, lens_settings
+from service.stages.picture_queue import PictureQueue
 from service.stages.workshop import Workshop, peak_rss_mb
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target
@@ -107,10 +107,10 @@ def run(folder: Path) -> dict[str, Any]:
     spec, watch = validated(json.loads((folder / SPEC).read_text())), Stopwatch(QuietReporter())
     rows = [{"file": PROGRAM} for _ in spec.passes]
     started, cpu = time.perf_counter(), time.process_time()
-    with Easel() as easel:
-        shop = Workshop(spec=spec, folder=folder, watch=watch, easel=easel, so_far={"passes": rows})
+    with PictureQueue() as picture_queue:
+        shop = Workshop(spec=spec, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows})
         as_milled(shop)
-        easel.finish()
+        picture_queue.finish()
     return {
         "wall_s": time.perf_counter() - started,
         "cpu_s": time.process_time() - cpu,

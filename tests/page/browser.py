@@ -123,7 +123,7 @@ def new_context(browser: Browser, base_url: str, *, size: str = "wide", scheme: 
     return found
 
 
-def nothing(opened: Callable[..., Page], view: str, **how: Any) -> Page:
+def open_blank(opened: Callable[..., Page], view: str, **how: Any) -> Page:
     """A page that shows nothing yet and asks for nothing; the files of this view ("machine") are there already.
 
     For who tells the page what it hears before it looks: from then on the browser keeps no files.

@@ -148,7 +148,7 @@ class Kept:
         self._pages: dict[str, Watched] = {}
 
     def context(self, browser: Browser, size: str) -> BrowserContext:
-        touch = "phone" if size == "phone" else "wide"
+        touch = _touch_of(size)
         if touch not in self._contexts:
             self._contexts[touch] = new_context(browser, self._stub.url, size=touch)
             self._contexts[touch].new_page().goto("/page/icon.svg")
@@ -159,10 +159,11 @@ class Kept:
         context = self.context(browser, size)
         if once:
             return Watched(context)
-        touch = "phone" if size == "phone" else "wide"
-        if touch not in self._pages:
-            self._pages[touch] = Watched(context, stays=True)
-        return self._pages[touch]
+        return self._pages.setdefault(_touch_of(size), Watched(context, stays=True))
+
+
+def _touch_of(size: str) -> str:
+    return "phone" if size == "phone" else "wide"
 
 
 def visit(page: Page, address: str, token: str = "") -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 from playwright.sync_api import Locator, Page, expect
 
-from tests.page.browser import nothing
+from tests.page.browser import open_blank
 from tests.page.conftest import Opened
 from tests.page.jobs import answer, canned, like
 from tests.page.paths import Served
@@ -88,7 +88,7 @@ def drawn(opened: Opened, path: Path, before: str = "") -> Drawn:
     job = like(job, 20)
     url = f"/v1/jobs/{job['id']}/artifacts/pass-1.path"
     file = files[0] | {"name": "pass-1.path", "sha256": "f" * 64, "bytes": path.stat().st_size, "url": url}
-    page = nothing(opened, "job", script=before)
+    page = open_blank(opened, "job", script=before)
     found = Drawn(page, Served(path))
     found.served.on(page, url)
     answer(page, job, [file])

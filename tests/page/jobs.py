@@ -8,7 +8,7 @@ from typing import Any
 from playwright.sync_api import Page, Route, expect
 
 from tests.page import canned_job
-from tests.page.browser import nothing
+from tests.page.browser import open_blank
 from tests.page.conftest import Opened
 
 FAKE = "00000000-0000-4000-8000-{:012d}"
@@ -50,7 +50,7 @@ def _told(route: Route, job: dict[str, Any]) -> None:
 
 def shown(opened: Opened, job: dict[str, Any], files: list[dict[str, Any]], **how: Any) -> Page:
     """The view of such a job."""
-    page = nothing(opened, "job", **how)
+    page = open_blank(opened, "job", **how)
     answer(page, job, files)
     page.evaluate("id => { location.hash = `#/jobs/${id}` }", job["id"])
     expect(page.get_by_role("heading", level=1, name=job["name"].removesuffix(".png"), exact=True)).to_be_visible()

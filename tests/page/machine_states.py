@@ -11,7 +11,7 @@ from typing import Any
 from playwright.sync_api import Page, Route, expect
 
 from tests.page import canned_job
-from tests.page.browser import nothing
+from tests.page.browser import open_blank
 
 NAME = "shop"
 RUN_ID = "0b0e7e0c-2f1d-4f6e-8f43-0a7b6a1c9d10"
@@ -220,7 +220,7 @@ def told(
 
 def with_control(opened: Callable[..., Page], state: str, *, mill: dict[str, Any] | None = None, **how: Any) -> Page:
     """A page at this mill, with control of it."""
-    page = nothing(opened, "machine", key="Ada", **how)
+    page = open_blank(opened, "machine", key="Ada", **how)
     told(page, state, operator="Ada", mill=mill)
     page.evaluate(f"location.hash = '#/machines/{NAME}'")
     page.get_by_role("button", name="Take over").click()

@@ -36,7 +36,7 @@ def way_on(number: int) -> Callable[[Route], None]:
     return lambda route: route.fulfill(json=plan)
 
 
-def locked(page: Page, number: int) -> None:
+def lock_by_alarm(page: Page, number: int) -> None:
     """This alarm in the middle of a program: its words are on the page, and whether the spindle turns."""
     on, line = number in SPINDLE_ON_ALARMS, page.locator(".next")
     turns = {"spindle_on": on, "spindle_rpm": 18000 if on else 0}
@@ -53,7 +53,7 @@ def locked(page: Page, number: int) -> None:
 def test_after_every_alarm_its_words_and_the_spindle_are_on_the_page(opened: Opened) -> None:
     page = with_control(opened, "interrupted")
     for number in SAID:
-        locked(page, number)
+        lock_by_alarm(page, number)
 
 
 @pytest.mark.parametrize("numbers", mostly_thorough((EITHER, sorted(SAID.keys() - EITHER)), quick=(EITHER,)), ids=str)
@@ -61,7 +61,7 @@ def test_after_an_alarm_home_and_the_way_on_are_offered(opened: Opened, numbers:
     page = with_control(opened, "interrupted")
     line, go = page.locator(".next"), page.get_by_role("button", name="Go on from line 8,640")
     for number in numbers:
-        locked(page, number)
+        lock_by_alarm(page, number)
         expect(go).to_be_hidden()
         sent = orders_of(page)
         line.get_by_role("button", name="Home", exact=True).click()

@@ -7,7 +7,7 @@ import re
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.page.browser import layout_faults, nothing, serious_faults
+from tests.page.browser import layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 
 TRACKS = "window.streams.flatMap((one) => one.getTracks()).map((one) => one.readyState)"
@@ -27,7 +27,7 @@ null"""
 
 @pytest.fixture
 def page(opened: Opened) -> Page:
-    found = nothing(opened, "new")
+    found = open_blank(opened, "new")
     found.context.grant_permissions(["camera"])
     found.evaluate("location.hash = '#/new'")
     expect(found.get_by_role("heading", level=1, name="New job")).to_be_visible()

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, Route, expect
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
 from service.report_words import psnr_in_words
 from tests.page.answers import problem
-from tests.page.browser import Watched, nothing
+from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened, visit
 from tests.page.form import choose, fill, parts, picture, wall
 
@@ -19,7 +19,7 @@ WRONG = {"field": "spec.optics.throw_mm", "detail": "0 is not allowed; allowed: 
 
 
 def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Opened) -> None:
-    page = nothing(opened, "new", errors=("status of 422",))
+    page = open_blank(opened, "new", errors=("status of 422",))
 
     def example(route: Route) -> None:
         if "throw_mm" in parts(route)[0].get("optics", {}):
@@ -67,7 +67,7 @@ def test_a_picture_hard_to_recognise_comes_with_what_makes_it_plainer(modules: P
 @pytest.mark.thorough
 def test_only_an_older_question_of_the_same_tab_is_ended(opened: Opened) -> None:
     """Each tab has a name of its own, by which the server knows it; a page that is loaded anew is another tab."""
-    page = nothing(opened, "new")
+    page = open_blank(opened, "new")
     asked: list[set[str]] = []
 
     def note(route: Route) -> None:

@@ -17,7 +17,7 @@ from service.spec_files import resolve_spec
 from service.stages.plan import usual_seconds
 from tests.levels import mostly_thorough
 from tests.page import canned_job
-from tests.page.browser import SIZES, nothing
+from tests.page.browser import SIZES, open_blank
 from tests.page.conftest import Kept, Opened, visit
 from tests.page.jobs import PLAN_HOURS, answer, canned, like, shown, stopped_at, with_plan
 from tests.page.machine_states import NAME as MILL
@@ -389,7 +389,7 @@ def test_two_jobs_are_compared_by_all_in_which_they_differ(opened: Opened) -> No
     spec = job["spec"] | {"optics": job["spec"]["optics"] | {"throw_mm": 123.0}}
     report = job["report"] | {"as_milled": job["report"]["as_milled"] | {"psnr_db": 31.5}}
     other = like(job, 5, name="other.png", spec=spec, report=report)
-    page = nothing(opened, "job")
+    page = open_blank(opened, "job")
     answer(page, other, files)
     page.evaluate("([a, b]) => { location.hash = `#/compare/${a}/${b}` }", [job["id"], other["id"]])
     rows = page.get_by_role("region", name="Settings that differ").get_by_role("row")

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.levels import mostly_thorough
-from tests.page.browser import Scheme, layout_faults, nothing, serious_faults
+from tests.page.browser import Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state
 from tests.page.machine_states import STATES, USED, machine_in, told, with_control
@@ -44,7 +44,7 @@ def test_a_server_that_has_lost_the_mill_does_not_know_who_has_control(opened: O
 
 @pytest.mark.thorough
 def test_hours_of_a_simulated_mill_are_not_taken_for_those_of_a_real_one(opened: Opened) -> None:
-    page = nothing(opened, "machine")
+    page = open_blank(opened, "machine")
     for state, words in (("running", "1 h 12 min left"), ("simulated", "1 h 12 min left, simulated")):
         told(page, state)
         page.evaluate(f"location.hash = '{SCREEN}'")
@@ -74,7 +74,7 @@ def test_mill_and_program_are_one_state_in_words(modules: Page) -> None:
 @pytest.mark.parametrize("size", mostly_thorough(["wide", "phone"], quick=["phone"]))
 def test_hold_and_stop_never_move_and_nothing_comes_into_their_place(opened: Opened, size: str) -> None:
     """A second press of a frightened hand must not resume."""
-    page = nothing(opened, "machine", size=size)
+    page = open_blank(opened, "machine", size=size)
     found = []
     for state in ("running", "held"):
         told(page, state)
@@ -99,7 +99,7 @@ def test_hold_and_stop_never_move_and_nothing_comes_into_their_place(opened: Ope
 )
 def test_every_state_can_be_read_and_used_by_everybody(opened: Opened, size: str, scheme: Scheme) -> None:
     """And the line of the next step is as high whatever it says. For mills in use, test_screens has axe-core's word."""
-    page = nothing(opened, "machine", size=size, scheme=scheme)
+    page = open_blank(opened, "machine", size=size, scheme=scheme)
     heights = {}
     for state in STATES:
         told(page, state)

@@ -18,7 +18,7 @@ from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.tone import invert_tones, linear_to_srgb, srgb_to_linear
 from tests.page import canned_job
-from tests.page.browser import nothing
+from tests.page.browser import open_blank
 from tests.page.conftest import Opened
 from tests.page.form import as_floats, choose, fill, make_it, parts, picture, pixels_of, pressed, refuse_picture, wall
 from tests.page.jobs import canned, shown, with_plan
@@ -32,7 +32,7 @@ PAGE_MODULE = "(name) => import(`/page/new/${name}.js`).then(Object.entries)"
 @pytest.fixture
 def new_job(opened: Opened) -> Page:
     """The view with a picture; estimates are answered by nobody, so that only what is asked for happens."""
-    page = nothing(opened, "new", errors=("status of 422",))
+    page = open_blank(opened, "new", errors=("status of 422",))
     page.evaluate("location.hash = '#/new'")
     choose(page, picture())
     return page
@@ -124,7 +124,7 @@ def test_a_picture_nobody_touched_is_sent_byte_for_byte(new_job: Page, sent: lis
 
 
 def test_an_estimate_that_comes_late_leaves_the_words_of_a_refusal(opened: Opened) -> None:
-    page = nothing(opened, "new", errors=("status of 422",))
+    page = open_blank(opened, "new", errors=("status of 422",))
     asked: list[Route] = []
     page.route("**/v1/estimates", lambda route: asked.append(route))
     page.route("**/v1/jobs", lambda route: route.fulfill(status=422, json={"status": 422, "detail": "no room for it"}))
@@ -217,7 +217,7 @@ def test_only_what_is_not_usual_is_asked_for(new_job: Page, sent: list[Any]) -> 
 
 @pytest.mark.thorough
 def test_a_copy_asks_for_the_same_until_something_is_changed(opened: Opened) -> None:
-    page = nothing(opened, "new", errors=("status of 422",))
+    page = open_blank(opened, "new", errors=("status of 422",))
     caught: list[tuple[dict[str, Any], bytes]] = []
 
     def take(route: Route) -> None:
@@ -349,7 +349,7 @@ def test_without_a_picture_that_can_be_used_there_is_nothing_to_press(opened: Op
 
 @pytest.mark.thorough
 def test_a_fault_of_a_whole_pass_stands_at_its_head(opened: Opened) -> None:
-    page = nothing(opened, "new", errors=("status of 422",))
+    page = open_blank(opened, "new", errors=("status of 422",))
     told = [("spec.passes.1", "it cuts nothing"), ("spec.passes.0.pitch_mm", "more than 0 is needed")]
     problems = [{"field": field, "detail": detail} for field, detail in told]
     answer = {"status": 422, "detail": "see there", "problems": problems}

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from tests.page.browser import SIZES, nothing
+from tests.page.browser import SIZES, open_blank
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, out_of_sight
 from tests.page.machine_states import MACHINE, PLAN, RUN, taken, told, with_control
@@ -359,7 +359,7 @@ def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
 
 @pytest.mark.thorough
 def test_the_console_tells_what_matters(opened: Opened) -> None:
-    page = nothing(opened, "machine", key="Ada")
+    page = open_blank(opened, "machine", key="Ada")
     told(page, "idle")
     entries = [("state", "run"), ("state", "idle"), ("state", "jog"), ("state", "alarm"), ("command", "Home: done")]
     entries += [("run", "pass-1.nc: parked"), ("state", "idle"), ("command", "Read settings: done")]

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, Route, WebSocketRoute, expect
 
 from tests.levels import mostly_thorough
 from tests.page.answers import problem
-from tests.page.browser import nothing
+from tests.page.browser import open_blank
 from tests.page.conftest import Opened
 from tests.page.driving import setup
 from tests.page.machine_states import GRANT, PLAN, STOPS, taken, told, with_control
@@ -223,7 +223,7 @@ class Way:
 
 def watching(opened: Opened, answer: dict[str, Any] | None, **how: Any) -> tuple[Page, Way]:
     """A page without control of a mill that runs, its way for stops open."""
-    page = nothing(opened, "machine", once=True, **how)  # no route of a socket ends
+    page = open_blank(opened, "machine", once=True, **how)  # no route of a socket ends
     told(page, "running")
     way = Way(page, answer)
     page.evaluate(f"location.hash = '{SCREEN}'")
@@ -300,7 +300,7 @@ def test_a_stop_that_no_way_takes_is_said_until_the_mill_stands(opened: Opened) 
 @pytest.mark.thorough
 def test_nothing_can_be_loaded_while_an_order_is_on_its_way(opened: Opened) -> None:
     """Taken is not carried out: between the two the button said that it could, and then that it could not."""
-    page = nothing(opened, "machine", key="Ada")
+    page = open_blank(opened, "machine", key="Ada")
     told(page, "idle", operator="Ada")
     page.evaluate(f"location.hash = '{SCREEN}'")
     page.get_by_role("button", name="Take over").click()
@@ -363,7 +363,7 @@ def test_who_gave_which_order_can_be_read(opened: Opened) -> None:
         before = re.search(r"before=(\d+)", route.request.url)
         route.fulfill(json=pages[before[1] if before else ""])
 
-    page = nothing(opened, "machine")
+    page = open_blank(opened, "machine")
     told(page, "idle")
     page.route("**/v1/machines/shop/orders**", answer)
     page.evaluate(f"location.hash = '{SCREEN}'")

@@ -12,7 +12,7 @@ from playwright.sync_api import Page, expect
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
 from tests.page import jobs
-from tests.page.browser import NOWHERE, Scheme, layout_faults, nothing, serious_faults
+from tests.page.browser import NOWHERE, Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 from tests.page.form import refuse_picture
 from tests.page.listed import answer_with, summary
@@ -64,7 +64,7 @@ def of_the_key(opened: Opened) -> Page:
 
 
 def of_a_new_job(opened: Opened) -> Page:
-    page = nothing(opened, "new")
+    page = open_blank(opened, "new")
     page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE))
     page.evaluate("location.hash = '#/new'")
     page.locator("input[type=file]").first.set_input_files(PICTURE)
@@ -144,7 +144,7 @@ def of_two_jobs_without_pictures(opened: Opened) -> Page:
 def compared(opened: Opened, pictures: str = "") -> Page:
     job, files = jobs.canned()
     other = jobs.like(job, 3, name=LONG_NAME, spec=job["spec"] | {"image": job["spec"]["image"] | {"pixels": 128}})
-    page = nothing(opened, "job")
+    page = open_blank(opened, "job")
     jobs.answer(page, other, files)
     if pictures:
         page.route(pictures, lambda _route: None)
@@ -155,7 +155,7 @@ def compared(opened: Opened, pictures: str = "") -> Page:
 
 def of_the_key_beside_a_mill(opened: Opened) -> Page:
     """HOLD and STOP are used while it is asked for."""
-    page = nothing(opened, "machine")
+    page = open_blank(opened, "machine")
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
     page.get_by_role("button", name="Take over").click()
@@ -174,7 +174,7 @@ def of_a_question(opened: Opened) -> Page:
 
 
 def of_machines(opened: Opened) -> Page:
-    page = nothing(opened, "machine")
+    page = open_blank(opened, "machine")
     found = [machine_in(state)[0] | {"name": f"{state}-{LONG_NAME}"} for state in STATES]
     told = {"machines": found, "problems": [f"{LONG_NAME}: line 3: no value"]}
     page.route("**/v1/machines", lambda route: route.fulfill(json=told))

@@ -12,7 +12,7 @@ import pytest
 from playwright.sync_api import Page, expect
 
 from tests.page.answers import problem
-from tests.page.browser import NOWHERE, nothing
+from tests.page.browser import NOWHERE, open_blank
 from tests.page.conftest import Opened
 from tests.page.machine_states import MACHINE, told, with_control
 from tests.page.machine_states import NAME as MILL
@@ -68,7 +68,7 @@ def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bo
 
 
 def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
-    page = nothing(opened, "machine", errors=("status of 504",))
+    page = open_blank(opened, "machine", errors=("status of 504",))
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
     page.route(

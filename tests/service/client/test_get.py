@@ -12,7 +12,7 @@ from tests.service.client.shop import BadWire, ShopWithoutWorker, run
 from tests.waiting import PATIENCE_S
 
 
-def listing(shop: ShopWithoutWorker) -> dict[str, dict[str, object]]:
+def list_files(shop: ShopWithoutWorker) -> dict[str, dict[str, object]]:
     answer = httpx.get(
         f"{shop.url}/v1/jobs/{shop.job()}/artifacts", trust_env=False, timeout=PATIENCE_S
     ).raise_for_status()
@@ -27,7 +27,7 @@ def hashes(folder: Path) -> dict[str, str]:
 def test_all_files_come_and_come_once(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     """The folder holds what the list names, but for what only the page draws; asked again, nothing is sent anew."""
     drawn = (".bin", ".path", "thumbnail.png")
-    wanted = {name: item["sha256"] for name, item in listing(shop).items() if not name.endswith(drawn)}
+    wanted = {name: item["sha256"] for name, item in list_files(shop).items() if not name.endswith(drawn)}
     first = run("get", shop.job(), "-o", str(tmp_path / "out"), server=shop.url)
     assert first.returncode == 0, first.stderr
     assert hashes(tmp_path / "out") == wanted
@@ -43,12 +43,12 @@ def test_a_wire_that_breaks_every_few_kilobytes_costs_no_byte(shop: ShopWithoutW
         done = run("get", shop.job(), "-o", str(tmp_path / "out"), "--only", "heightfield.npz", server=wire.url)
     assert done.returncode == 0, done.stderr
     assert wire.cuts >= 2
-    assert hashes(tmp_path / "out") == {"heightfield.npz": listing(shop)["heightfield.npz"]["sha256"]}
+    assert hashes(tmp_path / "out") == {"heightfield.npz": list_files(shop)["heightfield.npz"]["sha256"]}
 
 
 def test_a_part_that_is_wrong_is_not_believed(shop: ShopWithoutWorker, tmp_path: Path) -> None:
     """A damaged beginning is found by the hash and fetched again; a part of another content is not touched."""
-    item = listing(shop)["target.png"]
+    item = list_files(shop)["target.png"]
     part = tmp_path / f"target.png.{str(item['sha256'])[:12]}.part"
     part.write_bytes(b"not the picture")
     other = tmp_path / "target.png.000000000000.part"

@@ -13,22 +13,22 @@ from typing import Self
 from service import job_files
 
 
-class Easel:
+class PictureQueue:
     """A context: pictures that are not begun when it ends are dropped."""
 
     def __init__(self) -> None:
-        self._painter = ThreadPoolExecutor(max_workers=1, thread_name_prefix="easel")
+        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="pictures")
         self._begun: list[Future[None]] = []
 
     def __enter__(self) -> Self:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._painter.shutdown(cancel_futures=True)
+        self._thread.shutdown(cancel_futures=True)
 
     def draw(self, path: Path, picture: Callable[[], bytes]) -> None:
         """Write what `picture` returns, some time before `finish` does."""
-        self._begun.append(self._painter.submit(lambda: job_files.write_bytes(path, picture())))
+        self._begun.append(self._thread.submit(lambda: job_files.write_bytes(path, picture())))
 
     def finish(self) -> None:
         """Wait until all that was begun is written; raises what the first that failed did."""
