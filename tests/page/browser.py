@@ -90,9 +90,9 @@ class Watched:
         if not self._stays:
             self.close()
             return
+        self._rests = True  # what it asks from now on, nobody answers
         for page in self._pages:
             page.unroute_all(behavior="ignoreErrors")
-        self._rests = True
         self._judge()
 
     def _judge(self) -> None:

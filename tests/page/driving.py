@@ -128,9 +128,18 @@ def load(page: Page, job: str, program: str) -> None:
     expect(page.get_by_role("button", name=f"Start {program}")).to_be_visible()
 
 
+def tick_all(within: Locator) -> None:
+    """As soon as the list is there."""
+    boxes = within.locator("input[type=checkbox]")
+    expect(boxes.first).to_be_visible()
+    for box in boxes.all():
+        box.check()
+
+
 def start(page: Page) -> None:
     """Every tick is needed, and a name. A plan that the mill has changed meanwhile is ticked anew, as a person does."""
     go = page.get_by_role("button", name=re.compile("^(Start|Go on from)"))
+    expect(go).to_be_visible()
     for box in page.locator(".checklist:visible input[type=checkbox]").all():
         expect(go).to_be_disabled()
         box.check()

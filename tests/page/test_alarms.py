@@ -10,7 +10,7 @@ from playwright.sync_api import Page, Route, expect
 from machines.grbl.codes import SPINDLE_ON_ALARMS, alarm_words
 from tests.levels import mostly_thorough
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state
+from tests.page.driving import machine_state, tick_all
 from tests.page.machine_states import PLAN, told, with_control
 from tests.page.test_next_step import RAISED, after, orders_of
 
@@ -71,8 +71,7 @@ def test_after_an_alarm_home_and_the_way_on_are_offered(opened: Opened, numbers:
         told(page, "interrupted", operator="Ada", mill=homed, plan=way_on(number))
         expect(line).to_contain_text("go on with it")
         expect(page.locator(".recover")).to_contain_text(f"the way on after alarm {number}")
-        for box in page.locator(".recover input[type=checkbox]").all():
-            box.check()
+        tick_all(page.locator(".recover"))
         page.get_by_label("Operator").fill("Ada")
         sent = orders_of(page)
         go.click()

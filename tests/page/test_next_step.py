@@ -12,7 +12,7 @@ from playwright.sync_api import Page, Route, expect
 
 from tests.page.browser import SIZES, open_blank
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state, out_of_sight
+from tests.page.driving import machine_state, out_of_sight, tick_all
 from tests.page.machine_states import MACHINE, PLAN, RUN, taken, told, with_control
 from tests.page.machine_states import NAME as MILL
 
@@ -179,8 +179,7 @@ def test_no_program_goes_while_the_line_says_to_raise_the_tool(opened: Opened, s
         page.get_by_role("button", name="Look again").click()
     expect(page.locator(".next")).to_contain_text("raise Z first.")
     listed = page.locator(".checklist:visible")
-    for box in listed.locator("input[type=checkbox]").all():
-        box.check()
+    tick_all(listed)
     page.get_by_label("Operator").fill("Ada")
     go = page.get_by_role("button", name=button)
     expect(go).to_be_disabled()

@@ -14,7 +14,7 @@ from tests.levels import mostly_thorough
 from tests.page.answers import problem
 from tests.page.browser import open_blank
 from tests.page.conftest import Opened
-from tests.page.driving import setup
+from tests.page.driving import setup, tick_all
 from tests.page.machine_states import GRANT, PLAN, STOPS, taken, told, with_control
 from tests.page.machine_states import NAME as MILL
 from tests.page.test_words import JARGON
@@ -56,13 +56,8 @@ def await_orders(page: Page, sent: Sent, count: int = 1) -> None:
     assert len(sent) == count, sent
 
 
-def tick_all(page: Page) -> None:
-    for box in page.locator(".checklist:visible input[type=checkbox]").all():
-        box.check()
-
-
 def press_start(page: Page) -> None:
-    tick_all(page)
+    tick_all(page.locator(".checklist:visible"))
     page.get_by_role("button", name=re.compile("^(Start|Go on from)")).click()
 
 
@@ -170,7 +165,7 @@ def test_a_plan_that_has_changed_is_shown_and_ticked_anew(opened: Opened) -> Non
     page = at_mill(opened, "stopped", errors=("status of 409",))
     page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=plans[-1]))
     sent = record_orders(page, lambda route: route.fulfill(**refusal("plan_changed")))
-    tick_all(page)
+    tick_all(page.locator(".checklist:visible"))
     plans.append(READY | {"plan": "b2" * 32, "overlap_line": 8600})
     page.get_by_role("button", name="Go on from line 8,640").click()
     expect(page.get_by_role("button", name="Go on from line 8,600")).to_be_disabled()
@@ -186,7 +181,7 @@ def test_a_start_rests_on_what_was_looked_at(opened: Opened) -> None:
     """Zero or position that change after a tick take it off; the server may know it sooner than the page."""
     page = at_mill(opened, "parked", errors=("status of 409",))
     ticked = page.locator(".checklist input:checked")
-    tick_all(page)
+    tick_all(page.locator(".checklist:visible"))
     told(page, "parked", operator="Ada", mill={"setup": "77" * 32})
     expect(ticked).to_have_count(0)
     expect(page.locator(".checklist .missing")).to_contain_text("look again")

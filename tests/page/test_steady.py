@@ -9,7 +9,7 @@ from playwright.sync_api import Page, expect
 
 from tests.page.browser import SIZES
 from tests.page.conftest import Opened
-from tests.page.driving import machine_state, out_of_sight
+from tests.page.driving import machine_state, out_of_sight, tick_all
 from tests.page.machine_states import told, with_control
 
 REFUSAL = "Start: X would go from -152.000 to -36.000 mm in machine coordinates; the machine reaches -300 to 0. " * 3
@@ -109,8 +109,7 @@ def test_start_keeps_its_place_and_nothing_comes_to_it_when_the_run_begins(opene
     start.evaluate("one => one.scrollIntoView({block: 'center'})")
     box = start.bounding_box()
     assert box is not None
-    for box_to_tick in page.locator(".checklist input[type=checkbox]").all():
-        box_to_tick.check()
+    tick_all(page.locator(".checklist:visible"))
     told(page, "running", operator="Ada")
     expect(page.get_by_role("heading", name="Overrides, %")).to_be_visible()
     found = page.evaluate(
@@ -163,8 +162,7 @@ def test_while_a_program_runs_all_that_tells_of_it_is_in_sight(opened: Opened) -
 def test_what_a_start_was_refused_for_is_in_sight(opened: Opened, size: str) -> None:
     page = with_control(opened, "parked", size=size, errors=("status of 409",))
     page.route("**/v1/runs/*:start", lambda route: route.fulfill(status=409, json={"detail": REFUSAL}))
-    for box in page.locator(".checklist input[type=checkbox]").all():
-        box.check()
+    tick_all(page.locator(".checklist:visible"))
     page.get_by_role("button", name=START).click()
     words = page.locator(".running .said")
     expect(words).to_have_text(REFUSAL.strip())
