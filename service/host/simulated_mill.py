@@ -11,6 +11,7 @@ import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 from machines.simulated import GRBL_11, Recording, SimulatedMill, serve_pty
 from service.errors import FailedError, JobError, sentence_of_os_error
@@ -19,6 +20,7 @@ from service.private import make_private
 from service.settings import ServerSettings
 
 TIME_FACTOR = 20.0
+_STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _TOUCHED_AT_MM = -30.0  # machine Z of what a probe touches: the top of a block on the table
 _PROFILE = """# Written anew each time that `causticmill serve --with-simulated-mill` starts.
 extends = "grbl"
@@ -32,9 +34,8 @@ port = "{port}"
 
 def main() -> int:
     """Until SIGTERM."""
-    stop = threading.Event()
-    for kind in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(kind, lambda *_: stop.set())
+    for kind in _STOPPING:
+        signal.signal(kind, _leave)
     try:
         folder = simulated_folder(ServerSettings.load())
         try:
@@ -47,10 +48,16 @@ def main() -> int:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
     try:
-        endpoint.run(stop)
+        endpoint.run(threading.Event())
     finally:
         endpoint.close()
     return 0
+
+
+def _leave(*_: object) -> NoReturn:
+    for kind in _STOPPING:
+        signal.signal(kind, signal.SIG_IGN)
+    sys.exit(0)
 
 
 def made() -> SimulatedMill:

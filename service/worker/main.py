@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import gc
 import os
+import queue
 import signal
 import sqlite3
 import sys
@@ -24,9 +25,9 @@ from service.worker.processes import STAGE_ENTRY, StageProcesses
 
 def main(*, entry: str = STAGE_ENTRY) -> int:
     """Run until told to stop; one line on stderr and a code where that cannot be. entry: what stages run."""
-    end = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: end.set())
+    end: queue.SimpleQueue[int] = queue.SimpleQueue()  # an Event set by a handler may wait for its own waiter for ever
+    for kind in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(kind, lambda number, _: end.put(number))
     try:
         settings = ServerSettings.load()
         keep_private(settings.data)  # before the process from which stages are forked
@@ -46,7 +47,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
     os._exit(0)
 
 
-def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Event, *, prepare: bool) -> None:
+def _work(settings: ServerSettings, processes: StageProcesses, end: queue.SimpleQueue[int], *, prepare: bool) -> None:
     import sqlalchemy as sa
 
     from service.logs import configure_logs
@@ -62,7 +63,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: threading.Ev
             if prepare and (process := preparing.begin()):
                 threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
             gc.freeze()  # what is here now stays: not worth looking at again and again
-            end.wait()
+            end.get()
             worker.stop()
     except sa.exc.SQLAlchemyError as error:
         reason = str(getattr(error, "orig", None) or error).splitlines()[0]
