@@ -15,13 +15,13 @@ from numba import njit
 
 from cam.as_milled.chords import gather
 from cam.as_milled.rivals import FACTS, WIDEST, are_crossed, set_frame, shown, to_frame
-from cam.as_milled.strips import FINEST, STEEPEST, bend, facets_of_strip, strip_of_chord, strip_of_corner
+from cam.as_milled.strips import MOST_PARTS, STEEPEST, bend, facets_of_strip, strip_of_chord, strip_of_corner
 from optics.heightfield import spline_jet
 
 _ROOM = 4096  # neighbours of one chord
-_PER_CHORD = 20 * FINEST  # facets, more than there can be
+_PER_CHORD = 6 * MOST_PARTS  # facets, of itself and of the ball at its end
 _TURNED = 0.03  # rad: a frame farther from the surface's normal than this is set up anew
-_CORNERS = 0.25  # of a chord's length: parts of the balls at its end, of which short chords show narrow slivers
+_CORNERS = 0.5  # of a chord's length: parts of the balls at its end, of which short chords show narrow slivers
 _WITHIN = 0.75  # of the reach: farther from its middle a ball shows nothing, as what hides it may be out of reach
 _SPARE = 0.01  # rad: added to the tilts at which a ball may show at all
 
@@ -71,13 +71,14 @@ def _with_more_room(out, filled):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def facets_of(c, first, last, surface, reach, fine):  # type: ignore[no-untyped-def]
+def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore[no-untyped-def]
     """(n, 4, 5) facets of chords first .. last - 1: corners with x, y, z, slope in x, slope in y.
 
     surface : (coefs, x0, y0, 1 / dx, 1 / dy) of the lens, which only says where the normal is, about
     reach   : how far a ball can be that hides something
+    longest, crossed : parts of a strip that are asked for, and of one that other tracks cross
     """
-    near, rivals, todo = np.empty(_ROOM, np.int32), np.empty((_ROOM, FACTS)), np.empty((16, 4))
+    near, rivals = np.empty(_ROOM, np.int32), np.empty((_ROOM, FACTS))
     frame, out = np.empty((3, 3)), np.empty((2 * (last - first) + _PER_CHORD, 4, 5))
     filled, nobody = int(np.int64(0)), int(np.int64(-1))  # plain ones are types of their own: compiled twice
     px, py, steps = 0.0, 0.0, 8
@@ -101,31 +102,31 @@ def facets_of(c, first, last, surface, reach, fine):  # type: ignore[no-untyped-
         nx, ny, nz = frame[2, 0] - way * frame[0, 0], frame[2, 1] - way * frame[0, 1], frame[2, 2] - way * frame[0, 2]
         length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
         count = gather(c, k, frame[2, 0], frame[2, 1], reach, _ROOM, near)
-        to_frame(c, k, frame, radius, near, count, rivals)
+        farthest = to_frame(c, k, frame, radius, near, count, rivals)
         most = min(_WITHIN * reach / radius + _SPARE, STEEPEST)
         low, high = 0.0, 0.0
         if abs(rise) < most:
             ball = (0.5 * length * math.sqrt(1.0 - rise * rise), 0.5 * length * rise)
-            low, high = shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST)
+            low, high = shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST, 0.0)
         middle = 0.5 * (low + high)
         if low < high and abs(middle) > _TURNED and high < WIDEST and low > -WIDEST:
             nx = frame[2, 0] - middle * frame[1, 0]
             ny = frame[2, 1] - middle * frame[1, 1]
             nz = frame[2, 2] - middle * frame[1, 2]
             length, rise = set_frame(c.tips, k, nx, ny, nz, frame)
-            to_frame(c, k, frame, radius, near, count, rivals)
-        longest = min(fine.longest, fine.crossed) if are_crossed(count, rivals) else fine.longest
+            for m in range(count):
+                near[m] = int(rivals[m, 7])
+            farthest = to_frame(c, k, frame, radius, near, count, rivals)
+        part = min(longest, crossed) if are_crossed(count, rivals) else longest
         goes_on = k + 1 < c.joined.size and c.joined[k + 1]
         before = bend(c.tips, k - 1, frame, rise, -1.0) if c.joined[k - 1] else straight
         after = bend(c.tips, k + 1, frame, rise, 1.0) if goes_on else straight
         if abs(rise) < most:
             strip = strip_of_chord(length, rise, radius, before, after)
             if strip.length > 0.0:
-                filled = facets_of_strip(
-                    c.tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled
-                )
+                filled = facets_of_strip(c.tips, k, frame, radius, strip, part, count, rivals, farthest, out, filled)
         if goes_on and (after[0] > 1e-9 or abs(after[1]) > 1e-9):
             strip = strip_of_corner(k, length, rise, radius, after, most)
-            longest = min(longest, _CORNERS * min(length, after[2]))
-            filled = facets_of_strip(c.tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled)
+            part = min(part, _CORNERS * min(length, after[2]))
+            filled = facets_of_strip(c.tips, k, frame, radius, strip, part, count, rivals, farthest, out, filled)
     return out[:filled]

@@ -17,7 +17,7 @@ import math
 
 from numba import njit
 
-FACTS = 10  # of one rival, see `to_frame`
+FACTS = 11  # of one rival, see `to_frame`
 WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
 _CROSSING = 0.3  # tangent of the angle at which tracks cross
 _TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
@@ -54,8 +54,11 @@ def are_crossed(count, rivals):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True)
 def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyped-def]
     """rivals (count, FACTS): the neighbours' beginnings (t, b, n) from that of chord k, ways, who wins a tie, names,
-    and the square term of X along them, as it is and as what leads to where X is least.
+    the square term of X along them, as it is and as what leads to where X is least, and its least part from b alone.
+
+    The farthest of them ahead or behind is returned.
     """
+    farthest = 0.0
     for m in range(count):
         j = near[m]
         more = c.radii[c.group[j]] - radius
@@ -72,26 +75,38 @@ def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyp
         rivals[m, 7] = j
         square = 0.5 / radius * (rivals[m, 3] * rivals[m, 3] + rivals[m, 4] * rivals[m, 4])
         rivals[m, 8], rivals[m, 9] = square, -0.5 / square
+        b, end = rivals[m, 1], rivals[m, 1] + rivals[m, 4]
+        rivals[m, 10] = 0.0 if b * end < 0.0 else 0.5 * min(b * b, end * end) / radius
+        farthest = max(farthest, abs(rivals[m, 0]), abs(rivals[m, 0] + rivals[m, 3]))
+    return farthest
 
 
 @njit(cache=True, nogil=True)
-def _first(rivals, m):  # type: ignore[no-untyped-def]
-    """Whoever hides one piece will hide the next: it is asked first from now on."""
+def _exchange(rivals, first, m):  # type: ignore[no-untyped-def]
+    """Whoever bounds or hides one piece will do so with the next: it is asked first from now on."""
     for d in range(rivals.shape[1]):
-        rivals[0, d], rivals[m, d] = rivals[m, d], rivals[0, d]
+        rivals[first, d], rivals[m, d] = rivals[m, d], rivals[first, d]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def shown(count, rivals, skip, ball, tilt, shear, radius, low, high):  # type: ignore[no-untyped-def]
+def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # type: ignore[no-untyped-def]
     """(low, high): the angles across that a ball shows within those; low >= high: none. Rival `skip` does not count.
 
     ball        : its centre (t, n) in the frame
     tilt, shear : where it is asked: tilt - shear f ahead of n
+    slack       : what shear may add to f D
     """
     down = math.sqrt(1.0 - tilt * tilt)
+    here = down * ball[1] - tilt * ball[0] + slack + _TIE_MM
+    by_low = by_high = 0
     for m in range(count):
-        t, b, dt, db, alpha = rivals[m, 0] - ball[0], rivals[m, 1], rivals[m, 3], rivals[m, 4], rivals[m, 8]
-        beta = down * rivals[m, 5] - tilt * dt + (t * dt + b * db) / radius
+        b, dt, db = rivals[m, 1], rivals[m, 3], rivals[m, 4]
+        lift, way = down * rivals[m, 2] - tilt * rivals[m, 0], down * rivals[m, 5] - tilt * dt
+        reached = max(high, 0.0) * max(b, b + db, 0.0) - min(low, 0.0) * max(-b, -b - db, 0.0)
+        if lift + min(way, 0.0) + rivals[m, 10] - here > reached:  # X > f D all along it
+            continue
+        t, alpha = rivals[m, 0] - ball[0], rivals[m, 8]
+        beta = way + (t * dt + b * db) / radius
         gamma = down * (rivals[m, 2] - ball[1]) - tilt * t + 0.5 * (t * t + b * b) / radius - rivals[m, 6]
         b, db = b - shear * t, db - shear * dt
         near = min(max(beta * rivals[m, 9], 0.0), 1.0)
@@ -102,13 +117,13 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high):  # type: i
             continue
         if b * end > 0.0 and abs(db) < 1e-3 * abs(b):  # as good as parallel
             bound = least / (b + near * db)
-            if b > 0.0:
-                high = min(high, bound)
-            else:
-                low = max(low, bound)
+            if b > 0.0 and bound < high:
+                high, by_high = bound, m
+            elif b < 0.0 and bound > low:
+                low, by_low = bound, m
         elif abs(db) < 1e-12:  # straight ahead or behind
             if least < 0.0:
-                _first(rivals, m)
+                _exchange(rivals, 0, m)
                 return 0.0, -1.0
         else:
             curve = alpha / (db * db)
@@ -116,20 +131,27 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high):  # type: i
             level = gamma + at * (beta + alpha * at)  # X where D is 0; X / D is least at the root
             first, last = min(b, end), max(b, end)
             if first <= 0.0 <= last and level < 0.0:
-                _first(rivals, m)
+                _exchange(rivals, 0, m)
                 return 0.0, -1.0
             root = math.sqrt(max(level, 0.0) / curve)
             if last > 0.0:
                 d = min(max(root, first), last)
                 if d > 0.0:
                     way = (d - b) / db
-                    high = min(high, (gamma + way * (beta + alpha * way)) / d)
+                    bound = (gamma + way * (beta + alpha * way)) / d
+                    if bound < high:
+                        high, by_high = bound, m
             if first < 0.0:
                 d = max(min(-root, last), first)
                 if d < 0.0:
                     way = (d - b) / db
-                    low = max(low, (gamma + way * (beta + alpha * way)) / d)
+                    bound = (gamma + way * (beta + alpha * way)) / d
+                    if bound > low:
+                        low, by_low = bound, m
         if low >= high:
-            _first(rivals, m)
-            break
+            _exchange(rivals, 0, m)
+            return low, high
+    _exchange(rivals, 0, by_high)
+    if count > 1:
+        _exchange(rivals, 1, by_high if by_low == 0 else by_low)
     return low, high

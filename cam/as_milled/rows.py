@@ -79,15 +79,12 @@ def sample_facets(
     touched = ToolSurface.over(lens, radius_mm=radius_mm) if surface is None else surface
     rule = _rule(lens, radius_mm, slope_error_rad)
     error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)
-    roughness_mm = tip_error_mm(step_mm=step_mm, decimals=decimals)
 
     def sample(numbered: tuple[int, Rows]) -> Array:
         number, rows = numbered
         noise = Noise(sigma_mm=z_noise_mm, rows_run=direction, seed=number)
         tracks = _tracks(touched, rows, rule, direction, decimals).made_by(step_mm=step_mm, noise=noise)
-        milled = MilledSurface.of_tracks(
-            [tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm, roughness_mm=roughness_mm
-        )
+        milled = MilledSurface.of_tracks([tracks], heightfield, pitch_mm=pitch_mm, error_mm=error_mm)
         facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
         return _inner(facets, 3 * milled.reach_mm + pitch_mm)
 

@@ -1,8 +1,9 @@
 """Strips of the surface, between the two ends of what a ball shows while it moves, cut into facets.
 
-A strip is asked at three places: where its ends run straight enough it is one facet, elsewhere it is cut in three and
-each third asked again. So where tracks lie even a facet is as long as its chord, and where they cross, or come and go
-with steps and noise, it is as short as need be.
+Each part of a strip is asked at three places: where it shows at all of them it is one facet, else each third is by
+itself. Where tracks come and go with steps and noise, every end of one is up to a sixth of a part off, to either side:
+light on a screen is the sum of so many that it does not show (a part cut until it is 7 um long gives the same picture
+to 58 dB, at 100 mm, R 0.5, pitch 0.02 and steps of 2.5 um, and takes twice as long).
 """
 
 from __future__ import annotations
@@ -14,24 +15,8 @@ from numba import njit
 
 from cam.as_milled.rivals import WIDEST, shown
 
-_MOST = 81  # parts of a strip before any is cut
-FINEST = 243  # of a strip's length to its shortest part
+MOST_PARTS = 81  # of a strip
 STEEPEST = 0.6  # rad: no ball shows more of itself along its track
-
-
-class Fineness(NamedTuple):
-    """How small facets have to be.
-
-    longest, crossed : parts of a strip, before any is cut; of one that other tracks cross
-    shortest, share  : parts no longer than the lesser of this and this share of their chord are not cut
-    bend             : a strip's ends may miss a straight line by about this [rad x radius]
-    """
-
-    longest: float
-    crossed: float
-    shortest: float
-    share: float
-    bend: float
 
 
 class Strip(NamedTuple):
@@ -98,17 +83,17 @@ def strip_of_corner(k, length, rise, radius, bend, most):  # type: ignore[no-unt
 
 
 @njit(cache=True, nogil=True)
-def _shown_at(strip, u, count, rivals, radius):  # type: ignore[no-untyped-def]
+def _shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untyped-def]
     share = strip.first + u * strip.span
     tilt = strip.rise + share * max(strip.up, 0.0)
     low = strip.up / strip.left if strip.left < 0.0 else -WIDEST
     high = strip.up / strip.left if strip.left > 0.0 else WIDEST
-    if abs(tilt) > STEEPEST:
+    if abs(tilt) > STEEPEST or low >= WIDEST or high <= -WIDEST:
         return 0.0, -1.0
     s = strip.start + u * strip.run
     ball = (s * math.sqrt(1.0 - strip.rise * strip.rise), s * strip.rise)
     shear = share * strip.left
-    return shown(count, rivals, strip.skip, ball, tilt, shear, radius, max(low, -WIDEST), min(high, WIDEST))
+    return shown(count, rivals, strip.skip, ball, tilt, shear, radius, max(low, -WIDEST), min(high, WIDEST), slack)
 
 
 @njit(cache=True, nogil=True)
@@ -164,55 +149,25 @@ def _straight(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def facets_of_strip(tips, k, frame, radius, strip, longest, fine, count, rivals, todo, out, filled):  # type: ignore[no-untyped-def]
-    """Facets of a strip into out from `filled` on, whose new value is returned; todo (rows, 4): room for its parts."""
-    parts = min(max(1, int(math.ceil(strip.length / longest - 1e-9))), _MOST)
-    shortest = min(fine.shortest, fine.share * strip.whole)
-    shortest = max(shortest, strip.length / FINEST) / max(strip.length, 1e-9)
+def facets_of_strip(tips, k, frame, radius, strip, longest, count, rivals, farthest, out, filled):  # type: ignore[no-untyped-def]
+    """Facets of a strip into out from `filled` on, whose new value is returned; farthest: of the rivals."""
+    parts = min(max(1, int(math.ceil(strip.length / longest - 1e-9))), MOST_PARTS)
+    slack = WIDEST * abs(strip.left) * (farthest + strip.whole)
     for part in range(parts):
-        todo[0, 0], todo[0, 1] = part / parts, (part + 1) / parts
-        todo[0, 2], todo[0, 3] = _shown_at(strip, (part + 0.5) / parts, count, rivals, radius)
-        left = 1
-        while left > 0:
-            left -= 1
-            u0, u1, middle = todo[left, 0], todo[left, 1], (todo[left, 2], todo[left, 3])
-            third = (u1 - u0) / 3.0
-            before = _shown_at(strip, u0 + 0.5 * third, count, rivals, radius)
-            after = _shown_at(strip, u1 - 0.5 * third, count, rivals, radius)
-            seen = (before[0] < before[1]) + (middle[0] < middle[1]) + (after[0] < after[1])
-            if seen == 0:
-                continue
-            bend = radius * max(
-                abs(before[0] - 2.0 * middle[0] + after[0]), abs(before[1] - 2.0 * middle[1] + after[1])
-            )
-            small = u1 - u0 <= shortest
-            if seen == 3 and (small or bend <= fine.bend):
-                lows, highs = _straight(before[0], middle[0], after[0]), _straight(before[1], middle[1], after[1])
-                _facet(tips, k, frame, radius, strip, u0, u1, lows, highs, out[filled])
+        u0, u1 = part / parts, (part + 1) / parts
+        third = (u1 - u0) / 3.0
+        middle = _shown_at(strip, 0.5 * (u0 + u1), count, rivals, radius, slack)
+        before = _shown_at(strip, u0 + 0.5 * third, count, rivals, radius, slack)
+        after = _shown_at(strip, u1 - 0.5 * third, count, rivals, radius, slack)
+        if before[0] < before[1] and middle[0] < middle[1] and after[0] < after[1]:
+            lows, highs = _straight(before[0], middle[0], after[0]), _straight(before[1], middle[1], after[1])
+            _facet(tips, k, frame, radius, strip, u0, u1, lows, highs, out[filled])
+            filled += 1
+            continue
+        for m in range(3):
+            low, high = before if m == 0 else middle if m == 1 else after
+            if low < high:
+                v0, v1 = u0 + m * third, u0 + (m + 1) * third
+                _facet(tips, k, frame, radius, strip, v0, v1, (low, low), (high, high), out[filled])
                 filled += 1
-                continue
-            for m in range(3):
-                low, high = before if m == 0 else middle if m == 1 else after
-                if not small:
-                    todo[left, 0], todo[left, 1], todo[left, 2], todo[left, 3] = (
-                        u0 + m * third,
-                        u0 + (m + 1) * third,
-                        low,
-                        high,
-                    )
-                    left += 1
-                elif low < high:
-                    _facet(
-                        tips,
-                        k,
-                        frame,
-                        radius,
-                        strip,
-                        u0 + m * third,
-                        u0 + (m + 1) * third,
-                        (low, low),
-                        (high, high),
-                        out[filled],
-                    )
-                    filled += 1
     return filled

@@ -69,13 +69,11 @@ def _surface(
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         tracks.append(Tracks.of_program(batches, radius_mm=spec.radius_mm, step_mm=machine.step_mm, noise=noise))
         reached(0.8 * done / len(passes))
-    roughness_mm = tip_error_mm(step_mm=machine.step_mm, decimals=_decimals(machine))
     return MilledSurface.of_tracks(
         tracks,
         heightfield,
         pitch_mm=max(spec.pitch_mm for _, spec in passes),
-        error_mm=math.hypot(machine.z_noise_mm, roughness_mm),
-        roughness_mm=roughness_mm,
+        error_mm=tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm, decimals=_decimals(machine)),
     )
 
 

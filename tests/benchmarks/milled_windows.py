@@ -92,8 +92,8 @@ def _middle(lens: Heightfield) -> np.ndarray:
 
 def _of_facets(tracks: Tracks, lens: Heightfield, case: Case) -> tuple[tuple[float, float, float], float]:
     """rms (along, across, both) of the slopes added to the lens's, and the facets' area over that of the window."""
-    error, roughness = tip_error_mm(step_mm=case.step, z_noise_mm=case.noise), tip_error_mm(step_mm=case.step)
-    surface = MilledSurface.of_tracks([tracks], lens, pitch_mm=case.pitch, error_mm=error, roughness_mm=roughness)
+    error = tip_error_mm(step_mm=case.step, z_noise_mm=case.noise)
+    surface = MilledSurface.of_tracks([tracks], lens, pitch_mm=case.pitch, error_mm=error)
     facets = np.concatenate([surface.part(k) for k in range(surface.parts)])
     half = np.full(2, case.window / 2)
     points, weights = spread_over(facets, _middle(lens) - half, _middle(lens) + half, parts=30)

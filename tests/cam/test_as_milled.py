@@ -35,7 +35,6 @@ def surface_of(tracks, over, *, pitch_mm, step_mm=0.0, z_noise_mm=0.0):
         over,
         pitch_mm=pitch_mm,
         error_mm=tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm),
-        roughness_mm=tip_error_mm(step_mm=step_mm),
     )
 
 

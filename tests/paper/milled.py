@@ -48,7 +48,6 @@ def milled(pixels: int, side_mm: float, pitch_mm: float, noise_mm: float) -> Mil
         lens,
         pitch_mm=pitch_mm,
         error_mm=tip_error_mm(step_mm=0.0, z_noise_mm=noise_mm),
-        roughness_mm=tip_error_mm(step_mm=0.0),
     )
     del tracks
     light = simulate_milled(surface.part, surface.parts, lens, bench, pixels=(pixels, pixels)).irradiance
