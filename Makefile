@@ -28,7 +28,7 @@ $(READY): $(INSTALLED)
 	touch $@
 
 # One picture through everything, and the first program streamed to a simulated mill $(SPEEDUP) times as fast as a real one.
-SPEEDUP ?= 500
+SPEEDUP ?= 2000
 demo: $(INSTALLED)
 	$(BIN)/causticmill make $(PICTURE) --output out/demo --force
 	@rm -f $(MILL); $(BIN)/causticmill sim-mill --tcp 127.0.0.1:0 --time-factor $(SPEEDUP) > $(MILL) & \
