@@ -17,11 +17,18 @@ from service.stages.plan import plan, stage_key
 from service.stages.run import run_order
 from service.store.local import LocalStore
 
-TINY = ("image.pixels=24", "image.tone=linear", "optics.width_mm=6", "optics.height_mm=6", "optics.throw_mm=40")
+TINY = (  # small balls and a narrow margin: the block, not the lens, is what takes time
+    "image.pixels=24", "image.tone=linear", "optics.width_mm=3", "optics.height_mm=3", "optics.throw_mm=20",
+    "stock.margin_mm=1.5", "passes.0.radius_mm=1", "passes.0.pitch_mm=0.4",
+)  # fmt: skip
+SMALL_BALLS = {
+    "draft": ("passes.1.radius_mm=1", "passes.1.pitch_mm=0.1"),
+    "paper": ("passes.1.pitch_mm=0.2", "passes.2.pitch_mm=0.1"),
+}
 
 
 def tiny_spec(*values: str, preset: str = "draft") -> JobSpec:
-    return resolve_spec(preset=preset, overrides=(*TINY, *values))
+    return resolve_spec(preset=preset, overrides=(*TINY, *SMALL_BALLS[preset], *values))
 
 
 def save_picture(path: Path) -> Path:
