@@ -6,11 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from service.passes import with_plan
 from service.spec_files import resolve_spec
-from service.stages.plan import plan
-from service.store.local import LocalStore
-from tests.service.stages.jobs import StagedJob
+from tests.service.stages.jobs import run_job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LIGHT = ("caustic", "as-milled", "report")  # stages that look at no program, or only at one that has passed
@@ -33,10 +30,6 @@ def test_a_small_steep_lens_passes_its_check(tmp_path, picture, preset, side_mm,
     values = {"image.pixels": 48, "optics.throw_mm": throw_mm, "optics.width_mm": side_mm, "optics.height_mm": side_mm}
     if preset == "recommended":
         values["plan.hours"] = 0.1  # the best picture would take rows 0.015 mm apart
-    store = LocalStore(tmp_path / "objects")
-    image = store.put_file(EXAMPLES / f"{picture}.png").sha256
     spec = resolve_spec(preset=preset, overrides=[f"{key}={value}" for key, value in values.items()])
-    job = StagedJob(spec=spec, store=store, image_sha256=image, scratch=tmp_path / "scratch")
-    while stage := next((one for one in plan(job.spec) if one not in (*LIGHT, *job.results)), None):
-        job.spec = with_plan(job.spec, job.run(stage).report)
-    assert {row["ok"] for result in job.results.values() for row in result.report.get("passes", ())} == {True}
+    job = run_job(tmp_path, EXAMPLES / f"{picture}.png", spec, without=LIGHT)
+    assert {row["ok"] for row in job.report["passes"]} == {True}
