@@ -142,6 +142,9 @@ def test_the_controllers_own_figures_take_the_place_of_the_profiles() -> None:
         (b"G21G90\nG0 X0 Y0 Z5\nG1 X5\n", 3, "needs a feed"),
         (b"\xff\xfe\x00junk", 1, "letter"),
         (b"x" * 70_000, 1, "characters"),
+        (bytes(range(256)), 1, "letter"),
+        (b"$O100%\nG15 H1\n", 1, "settings are commands"),
+        (b"^IN;!MC1;\n", 1, "letter"),
     ],
 )
 def test_refusals(tmp_path: Path, text: bytes, line: int, words: str) -> None:
