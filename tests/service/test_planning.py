@@ -21,7 +21,6 @@ from service.spec_files import resolve_spec
 from service.stages.plan import plan, shares, stage_key
 from tests.page import canned_job
 
-EXAMPLES = Path(__file__).parents[2] / "examples"
 SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
 OPTIONS = [word for text in SIZE for word in ("--set", text)]
 
@@ -209,15 +208,3 @@ def test_what_cannot_be_planned_is_one_line(
     assert run(["plan", str(picture), *OPTIONS, *options]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert all(word in line for word in words), line
-
-
-@pytest.mark.thorough
-def test_a_recommended_small_job_runs_whole(tmp_path: Path) -> None:
-    """A deep lens: its rough pass cuts many slots, none of them too fast."""
-    options = [word for text in (*SIZE[:3], "image.pixels=96") for word in ("--set", text)]
-    assert (
-        run(["make", str(EXAMPLES / "camera.png"), "-o", str(tmp_path / "job"), "--preset", "recommended", *options])
-        == 0
-    )
-    report = json.loads((tmp_path / "job" / "report.json").read_text())
-    assert [row["ok"] for row in report["passes"]] == [True] * len(report["plan"]["passes"])

@@ -6,8 +6,9 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -15,9 +16,10 @@ from machines.errors import ProgramRefusedError
 from machines.gcode.limits import limits_of, placement_problems
 from machines.gcode.preflight import Preflight
 from machines.grbl.settings import ControllerSettings
-from machines.profiles import load_profile
+from machines.profiles import MachineProfile, load_profile
 from service import preflight as module
 from service.preflight import PreflightError, preflight
+from service.preflight_worker import examine
 
 GRBL = load_profile("grbl", [])
 PROGRAM = (
@@ -26,11 +28,49 @@ PROGRAM = (
 )
 
 
-@pytest.fixture
-def program(tmp_path: Path) -> Path:
-    path = tmp_path / "p.nc"
-    path.write_bytes(PROGRAM.replace(b"G2 X90 Y0", b"G2 X90 Y0"))
-    return path
+RML = b"V10;\n!RC15;!MC1;\nZ0,0,100;Z0,0,-100;\nW1000;\n!MC0;\n\x1a"
+RML_MILL = replace(load_profile("roland-mdx-40a", []), dialect="rml-1")
+STREAMER = """
+import json, sys
+from pathlib import Path
+from machines.gcode.program import ProgramReader
+from machines.profiles import load_profile
+from service.preflight import preflight
+path, shares = Path(sys.argv[1]), []
+facts = preflight(path, load_profile("grbl", []), cache=Path(sys.argv[2]), on_progress=shares.append)
+lines = len(list(ProgramReader(path, facts.index).lines()))
+heavy = sorted({"numpy", "numba", "scipy"} & set(sys.modules))
+print(json.dumps({"facts": facts.to_json(), "shares": shares, "lines": lines, "heavy": heavy}))
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """What a process like the streamer's found in PROGRAM, and where it is kept."""
+
+    program: Path
+    cache: Path
+    told: dict[str, Any]
+
+    @property
+    def facts(self) -> Preflight:
+        return Preflight.from_json(self.told["facts"])
+
+
+@pytest.fixture(scope="module")
+def read(tmp_path_factory: pytest.TempPathFactory) -> Read:
+    """Each child that reads a program loads its kernels for seconds: one for all tests."""
+    folder = tmp_path_factory.mktemp("read")
+    program, cache = folder / "p.nc", folder / "cache"
+    program.write_bytes(PROGRAM)
+    done = subprocess.run(
+        [sys.executable, "-c", STREAMER, program, cache],
+        capture_output=True,
+        text=True,
+        check=True,
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    return Read(program, cache, json.loads(done.stdout))
 
 
 @pytest.fixture
@@ -42,10 +82,14 @@ def no_child(*_: object, **__: object) -> None:
     raise AssertionError("the child was started although the result is kept")
 
 
-def test_what_is_found_and_that_it_survives_as_json(program: Path, cache: Path) -> None:
-    shares: list[float] = []
-    facts = preflight(program, GRBL, cache=cache, on_progress=shares.append)
-    assert facts.lines == 11 and facts.blocks == 11 and facts.bytes == len(program.read_bytes())
+def examined(path: Path, profile: MachineProfile = GRBL) -> Preflight:
+    """As the child does it."""
+    return examine(path, limits_of(profile), lambda share: None)
+
+
+def test_what_is_found_and_that_it_survives_as_json(read: Read) -> None:
+    facts, shares = read.facts, read.told["shares"]
+    assert facts.lines == 11 and facts.blocks == 11 and facts.bytes == len(PROGRAM)
     assert facts.bounds_mm is not None
     # the arc about (90, 20) from (110, 20) clockwise to (90, 0): a quarter turn
     assert facts.bounds_mm.least_mm == pytest.approx((10, 0, -1))
@@ -60,31 +104,22 @@ def test_what_is_found_and_that_it_survives_as_json(program: Path, cache: Path) 
     assert Preflight.from_json(facts.to_json()) == facts
 
 
-@pytest.mark.thorough
 def test_a_result_is_kept_by_content_and_by_the_machine(
-    program: Path, cache: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    read: Read, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    facts = preflight(program, GRBL, cache=cache)
+    facts = read.facts
     other = replace(GRBL, acceleration_mm_per_s2=(50.0, 50.0, 50.0))
-    slower = preflight(program, other, cache=cache)
-    assert slower.time_s > facts.time_s
+    assert examined(read.program, other).time_s > facts.time_s
     monkeypatch.setattr(module.subprocess, "Popen", no_child)
-    assert preflight(program, GRBL, cache=cache) == facts
-    copy = tmp_path / "copy.nc"
-    copy.write_bytes(program.read_bytes())
-    assert preflight(copy, GRBL, cache=cache) == facts  # known by its content
-    text = program.read_bytes()
-    program.write_bytes(text.replace(b"X110", b"X111"))
     with pytest.raises(AssertionError, match="child was started"):
-        preflight(program, GRBL, cache=cache)
-
-
-@pytest.mark.thorough
-def test_a_damaged_kept_result_is_made_anew(program: Path, cache: Path) -> None:
-    facts = preflight(program, GRBL, cache=cache)
-    for kept in cache.glob("*.json"):
-        kept.write_text(kept.read_text()[:-40])
-    assert preflight(program, GRBL, cache=cache) == facts
+        preflight(read.program, other, cache=read.cache)
+    assert preflight(read.program, GRBL, cache=read.cache) == facts
+    copy = tmp_path / "copy.nc"
+    copy.write_bytes(PROGRAM)
+    assert preflight(copy, GRBL, cache=read.cache) == facts  # known by its content
+    copy.write_bytes(PROGRAM.replace(b"X110", b"X111"))
+    with pytest.raises(AssertionError, match="child was started"):
+        preflight(copy, GRBL, cache=read.cache)
 
 
 def test_the_controllers_own_figures_take_the_place_of_the_profiles() -> None:
@@ -107,22 +142,24 @@ def test_the_controllers_own_figures_take_the_place_of_the_profiles() -> None:
         (b"G21G90\nG0 X0 Y0 Z5\nG1 X5\n", 3, "needs a feed"),
         (b"\xff\xfe\x00junk", 1, "letter"),
         (b"x" * 70_000, 1, "characters"),
+        (bytes(range(256)), 1, "letter"),
+        (b"$O100%\nG15 H1\n", 1, "settings are commands"),
+        (b"^IN;!MC1;\n", 1, "letter"),
     ],
 )
-def test_refusals(tmp_path: Path, cache: Path, text: bytes, line: int, words: str) -> None:
+def test_refusals(tmp_path: Path, text: bytes, line: int, words: str) -> None:
     path = tmp_path / "p.nc"
     path.write_bytes(text)
     with pytest.raises(ProgramRefusedError, match=words) as caught:
-        preflight(path, GRBL, cache=cache)
+        examined(path)
     assert caught.value.line == line
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
-    assert [file.name for file in cache.iterdir() if not file.name.startswith("quick")] == []
 
 
-def test_warnings_and_assumptions(tmp_path: Path, cache: Path) -> None:
+def test_warnings_and_assumptions(tmp_path: Path) -> None:
     path = tmp_path / "p.nc"
     path.write_bytes(b"G0 X1 Y1\nZ5\nG1 Z-1 F9000\nM3 S40000\nG53 G0 Z-1\nG28\n")
-    facts = preflight(path, GRBL, cache=cache)
+    facts = examined(path)
     assert facts.assumed == ("G21", "G90") and not facts.ends
     text = "\n".join(facts.warnings)
     for words in (
@@ -144,50 +181,37 @@ def test_no_such_program_and_a_folder_are_one_line(tmp_path: Path, cache: Path) 
         assert str(path) in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_child_that_dies_is_told(program: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_child_that_dies_is_told(read: Read, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module.sys, "executable", "/bin/false")
     with pytest.raises(PreflightError, match="ended early"):
-        preflight(program, GRBL, cache=cache)
+        preflight(read.program, GRBL, cache=cache)
 
 
-def test_the_placement_at_the_present_offsets(program: Path, cache: Path) -> None:
+def test_the_placement_at_the_present_offsets(read: Read) -> None:
     """Machine coordinates run from -travel to 0 unless the firmware forces its origin."""
-    facts = preflight(program, GRBL, cache=cache)
+    facts = read.facts
     values = {20: "1", 22: "1", 130: "300", 131: "300", 132: "80"}
     right = ControllerSettings(values=values, offsets={"G54": (-290.0, -290.0, -40.0), "G92": (0.0, 0.0, 0.0)})
     assert placement_problems(facts, right) == ()
     high = replace(right, offsets={"G54": (-290.0, -290.0, -4.0), "TLO": (0.0, 0.0, 0.0)})
     (problem,) = placement_problems(facts, high)
     assert problem.startswith("Z would go from -5.000 to 1.000 mm in machine coordinates (G54)")
-    (warning,) = preflight(program, GRBL, settings=high, cache=cache).warnings
+    (warning,) = preflight(read.program, GRBL, settings=high, cache=read.cache).warnings
     assert warning == f"at the present work zero {problem}"
-    assert preflight(program, GRBL, settings=right, cache=cache).warnings == ()
+    assert preflight(read.program, GRBL, settings=right, cache=read.cache).warnings == ()
     far = replace(right, offsets={"G54": (-305.0, -290.0, -44.0), "G92": (-10.0, 0.0, 0.0), "TLO": (0.0, 0.0, 2.0)})
     (problem,) = placement_problems(facts, far)
     assert problem.startswith("X would go from -305.000")
     assert placement_problems(facts, ControllerSettings(values={22: "0", 20: "0"})) == ()
 
 
-def test_the_streaming_process_gets_neither_numpy_nor_numba(program: Path, cache: Path) -> None:
+def test_the_streaming_process_gets_neither_numpy_nor_numba(read: Read) -> None:
     """What a streamer imports, and a whole pre-flight and read in it, stay without the array libraries."""
-    code = (
-        "import sys; from pathlib import Path; from service.preflight import preflight; "
-        "from machines.gcode.program import ProgramReader; from machines.profiles import load_profile; "
-        f"p = Path({str(program)!r}); f = preflight(p, load_profile('grbl', []), cache=Path({str(cache)!r})); "
-        "n = len(list(ProgramReader(p, f.index).lines())); "
-        "print(n, sorted({'numpy', 'numba', 'scipy'} & set(sys.modules)))"
-    )
-    root = str(Path(__file__).parents[2])
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env={**os.environ, "PYTHONPATH": root}
-    )
-    assert done.stdout.strip() == "11 []"
+    assert (read.told["lines"], read.told["heavy"]) == (11, [])
 
 
-def test_an_index_in_json_has_only_what_differs(program: Path, cache: Path) -> None:
-    facts = preflight(program, GRBL, cache=cache)
-    plain = json.loads(facts.to_json())
-    assert plain["index"]["entries"][0][3] == {}
+def test_an_index_in_json_has_only_what_differs(read: Read) -> None:
+    assert json.loads(read.told["facts"])["index"]["entries"][0][3] == {}
 
 
 def test_the_planner_looks_ahead_as_far_in_cam_as_in_preflight() -> None:
@@ -212,23 +236,35 @@ def test_the_planner_looks_ahead_as_far_in_cam_as_in_preflight() -> None:
         (b"", 0, "no RML-1 command"),
     ],
 )
-def test_an_rml_program_is_refused_by_line_text_and_reason(
-    tmp_path: Path, cache: Path, text: bytes, line: int, words: str
-) -> None:
+def test_an_rml_program_is_refused_by_line_text_and_reason(tmp_path: Path, text: bytes, line: int, words: str) -> None:
     path = tmp_path / "p.rml"
     path.write_bytes(text)
     with pytest.raises(ProgramRefusedError, match=words) as caught:
-        preflight(path, replace(load_profile("roland-mdx-40a", []), dialect="rml-1"), cache=cache)
+        examined(path, RML_MILL)
     assert caught.value.line == line and str(caught.value).isprintable()
 
 
-@pytest.mark.thorough
-def test_an_rml_program_is_remembered_too(tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_child_refuses_is_told_and_not_kept(tmp_path: Path, cache: Path) -> None:
     path = tmp_path / "p.rml"
-    path.write_bytes(b"V10;\n!RC15;!MC1;\nZ0,0,100;Z0,0,-100;\nW1000;\n!MC0;\n\x1a")
-    mill = replace(load_profile("roland-mdx-40a", []), dialect="rml-1")
-    facts = preflight(path, mill, cache=cache)
+    path.write_bytes(RML.replace(b"Z0,0,-100", b"Z40000,0,0"))
+    with pytest.raises(ProgramRefusedError) as by_child:
+        preflight(path, RML_MILL, cache=cache)
+    with pytest.raises(ProgramRefusedError) as here:
+        examined(path, RML_MILL)
+    assert (by_child.value.line, str(by_child.value)) == (3, str(here.value))
+    assert [file.name for file in cache.iterdir() if not file.name.startswith("quick")] == []
+
+
+def test_an_rml_program_is_remembered_too_and_read_anew_where_that_is_damaged(
+    tmp_path: Path, cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "p.rml"
+    path.write_bytes(RML)
+    facts = preflight(path, RML_MILL, cache=cache)
     assert (facts.lines, facts.blocks, facts.spindle_rpm) == (6, 5, (15000, 15000))
     assert facts.time_s == pytest.approx(2.0 / 10 + 1.0)
+    for kept in cache.glob("*.json"):
+        kept.write_text(kept.read_text()[:-40])
+    assert preflight(path, RML_MILL, cache=cache) == facts
     monkeypatch.setattr(subprocess, "Popen", no_child)
-    assert preflight(path, mill, cache=cache) == facts
+    assert preflight(path, RML_MILL, cache=cache) == facts
