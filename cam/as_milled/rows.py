@@ -59,6 +59,11 @@ def _turned(heightfield: Heightfield) -> Heightfield:
     return Heightfield(x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
 
 
+def touched_surface(heightfield: Heightfield, radius_mm: float, direction: Direction) -> ToolSurface:
+    """Of a ball over the lens, as rows in that direction see it: x and y exchanged for rows along y."""
+    return ToolSurface.over(heightfield if direction == "x" else _turned(heightfield), radius_mm=radius_mm)
+
+
 def sample_facets(
     heightfield: Heightfield,
     *,
@@ -73,10 +78,10 @@ def sample_facets(
 ) -> tuple[Array, ...]:
     """(n, 4, 5) facets of four squares of the lens, of 150 rows each at most: what such rows do to its slopes.
 
-    surface : of this ball over this lens (x and y exchanged for rows along y), if the caller has it already
+    surface : `touched_surface` of this ball, if the caller has it already
     """
     lens = heightfield if direction == "x" else _turned(heightfield)
-    touched = ToolSurface.over(lens, radius_mm=radius_mm) if surface is None else surface
+    touched = touched_surface(heightfield, radius_mm, direction) if surface is None else surface
     rule = _rule(lens, radius_mm, slope_error_rad)
     error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)
 

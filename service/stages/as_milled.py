@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cam.as_milled.noise import Noise
-from cam.as_milled.rows import sample_facets, tip_error_mm
+from cam.as_milled.rows import sample_facets, tip_error_mm, touched_surface
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.passes import PassSpec
@@ -102,6 +102,7 @@ def _gains(
         "step_mm": machine.step_mm,
         "z_noise_mm": machine.z_noise_mm,
         "decimals": _decimals(machine),
+        "surface": touched_surface(heightfield, spec.radius_mm, spec.direction),
     }
     without: dict[str, dict[str, Any]] = {
         "scallops": {"pitch_mm": spec.pitch_mm / _FINER},
