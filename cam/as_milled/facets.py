@@ -107,7 +107,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore
         low, high = 0.0, 0.0
         if abs(rise) < most:
             ball = (0.5 * length * math.sqrt(1.0 - rise * rise), 0.5 * length * rise)
-            low, high = shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST, 0.0)
+            low, high, _ = shown(count, rivals, nobody, ball, rise, 0.0, radius, -WIDEST, WIDEST, 0.0)
         middle = 0.5 * (low + high)
         if low < high and abs(middle) > _TURNED and high < WIDEST and low > -WIDEST:
             nx = frame[2, 0] - middle * frame[1, 0]

@@ -90,7 +90,9 @@ def _exchange(rivals, first, m):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # type: ignore[no-untyped-def]
-    """(low, high): the angles across that a ball shows within those; low >= high: none. Rival `skip` does not count.
+    """(low, high, ahead): the angles across that a ball shows within those; low >= high: none, and what hides the ball
+    hides even more of it with a larger tilt where `ahead` is positive, with a smaller one else. Rival `skip` does not
+    count.
 
     ball        : its centre (t, n) in the frame
     tilt, shear : where it is asked: tilt - shear f ahead of n
@@ -99,6 +101,7 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
     down = math.sqrt(1.0 - tilt * tilt)
     here = down * ball[1] - tilt * ball[0] + slack + _TIE_MM
     by_low = by_high = 0
+    low_ahead = high_ahead = 0.0  # by how much a larger tilt lowers either
     for m in range(count):
         b, dt, db = rivals[m, 1], rivals[m, 3], rivals[m, 4]
         lift, way = down * rivals[m, 2] - tilt * rivals[m, 0], down * rivals[m, 5] - tilt * dt
@@ -118,13 +121,13 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
         if b * end > 0.0 and abs(db) < 1e-3 * abs(b):  # as good as parallel
             bound = least / (b + near * db)
             if b > 0.0 and bound < high:
-                high, by_high = bound, m
+                high, by_high, high_ahead = bound, m, (t + near * dt) / (b + near * db)
             elif b < 0.0 and bound > low:
-                low, by_low = bound, m
+                low, by_low, low_ahead = bound, m, (t + near * dt) / (b + near * db)
         elif abs(db) < 1e-12:  # straight ahead or behind
             if least < 0.0:
                 _exchange(rivals, 0, m)
-                return 0.0, -1.0
+                return 0.0, -1.0, t + near * dt
         else:
             curve = alpha / (db * db)
             at = -b / db
@@ -132,7 +135,7 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
             first, last = min(b, end), max(b, end)
             if first <= 0.0 <= last and level < 0.0:
                 _exchange(rivals, 0, m)
-                return 0.0, -1.0
+                return 0.0, -1.0, t + at * dt
             root = math.sqrt(max(level, 0.0) / curve)
             if last > 0.0:
                 d = min(max(root, first), last)
@@ -140,18 +143,18 @@ def shown(count, rivals, skip, ball, tilt, shear, radius, low, high, slack):  # 
                     way = (d - b) / db
                     bound = (gamma + way * (beta + alpha * way)) / d
                     if bound < high:
-                        high, by_high = bound, m
+                        high, by_high, high_ahead = bound, m, (t + way * dt) / d
             if first < 0.0:
                 d = max(min(-root, last), first)
                 if d < 0.0:
                     way = (d - b) / db
                     bound = (gamma + way * (beta + alpha * way)) / d
                     if bound > low:
-                        low, by_low = bound, m
+                        low, by_low, low_ahead = bound, m, (t + way * dt) / d
         if low >= high:
             _exchange(rivals, 0, m)
-            return low, high
+            return low, high, high_ahead - low_ahead
     _exchange(rivals, 0, by_high)
     if count > 1:
         _exchange(rivals, 1, by_high if by_low == 0 else by_low)
-    return low, high
+    return low, high, 0.0

@@ -89,7 +89,7 @@ def _shown_at(strip, u, count, rivals, radius, slack):  # type: ignore[no-untype
     low = strip.up / strip.left if strip.left < 0.0 else -WIDEST
     high = strip.up / strip.left if strip.left > 0.0 else WIDEST
     if abs(tilt) > STEEPEST or low >= WIDEST or high <= -WIDEST:
-        return 0.0, -1.0
+        return 0.0, -1.0, tilt
     s = strip.start + u * strip.run
     ball = (s * math.sqrt(1.0 - strip.rise * strip.rise), s * strip.rise)
     shear = share * strip.left
@@ -149,11 +149,51 @@ def _straight(a, b, c):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _parts_shown(strip, parts, count, rivals, radius, slack):  # type: ignore[no-untyped-def]
+    """(first, last): the parts, last not among them, in which a ball at a corner shows something.
+
+    What a ball shows is convex, so that no place beyond one that is hidden from there shows anything.
+    """
+    cells = 3 * parts
+    low, high, seen = 0, cells - 1, -1
+    while low <= high and seen < 0:
+        middle = (low + high) // 2
+        shown = _shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
+        if shown[0] < shown[1]:
+            seen = middle
+        elif shown[2] > 0.0:
+            high = middle - 1
+        else:
+            low = middle + 1
+    if seen < 0:
+        return 0, 0
+    left, right = seen, seen  # the outermost that are known to show something
+    while low < left:
+        middle = (low + left) // 2
+        shown = _shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
+        if shown[0] < shown[1]:
+            left = middle
+        else:
+            low = middle + 1
+    while right < high:
+        middle = (right + high + 1) // 2
+        shown = _shown_at(strip, (middle + 0.5) / cells, count, rivals, radius, slack)
+        if shown[0] < shown[1]:
+            right = middle
+        else:
+            high = middle - 1
+    return left // 3, right // 3 + 1
+
+
+@njit(cache=True, nogil=True)
 def facets_of_strip(tips, k, frame, radius, strip, longest, count, rivals, farthest, out, filled):  # type: ignore[no-untyped-def]
     """Facets of a strip into out from `filled` on, whose new value is returned; farthest: of the rivals."""
     parts = min(max(1, int(math.ceil(strip.length / longest - 1e-9))), MOST_PARTS)
     slack = WIDEST * abs(strip.left) * (farthest + strip.whole)
-    for part in range(parts):
+    first, last = 0, parts
+    if strip.is_corner and parts > 1:
+        first, last = _parts_shown(strip, parts, count, rivals, radius, slack)
+    for part in range(first, last):
         u0, u1 = part / parts, (part + 1) / parts
         third = (u1 - u0) / 3.0
         middle = _shown_at(strip, 0.5 * (u0 + u1), count, rivals, radius, slack)
@@ -165,7 +205,7 @@ def facets_of_strip(tips, k, frame, radius, strip, longest, count, rivals, farth
             filled += 1
             continue
         for m in range(3):
-            low, high = before if m == 0 else middle if m == 1 else after
+            low, high, _ = before if m == 0 else middle if m == 1 else after
             if low < high:
                 v0, v1 = u0 + m * third, u0 + (m + 1) * third
                 _facet(tips, k, frame, radius, strip, v0, v1, (low, low), (high, high), out[filled])
