@@ -7,6 +7,10 @@ READY := $(VENV)/.ready
 PICTURE ?= examples/camera.png
 MILL := out/demo-mill.txt
 
+# Bytecode is kept, whatever the environment says: where it is not, each server that a test starts compiles all modules
+# anew (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo serve test test-all lint bench soak paper format lock clean
 
 # The locked environments, made anew whenever a lock or the project file changes: what the product needs, then what its

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 
@@ -12,6 +13,7 @@ from service.kernel_cache import use_current_kernels
 from tests import order
 
 use_current_kernels()  # before any test module imports numba
+gc.disable()  # a million objects are made while tests are collected, and all of them stay
 
 # Kernels compile on their first call, so an example may take seconds; their order is fixed to keep CI repeatable.
 settings.register_profile("causticmill", deadline=None, derandomize=True, max_examples=50, print_blob=True)
@@ -31,6 +33,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if item.get_closest_marker("thorough"):
                 item.add_marker(skip)
     order.in_good_order(items)
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()  # what stays need not be looked at again with what tests leave behind
+    gc.enable()
 
 
 def pytest_xdist_auto_num_workers() -> int:

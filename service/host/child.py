@@ -1,20 +1,24 @@
-"""`python -m service.host.child MODULE`: run a module as the supervisor's child, tied to its life."""
+"""`python -m service.host.child MODULE`: run a module's `main` as the supervisor's child, tied to its life."""
 
 from __future__ import annotations
 
-import runpy
+import gc
+import importlib
 import sys
 
 from service.host import lifeline
 
 
-def main() -> None:
-    """The module sees itself as the main program, with the arguments after its name."""
+def main() -> int | None:
+    """The module sees its own name and the arguments after it."""
     lifeline.begin()
-    module = sys.argv[1]
     sys.argv = sys.argv[1:]
-    runpy.run_module(module, run_name="__main__", alter_sys=True)
+    gc.disable()  # importing makes nothing but what stays
+    module = importlib.import_module(sys.argv[0])
+    gc.freeze()
+    gc.enable()
+    return module.main()
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -129,7 +129,7 @@ class Floor:
             answer = client.post(f"/v1/runs/{self.run}:start", json=said)
             assert answer.status_code == 202, answer.text
             self.until_state("running")
-        seen(lambda: self.mill.cut, lambda cut: cut > 2, what="the first cuts")
+        seen(lambda: self.mill.cut, lambda cut: cut > 2, what="the first cuts", every_s=0.05)
 
     def look(self) -> dict[str, Any]:
         """The run, as the server has it."""

@@ -19,7 +19,7 @@ from tests.disturbances.floor import MILL, Floor, running_floor
 from tests.disturbances.proxy import HoldingProxy
 from tests.service.store.conftest import s3_address, s3_urls  # noqa: F401 - fixtures
 from tests.service.worker.postgres import Postgres, missing, running_postgres
-from tests.waiting import until
+from tests.waiting import seen, until
 
 LINES = 300
 FACTOR = 2.0  # some ten seconds of cutting
@@ -91,7 +91,7 @@ def test_a_server_whose_disk_is_full_neither_stops_a_run_nor_loses_its_end(
             answer = post(floor, "resume")
             assert answer.status_code == 202, answer.text
             floor.until_cut(_MORE)
-            until(lambda: floor.at_agent()["state"] == "finished")
+            seen(lambda: floor.at_agent()["state"], lambda state: state == "finished", every_s=0.1)
         require_whole(floor)
 
 
@@ -151,8 +151,7 @@ def test_a_database_that_is_restarted_costs_a_run_nothing(tmp_path: Path, postgr
             with contextlib.suppress(httpx.HTTPError):
                 _hold(floor)
             assert floor.mill.holds, "HOLD did not arrive without the database"
-            floor_state = floor.at_agent
-            until(lambda: floor_state()["state"] == "held")
+            seen(lambda: floor.at_agent()["state"], lambda state: state == "held", every_s=0.1)
         finally:
             postgres.start()
         until(lambda: post(floor, "resume").status_code == 202, what="a resume once the database is back")

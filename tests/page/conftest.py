@@ -19,6 +19,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 from tests.page.answers import watched_answers
 from tests.page.browser import ANSWER_MS, NOWHERE, SIZES, Scheme, Watched, missing, new_context, running_browser, shoot
 from tests.page.stub import Stub, running_stub
+from tests.service.conftest import _one_certificate  # noqa: F401 - journeys ask their server very often
 
 Opened = Callable[..., Page]
 _loads = itertools.count()  # an address that differs by more than its view's is loaded, not only gone to

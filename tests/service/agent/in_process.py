@@ -11,6 +11,7 @@ from pathlib import Path
 from service.agent.server import run_agent
 from service.agent.settings import agent_settings
 from service.mill_link import machine_and_port
+from tests.service.agent.client import AgentClient, await_agent
 from tests.waiting import PATIENCE_S
 
 
@@ -60,3 +61,15 @@ class AgentThread:
 
         threading.Thread(target=listen, daemon=True).start()
         yield stop
+
+
+@contextlib.contextmanager
+def running_agent(folder: Path, port_url: str) -> Iterator[AgentClient]:
+    """One of a GRBL mill, told to stop at the end."""
+    thread = AgentThread("grbl", folder, port_url)
+    try:
+        agent = AgentClient(folder, await_agent(folder).url)
+        with agent.http:
+            yield agent
+    finally:
+        thread.stop()

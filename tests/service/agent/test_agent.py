@@ -1,17 +1,15 @@
-"""The agent as its callers meet it: a real process on a loopback port, a real driver on a simulated mill's pty."""
+"""The agent as its callers meet it: on a loopback port, with a real driver on a simulated mill's pty.
+
+It is a thread of this process; where a law is about its own process, a test has that.
+"""
 
 from __future__ import annotations
 
 import concurrent.futures
-import contextlib
 import hashlib
 import http.server
-import signal
 import socket
-import subprocess
-import sys
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -19,8 +17,10 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.service.agent.process import ROOT, AgentProcess
-from tests.service.mills import Bench, bench, ends, program
+from tests.service.agent.client import AgentClient
+from tests.service.agent.in_process import running_agent
+from tests.service.fleet.shop import own_folders
+from tests.service.mills import Bench, bench, program
 from tests.waiting import PATIENCE_S
 
 CHECKS = ["tool", "zero", "stock", "clear"]
@@ -34,13 +34,25 @@ def mill() -> Iterator[Bench]:
 
 
 @pytest.fixture
-def agent(tmp_path: Path, mill: Bench) -> Iterator[AgentProcess]:
-    with AgentProcess(tmp_path / "data", mill.url) as process:
-        process.until(lambda status: status["status"]["state"] == "idle")
-        yield process
+def agent(tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch) -> Iterator[AgentClient]:
+    own_folders(monkeypatch, tmp_path)
+    with running_agent(tmp_path / "data", mill.url) as found:
+        found.until(lambda status: status["status"]["state"] == "idle")
+        yield found
 
 
-def started(agent: AgentProcess, path: Path) -> str:
+@pytest.fixture(scope="module")
+def resting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AgentClient]:
+    """One that is never told to do anything, for all that it refuses."""
+    folder = tmp_path_factory.mktemp("resting")
+    with pytest.MonkeyPatch.context() as monkeypatch, bench(8.0) as mill:
+        own_folders(monkeypatch, folder)
+        with running_agent(folder / "data", mill.url) as found:
+            found.until(lambda status: status["status"]["state"] == "idle")
+            yield found
+
+
+def started(agent: AgentClient, path: Path) -> str:
     """Bring, park and start a program; the run's id."""
     run = agent.post("/v1/runs", 201, program=agent.upload(path), name=path.name)
     assert run["state"] == "parked"
@@ -48,20 +60,7 @@ def started(agent: AgentProcess, path: Path) -> str:
     return str(run["id"])
 
 
-def test_a_program_is_brought_parked_confirmed_and_cut_whole(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
-    path = program(tmp_path / "p.nc", 60)
-    sha256 = agent.upload(path)
-    run = agent.post("/v1/runs", 201, program=sha256, name="first")
-    assert (run["state"], run["program"], mill.cut) == ("parked", sha256, [])
-    problem = agent.post(f"/v1/runs/{run['id']}:start", 409, operator="Ada", checks=["tool", "zero", "clear"])
-    assert "stock" in problem["detail"]
-    assert mill.cut == []
-    agent.post(f"/v1/runs/{run['id']}:start", 202, operator="Ada", checks=CHECKS)
-    agent.until(lambda status: agent.get(f"/v1/runs/{run['id']}")["state"] == "finished")
-    assert mill.cut == ends(60)
-
-
-def test_hold_resume_and_abort(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+def test_hold_resume_and_abort(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
     run = started(agent, program(tmp_path / "p.nc", LONG))
     agent.until(lambda status: status["progress"]["executed_line"] > 8)
     agent.post(f"/v1/runs/{run}:hold", 202)
@@ -76,7 +75,7 @@ def test_hold_resume_and_abort(agent: AgentProcess, mill: Bench, tmp_path: Path)
     assert not any(segment.kind == "slip" for segment in mill.mill.recording.segments)
 
 
-def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
+def test_overrides_jog_and_zero(agent: AgentClient, mill: Bench) -> None:
     agent.post("/v1/control/jog", 202, by_mm=[5, 0, 0], feed_mm_per_min=1000)
 
     def said(words: str) -> dict[str, Any]:
@@ -93,7 +92,7 @@ def test_overrides_jog_and_zero(agent: AgentProcess, mill: Bench) -> None:
     said("Line M3 S1000: done")
 
 
-def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: AgentProcess) -> None:
+def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: AgentClient) -> None:
     """It goes only where "confirm" is said, and what it would do is told."""
     refusal = agent.post("/v1/control/block", 409, text="G10 L20 P1 X5")
     assert (refusal["code"], refusal["field"]) == ("confirm", "confirm")
@@ -132,9 +131,9 @@ def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: Ag
     ],
 )
 def test_refusals_are_problems_that_name_the_field(
-    agent: AgentProcess, path: str, body: dict[str, object], status: int, field: str | None
+    resting: AgentClient, path: str, body: dict[str, object], status: int, field: str | None
 ) -> None:
-    answer = agent.http.post(path, json=body)
+    answer = resting.http.post(path, json=body)
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     problem = answer.json()
@@ -144,23 +143,23 @@ def test_refusals_are_problems_that_name_the_field(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("content", [b"{", b"[1]", b"\xff", b'"x"', b"[" * 50000, b"x" * 70000])
-def test_bodies_that_are_not_objects(agent: AgentProcess, content: bytes) -> None:
-    answer = agent.http.post("/v1/runs", content=content)
+def test_bodies_that_are_not_objects(resting: AgentClient, content: bytes) -> None:
+    answer = resting.http.post("/v1/runs", content=content)
     assert answer.status_code in (400, 413)
     assert answer.headers["content-type"] == "application/problem+json"
 
 
 @pytest.mark.thorough
-def test_a_bad_program_is_refused_with_its_line(agent: AgentProcess, tmp_path: Path) -> None:
+def test_a_bad_program_is_refused_with_its_line(resting: AgentClient, tmp_path: Path) -> None:
     path = tmp_path / "bad.nc"
     path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
-    problem = agent.post("/v1/runs", 422, program=agent.upload(path), name="bad")
+    problem = resting.post("/v1/runs", 422, program=resting.upload(path), name="bad")
     assert (problem["field"], "line 3" in problem["detail"]) == ("program", True)
 
 
 @pytest.mark.thorough
 def test_a_program_that_changed_on_disk_since_preflight_is_not_started(
-    agent: AgentProcess, mill: Bench, tmp_path: Path
+    agent: AgentClient, mill: Bench, tmp_path: Path
 ) -> None:
     """Same size, other content: the digest of the first piece is checked before its first line is sent."""
     sha256 = agent.upload(program(tmp_path / "p.nc", 50))
@@ -175,7 +174,7 @@ def test_a_program_that_changed_on_disk_since_preflight_is_not_started(
 
 
 @pytest.mark.thorough
-def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentProcess, tmp_path: Path) -> None:
+def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentClient, tmp_path: Path) -> None:
     data = program(tmp_path / "p.nc", 500).read_bytes()
     sha256 = hashlib.sha256(data).hexdigest()
 
@@ -201,10 +200,13 @@ def test_a_program_is_fetched_by_hash_and_a_wrong_one_is_not_kept(agent: AgentPr
 
 
 @pytest.mark.thorough
-def test_the_same_key_parks_once_even_across_a_new_start(tmp_path: Path, mill: Bench) -> None:
+def test_the_same_key_parks_once_even_across_a_new_start(
+    tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """A job server that lost the answer asks again: it must not find two runs."""
+    own_folders(monkeypatch, tmp_path)
     path, other = program(tmp_path / "p.nc", 20), program(tmp_path / "q.nc", 21)
-    with AgentProcess(tmp_path / "data", mill.url) as agent:
+    with running_agent(tmp_path / "data", mill.url) as agent:
         sha256 = agent.upload(path)
         body = {"program": sha256, "name": "p", "key": "job-7/pass-1"}
         with concurrent.futures.ThreadPoolExecutor(4) as pool:
@@ -213,15 +215,14 @@ def test_the_same_key_parks_once_even_across_a_new_start(tmp_path: Path, mill: B
         assert len({answer.json()["id"] for answer in answers}) == 1
         problem = agent.post("/v1/runs", 409, program=agent.upload(other), key="job-7/pass-1")
         assert problem["field"] == "key"
-        agent.stop()
-    with AgentProcess(tmp_path / "data", mill.url) as agent:
+    with running_agent(tmp_path / "data", mill.url) as agent:
         run = agent.post("/v1/runs", 200, **body)
         assert run["id"] == answers[0].json()["id"]
         assert len(agent.get("/v1/runs")["runs"]) == 1
 
 
 @pytest.mark.thorough
-def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
     path = program(tmp_path / "p.nc", 20)
     sha256 = agent.upload(path)
     assert agent.http.delete(f"/v1/programs/{sha256}").status_code == 204
@@ -238,7 +239,7 @@ def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentProcess, mill
 
 
 @pytest.mark.thorough
-def test_two_who_start_at_once_start_one_run(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+def test_two_who_start_at_once_start_one_run(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
     sha256 = agent.upload(program(tmp_path / "p.nc", LONG))
     runs = [agent.post("/v1/runs", 201, program=sha256, name=name)["id"] for name in ("one", "two")]
     body = {"operator": "Ada", "checks": CHECKS}
@@ -250,35 +251,15 @@ def test_two_who_start_at_once_start_one_run(agent: AgentProcess, mill: Bench, t
 
 
 @pytest.mark.thorough
-def test_a_file_without_a_block_is_not_a_program(agent: AgentProcess, tmp_path: Path) -> None:
+def test_a_file_without_a_block_is_not_a_program(resting: AgentClient, tmp_path: Path) -> None:
     path = tmp_path / "blank.nc"
     path.write_text("\n(words)\n")
-    problem = agent.post("/v1/runs", 422, program=agent.upload(path), name="blank")
+    problem = resting.post("/v1/runs", 422, program=resting.upload(path), name="blank")
     assert (problem["field"], "not one block" in problem["detail"]) == ("program", True)
 
 
 @pytest.mark.thorough
-def test_a_hold_is_quick_while_twenty_readers_listen_and_some_do_not_read(
-    agent: AgentProcess, mill: Bench, tmp_path: Path
-) -> None:
-    """Readers that never read cost bounded memory, and no hold waits for them."""
-    started(agent, program(tmp_path / "p.nc", LONG))
-    host, _, port = agent.url.removeprefix("http://").partition(":")
-    request = f"GET /v1/events HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {agent.token}\r\n\r\n"
-    with contextlib.ExitStack() as stack:
-        for _ in range(20):
-            reader = stack.enter_context(socket.create_connection((host, int(port))))
-            reader.sendall(request.encode())
-        agent.until(lambda status: status["progress"]["executed_line"] > 8)
-        begun_s = time.monotonic()
-        agent.post("/v1/control/hold", 202)
-        assert time.monotonic() - begun_s < 10.0  # alone a few ms; on a busy machine more, but never a client's timeout
-        agent.until(lambda status: status["status"]["state"] == "held")
-        assert agent.rss_mb() < 70
-
-
-@pytest.mark.thorough
-def test_a_slow_body_does_not_stop_a_hold(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+def test_a_slow_body_does_not_stop_a_hold(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
     started(agent, program(tmp_path / "p.nc", LONG))
     host, _, port = agent.url.removeprefix("http://").partition(":")
     head = (
@@ -291,7 +272,7 @@ def test_a_slow_body_does_not_stop_a_hold(agent: AgentProcess, mill: Bench, tmp_
 
 
 @pytest.mark.thorough
-def test_events_come_live_and_what_was_missed_comes_again(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+def test_events_come_live_and_what_was_missed_comes_again(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
     with agent.events() as events:
         first = next(events)
         assert first["event"] == "status"
@@ -306,7 +287,7 @@ def test_events_come_live_and_what_was_missed_comes_again(agent: AgentProcess, m
         assert "gap" in next(events)["data"]
 
 
-def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
+def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
     run = started(agent, program(tmp_path / "p.nc", LONG))
     agent.until(lambda status: status["progress"]["executed_line"] > 8)
     mill.unplug()
@@ -316,86 +297,9 @@ def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentProcess, mi
     assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
 
 
-@pytest.mark.thorough
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_an_agent_that_is_stopped_holds_the_mill_first_and_shows_the_run_as_interrupted_afterwards(
-    tmp_path: Path, mill: Bench, number: signal.Signals
-) -> None:
-    with AgentProcess(tmp_path / "data", mill.url) as agent:
-        agent.until(lambda status: status["status"]["state"] == "idle")
-        run = started(agent, program(tmp_path / "p.nc", LONG))
-        agent.until(lambda status: status["progress"]["executed_line"] > 8)
-        with agent.events() as events:
-            next(events)
-            code, said = agent.stop(number)
-        assert (code, "feed hold" in said) == (0, True), said
-        assert "Traceback" not in said
-    assert mill.stands
-    cut = len(mill.cut)
-    with AgentProcess(tmp_path / "data", mill.url) as agent:
-        agent.until(lambda status: status["status"]["state"] not in ("connecting", "disconnected"))
-        assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
-        assert [entry["bytes"] > 0 for entry in agent.get("/v1/programs")["programs"]] == [True]
-    assert len(mill.cut) == cut
-
-
-@pytest.mark.thorough
-def test_a_killed_agent_leaves_a_run_that_the_next_one_shows_as_interrupted(tmp_path: Path, mill: Bench) -> None:
-    with AgentProcess(tmp_path / "data", mill.url) as agent:
-        agent.until(lambda status: status["status"]["state"] == "idle")
-        run = started(agent, program(tmp_path / "p.nc", LONG))
-        agent.until(lambda status: status["progress"]["executed_line"] > 8)
-        agent.process.kill()
-    with AgentProcess(tmp_path / "data", mill.url) as agent:
-        agent.until(lambda status: status["status"]["state"] not in ("connecting", "disconnected"))
-        assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
-        assert agent.get(f"/v1/runs/{run}/recovery")
-
-
-def refused(*options: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "service.cli", "mill", "--machine", "grbl", *options],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
-    lines = done.stderr.splitlines()
-    assert (done.returncode in (1, 2), len(lines)) == (True, 1), done.stderr
-    return lines[0]
-
-
-@pytest.mark.thorough
-def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
-    other, port = str(tmp_path / "other"), agent.url.rpartition(":")[2]
-    assert port in refused("--port", mill.url, "--bind-port", port, "--data", other)
-    assert "data" in refused("--port", mill.url, "--bind-port", "0", "--data", str(agent.folder))
-    assert mill.url in refused("--port", mill.url, "--bind-port", "0", "--data", other)
-    assert agent.status()["status"]["state"] == "idle"
-
-
-def test_an_address_that_others_reach_is_refused_without_tls(mill: Bench) -> None:
-    assert "--behind-proxy" in refused("--port", mill.url, "--host", "0.0.0.0")
-
-
-def test_a_token_that_others_can_read_is_refused(mill: Bench, tmp_path: Path) -> None:
-    path = tmp_path / "secret"
-    path.write_text("x" * 32)
-    path.chmod(0o640)
-    words = refused("--port", mill.url, "--bind-port", "0", "--data", str(tmp_path / "d"), "--token-file", str(path))
-    assert f"chmod 600 {path}" in words
-
-
-def test_without_a_token_the_agent_says_nothing(agent: AgentProcess) -> None:
-    bare = httpx.Client(base_url=agent.url, trust_env=False, timeout=PATIENCE_S)
+def test_without_a_token_the_agent_says_nothing(resting: AgentClient) -> None:
+    bare = httpx.Client(base_url=resting.url, trust_env=False, timeout=PATIENCE_S)
     assert bare.get("/livez").status_code == 200
     answer = bare.get("/v1/status")
     assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")
     assert bare.get("/v1/status", headers={"Host": "evil.example"}).status_code == 403
-
-
-@pytest.mark.thorough
-def test_the_agent_stays_small(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
-    started(agent, program(tmp_path / "p.nc", 100))
-    agent.until(lambda status: status["progress"]["executed_line"] > 20)
-    assert 10 < agent.rss_mb() < 60

@@ -26,6 +26,7 @@ from service.fleet.launching import is_owned
 from service.jobs.tokens import TokenScope
 from service.preflight_worker import examine
 from service.settings import ServerSettings
+from tests.service.agent.client import await_agent
 from tests.service.agent.in_process import AgentThread
 from tests.service.api.server import ApiServer, api_server, png
 from tests.service.mills import Bench, program
@@ -168,21 +169,6 @@ def start_here(settings: ServerSettings) -> None:
     folder = settings.agents_folder / MACHINE
     if not is_owned(folder):
         _threads.append(AgentThread(MACHINE, folder))
-
-
-def await_agent(folder: Path) -> AgentCard:
-    def answers() -> bool:
-        card = read_card(folder)
-        if card is None:
-            return False
-        with contextlib.suppress(httpx.HTTPError):
-            return httpx.get(f"{card.url}/livez", trust_env=False, timeout=PATIENCE_S).status_code == 200
-        return False
-
-    seen(answers, bool, every_s=0.02)
-    card = read_card(folder)
-    assert card is not None
-    return card
 
 
 @contextlib.contextmanager

@@ -95,7 +95,9 @@ class OrderHistories(RuleBasedStateMachine):
         world.press(what, self.secret, weather, by_page=by_page, seen=seen if by_page else "", body=BODIES.get(what))
         world.pass_s(chance.uniform(0.0, min(sum(delays_s), 5.0)))
         self.happen(event)
-        self.judge(chance.choice((0.5, 13.0)))
+        if chance.random() < 0.5:
+            world.pass_until_all_came(13.0)
+        self.judge(0.5)
 
     secret = ""
 
