@@ -7,8 +7,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-
-def main() -> None:
-    agent = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True)
-    Path(os.environ["CAUSTICMILL_DATA"], "agent.pid").write_text(str(agent.pid))
-    agent.returncode = 0  # it is not ours to wait for
+agent = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"], start_new_session=True)
+Path(os.environ["CAUSTICMILL_DATA"], "agent.pid").write_text(str(agent.pid))
+agent.returncode = 0  # it is not ours to wait for
