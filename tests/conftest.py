@@ -26,7 +26,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """`make test` is to take ten minutes on two cores (it takes twelve): what takes longer is run where time is."""
+    """What `make test` has no time for is run where time is: see tests/levels.py."""
     if "CAUSTICMILL_SLOW" not in os.environ:
         skip = pytest.mark.skip(reason="thorough: runs with CAUSTICMILL_SLOW=1, as in .ci/run")
         for item in items:
