@@ -39,17 +39,22 @@ def grid_of(n=40, cell_mm=0.08, top_mm=None) -> StockGrid:
 def under_still_balls(stock: StockGrid, points, radius_mm, *, per_move: int, grown: bool = False):
     """Brute force: the ball put down at many places of every move.
 
-    Grown by half the way between two places, every ball in between lies inside one of them: a lower bound.
+    Grown by half the way between two places, every ball in between lies inside one of them: a lower bound. Only the
+    cells that a move's ball can reach are looked at.
     """
-    x, y = np.meshgrid(stock.x_mm, stock.y_mm)
     left = stock.top_mm.copy()
     for a, b in pairwise(points):
         r = radius_mm + (np.linalg.norm(b - a) / (per_move - 1) / 2 if grown else 0)
+        (i0, i1), (j0, j1) = (
+            np.searchsorted(axis, (min(a[k], b[k]) - r, max(a[k], b[k]) + r))
+            for k, axis in enumerate((stock.x_mm, stock.y_mm))
+        )
+        x, y, under = stock.x_mm[i0:i1], stock.y_mm[j0:j1, None], left[j0:j1, i0:i1]
         for t in np.linspace(0, 1, per_move):
             cx, cy, cz = a + t * (b - a)
             inside = r**2 - (x - cx) ** 2 - (y - cy) ** 2
-            under = np.where(inside > 0, cz + radius_mm - np.sqrt(np.maximum(inside, 0)), np.inf)
-            left = np.minimum(left, under)
+            ball = np.where(inside > 0, cz + radius_mm - np.sqrt(np.maximum(inside, 0)), np.inf)
+            np.minimum(under, ball, out=under)
     return left
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import pytest
 
-from tests.end_to_end.command import ran, settings
+from service.spec_files import resolve_spec
+from tests.service.stages.jobs import run_job
 
 PICTURE = Path(__file__).parents[2] / "examples" / "camera.png"
+LEFT_OUT = ("caustic", "report")  # what shows the light of the lens as designed, and the page
 HOPEFUL_DB = 3.0  # by which a plan may promise too much where a rest pass blends into what surrounds it
 VALUES = {
     "image.pixels": 48,
@@ -24,10 +25,8 @@ VALUES = {
 
 @pytest.mark.thorough
 def test_a_planned_rest_pass_is_cut_where_the_big_ball_left_stock(tmp_path: Path) -> None:
-    job = tmp_path / "job"
-    done = ran("make", PICTURE, "-o", job, "--preset", "recommended", *settings(VALUES))
-    assert done.returncode == 0, done.stderr
-    report = json.loads((job / "report.json").read_text())
+    spec = resolve_spec(preset="recommended", overrides=[f"{key}={value}" for key, value in VALUES.items()])
+    report = run_job(tmp_path, PICTURE, spec, without=LEFT_OUT).report
     foretold, (finish, cleared) = report["plan"]["rest"], report["passes"][-2:]
     assert cleared["settings"]["where"] == "rest"
     assert cleared["settings"]["radius_mm"] < finish["settings"]["radius_mm"]

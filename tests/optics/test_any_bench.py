@@ -99,10 +99,18 @@ def hold_the_laws(design: LensDesign, settings: LensSettings, shape: tuple[int, 
         assert seen.reflected_share < 0.05
 
 
-@hypothesis_settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
-@given(bench=benches(), target=pictures(), corrections=st.integers(0, 1), polish=st.sampled_from([0, 0, 2]))
-def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, polish: int) -> None:
-    settings = LensSettings(bench=bench, skim_mm=0.1, corrections=corrections, min_radius_mm=0.5, polish_steps=polish)
+@hypothesis_settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+@given(
+    bench=benches(),
+    target=pictures(),
+    corrections=st.integers(0, 2),
+    radius_mm=st.sampled_from([0.0, 0.5, 3.0]),
+    polish=st.sampled_from([0, 0, 2]),
+)
+def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, radius_mm: float, polish: int) -> None:
+    settings = LensSettings(
+        bench=bench, skim_mm=0.1, corrections=corrections, min_radius_mm=radius_mm, polish_steps=polish
+    )
     try:
         design = design_lens(target, settings)
     except OpticsError as refusal:
@@ -111,10 +119,23 @@ def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, 
     hold_the_laws(design, settings, target.shape)
 
 
-@hypothesis_settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow])
-@given(bench=benches(), target=pictures(), radius_mm=st.sampled_from([0.0, 0.5, 3.0]), polish=st.sampled_from([0, 3]))
-def test_a_lens_or_a_reason_thoroughly(bench: Bench, target: np.ndarray, radius_mm: float, polish: int) -> None:
-    settings = LensSettings(bench=bench, skim_mm=0.1, corrections=2, min_radius_mm=radius_mm, polish_steps=polish)
+@pytest.mark.xfail(raises=ZeroDivisionError, strict=True, reason="the solver divides by zero for this bench")
+def test_a_mirror_whose_lamp_stands_as_far_away_as_its_screen() -> None:
+    """Found by the law above in one of its runs; other distances of the lamp, or of the screen, end in a lens."""
+    light = Light(kind="point", distance_mm=10**2.25, profile=np.array([[0.5, 1.0, 1.0], [0.5, 0.5, 1.0]]))
+    bench = Bench.centred(
+        width_mm=10**1.5,
+        height_mm=10.0,
+        throw_mm=10**2.25,
+        refractive_index=2.0,
+        screen_mm=(10**1.5, 10**1.25),
+        thickness_mm=5.0,
+        mirror=True,
+        light=light,
+    )
+    target = np.zeros((4, 6))
+    target[0, 0] = 24.0
+    settings = LensSettings(bench=bench, skim_mm=0.1, corrections=2, min_radius_mm=0.0)
     try:
         design = design_lens(target, settings)
     except OpticsError:
