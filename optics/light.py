@@ -75,7 +75,7 @@ class Beam(NamedTuple):
     cells_per_mm_y: float
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _tangent_before_face(run: float, away: float, depth: float, index: float) -> float:
     """Tangent of the angle outside, of the ray that goes `run` sideways over `away` in air and `depth` in glass.
 
@@ -94,7 +94,7 @@ def _tangent_before_face(run: float, away: float, depth: float, index: float) ->
     return w
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float, float, float, float]:
     """(dx, dy, dz, phase, face_x, face_y) of the beam where it meets (x, y, z); the direction is a unit vector."""
     if not beam.is_point:
@@ -122,7 +122,7 @@ def meet(beam: Beam, x: float, y: float, z: float) -> tuple[float, float, float,
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def strength_on_face(beam: Beam, x: float, y: float) -> float:
     """Light per area of the face at (x, y); its scale is free. Beyond the aperture the profile's rim goes on.
 
@@ -147,7 +147,7 @@ def strength_on_face(beam: Beam, x: float, y: float) -> float:
     return value * ((1.0 - g) * low + g * high)
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def leave(
     dx: float, dy: float, dz: float, zx: float, zy: float, index: float, is_mirror: bool
 ) -> tuple[float, float, float]:

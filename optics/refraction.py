@@ -10,7 +10,7 @@ from numba import njit
 from optics.spline import Array
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def refracted_tangent(slope_squared: float, refractive_index: float) -> float:
     """Sideways way per unit of height and per unit of slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
 

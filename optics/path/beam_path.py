@@ -63,7 +63,7 @@ def _ray_from_point(
     return math.nan
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def face_areas(
     row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, unit_x: float, unit_y: float,
@@ -105,7 +105,7 @@ def face_areas(
         south, north = north, south
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _horizontal_edges(
     e: int, c: Array, rim_y: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, out: Array,
@@ -124,7 +124,7 @@ def _horizontal_edges(
         ray, _, _, _, out[k, 0], out[k, 1] = trace_back(beam, qx, qy, throw, mid, sx, sy, ray)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def corner_points(
     row_lo: int, row_hi: int, c: Array, beam: Beam,
     throw: float, left: float, bottom: float, dx: float, dy: float, px: Array, py: Array,

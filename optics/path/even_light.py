@@ -15,7 +15,7 @@ from optics.bench import Bench
 from optics.spline import Array
 
 
-@njit(cache=True, nogil=True, inline="always")
+@njit(cache=True, nogil=True, inline="always", error_model="numpy")
 def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[float, float]:
     """(R, s_z): length of the ray in air and the cosine it leaves with. NaN where light would be totally reflected."""
     sz2 = 1.0 - sx * sx - sy * sy
@@ -25,7 +25,7 @@ def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[f
     return (index * throw - c) / (index * sz - 1.0), sz
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
     """c with one ghost row and column outside, which continue it by the slope on the frame."""
     ny, nx = c.shape
@@ -45,7 +45,7 @@ def bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy
     return value + c[r, k]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def preimage_areas(
     row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
     throw: float, index: float, left: float, bottom: float,
@@ -132,7 +132,7 @@ def preimage_areas(
         top[r] = highest
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def preimages_of_corners(
     row_lo: int, row_hi: int, c: Array, rim_x: Array, rim_y: Array,
     throw: float, index: float, left: float, bottom: float,

@@ -53,7 +53,7 @@ class Rims:
         return float((points[:, 2] + margin_mm * np.maximum(rise, 0.0)).max())
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def _on_curve(curve: Array, cells_per_mm: float, at: float) -> tuple[float, float]:
     """(value, slope) of a curve at even spacing from 0, linear between, constant beyond; NaN at NaN."""
     u = at * cells_per_mm
