@@ -20,6 +20,9 @@ FIRST = (
     "tests/service/fleet/",
     "tests/page/journeys/",
     "tests/service/host/",
+    "tests/disturbances/",
+    "tests/service/test_stream_command.py",
+    "tests/service/test_stream_recover.py",
     "tests/end_to_end/test_small_lenses.py",
     "tests/service/client/",
     "tests/page/",
@@ -32,7 +35,6 @@ FIRST = (
     "tests/cam/test_as_milled_brute_force.py",
     "tests/cam/contour/test_contour_path.py",
     "tests/optics/test_hard_pictures.py",
-    "tests/service/test_stream_command.py",
     "tests/service/api/",
 )
 _TOP = Path(__file__).parents[1]
