@@ -20,6 +20,7 @@ LISTEN_FD = "CAUSTICMILL_LISTEN_FD"
 SUPERVISOR = "CAUSTICMILL_SUPERVISOR"
 PAIRING_OFFER = "CAUSTICMILL_PAIRING_OFFER"
 BEAT_S = 0.5
+STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)  # what ends the server, and with it its children
 _SET_PDEATHSIG = 1
 
 healthy: Callable[[], bool] = lambda: True  # noqa: E731 - replaced by a process that knows better about itself

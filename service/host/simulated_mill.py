@@ -16,11 +16,11 @@ from typing import NoReturn
 from machines.simulated import GRBL_11, Recording, SimulatedMill, serve_pty
 from service.errors import FailedError, JobError, sentence_of_os_error
 from service.fleet.machines import SIMULATED, simulated_folder
+from service.host import lifeline
 from service.private import make_private
 from service.settings import ServerSettings
 
 TIME_FACTOR = 20.0
-_STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _TOUCHED_AT_MM = -30.0  # machine Z of what a probe touches: the top of a block on the table
 _PROFILE = """# Written anew each time that `causticmill serve --with-simulated-mill` starts.
 extends = "grbl"
@@ -34,7 +34,7 @@ port = "{port}"
 
 def main() -> int:
     """Until SIGTERM."""
-    for kind in _STOPPING:
+    for kind in lifeline.STOPPING:
         signal.signal(kind, _leave)
     try:
         folder = simulated_folder(ServerSettings.load())
@@ -55,7 +55,7 @@ def main() -> int:
 
 
 def _leave(*_: object) -> NoReturn:
-    for kind in _STOPPING:
+    for kind in lifeline.STOPPING:
         signal.signal(kind, signal.SIG_IGN)
     sys.exit(0)
 

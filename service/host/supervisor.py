@@ -31,7 +31,6 @@ from service.jobs.codes import code_of, new_offer
 _PREFIX = "CAUSTICMILL_"
 _MODULES = {"worker": "service.worker.main", "API": "service.api.main", "agents": "service.host.agents"}
 _SIMULATED = {"simulated mill": "service.host.simulated_mill", "simulated agent": "service.host.simulated_agent"}
-_STOPPING = (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
 _GRACE_S = 20.0
 _FIRST_FAILURES = 5
 _PROBE_S = 0.05
@@ -209,7 +208,7 @@ def _wakeups(stop: Callable[[int, FrameType | None], None]) -> Iterator[socket.s
         its.setblocking(False)
         signal.set_wakeup_fd(its.fileno(), warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
-        for kind in _STOPPING:
+        for kind in lifeline.STOPPING:
             if signal.getsignal(kind) is not signal.SIG_IGN:  # nohup means it
                 signal.signal(kind, stop)
         yield ours

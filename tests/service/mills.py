@@ -20,6 +20,7 @@ WITH_SWITCHES = replace(
 )
 AT_ZERO = replace(GRBL_11, power_up_machine_mm=(0.0, 0.0, 0.0))
 ZERO_MM = (-200.0, -150.0, -40.0)  # G54 in machine coordinates, as a touch-off has left it
+LONG_LINES = 2000  # of a program that is not over while a test looks at it
 
 
 @dataclass(frozen=True, slots=True)

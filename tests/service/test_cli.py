@@ -45,7 +45,7 @@ def picture(tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
-def designed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+def design(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """The folder of a design, to be copied, and what the command printed."""
     folder, told = tmp_path_factory.mktemp("designed"), io.StringIO()
     with contextlib.redirect_stdout(told):
@@ -256,9 +256,9 @@ def test_check_runs_the_earlier_passes_of_a_job_and_misses_them(
 
 @pytest.mark.thorough
 def test_design_then_caustic_gives_the_same_scores(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, designed: tuple[Path, str]
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, design: tuple[Path, str]
 ) -> None:
-    made, text = designed
+    made, text = design
     assert "PSNR" in text
     assert str(made / "report.html") in text
     out = shutil.copytree(made, tmp_path / "out")
@@ -273,10 +273,8 @@ def test_design_then_caustic_gives_the_same_scores(
 
 
 @pytest.mark.thorough
-def test_cam_refuses_another_lens(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path, designed: tuple[Path, str]
-) -> None:
-    out = shutil.copytree(designed[0], tmp_path / "out")
+def test_cam_refuses_another_lens(capsys: pytest.CaptureFixture[str], tmp_path: Path, design: tuple[Path, str]) -> None:
+    out = shutil.copytree(design[0], tmp_path / "out")
     before = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
     refused(capsys, 2, ["cam", str(out), "--set", "optics.throw_mm=50"], "optics.throw_mm", "20.0", "design")
     assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == before

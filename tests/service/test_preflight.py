@@ -82,7 +82,7 @@ def no_child(*_: object, **__: object) -> None:
     raise AssertionError("the child was started although the result is kept")
 
 
-def examined(path: Path, profile: MachineProfile = GRBL) -> Preflight:
+def examine_here(path: Path, profile: MachineProfile = GRBL) -> Preflight:
     """As the child does it."""
     return examine(path, limits_of(profile), lambda share: None)
 
@@ -109,7 +109,7 @@ def test_a_result_is_kept_by_content_and_by_the_machine(
 ) -> None:
     facts = read.facts
     other = replace(GRBL, acceleration_mm_per_s2=(50.0, 50.0, 50.0))
-    assert examined(read.program, other).time_s > facts.time_s
+    assert examine_here(read.program, other).time_s > facts.time_s
     monkeypatch.setattr(module.subprocess, "Popen", no_child)
     with pytest.raises(AssertionError, match="child was started"):
         preflight(read.program, other, cache=read.cache)
@@ -151,7 +151,7 @@ def test_refusals(tmp_path: Path, text: bytes, line: int, words: str) -> None:
     path = tmp_path / "p.nc"
     path.write_bytes(text)
     with pytest.raises(ProgramRefusedError, match=words) as caught:
-        examined(path)
+        examine_here(path)
     assert caught.value.line == line
     assert "\n" not in str(caught.value) and len(str(caught.value)) < 300
 
@@ -159,7 +159,7 @@ def test_refusals(tmp_path: Path, text: bytes, line: int, words: str) -> None:
 def test_warnings_and_assumptions(tmp_path: Path) -> None:
     path = tmp_path / "p.nc"
     path.write_bytes(b"G0 X1 Y1\nZ5\nG1 Z-1 F9000\nM3 S40000\nG53 G0 Z-1\nG28\n")
-    facts = examined(path)
+    facts = examine_here(path)
     assert facts.assumed == ("G21", "G90") and not facts.ends
     text = "\n".join(facts.warnings)
     for words in (
@@ -240,7 +240,7 @@ def test_an_rml_program_is_refused_by_line_text_and_reason(tmp_path: Path, text:
     path = tmp_path / "p.rml"
     path.write_bytes(text)
     with pytest.raises(ProgramRefusedError, match=words) as caught:
-        examined(path, RML_MILL)
+        examine_here(path, RML_MILL)
     assert caught.value.line == line and str(caught.value).isprintable()
 
 
@@ -250,7 +250,7 @@ def test_what_the_child_refuses_is_told_and_not_kept(tmp_path: Path, cache: Path
     with pytest.raises(ProgramRefusedError) as by_child:
         preflight(path, RML_MILL, cache=cache)
     with pytest.raises(ProgramRefusedError) as here:
-        examined(path, RML_MILL)
+        examine_here(path, RML_MILL)
     assert (by_child.value.line, str(by_child.value)) == (3, str(here.value))
     assert [file.name for file in cache.iterdir() if not file.name.startswith("quick")] == []
 

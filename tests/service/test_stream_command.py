@@ -226,7 +226,7 @@ def refused(code: int, *arguments: str) -> str:
     return errors[0]
 
 
-def refused_here(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+def refusal_here(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     """In this process: what is refused before a mill is asked for."""
     assert run(["stream", *arguments]) == 2
     (line,) = capsys.readouterr().err.splitlines()
@@ -309,8 +309,8 @@ def test_what_is_no_program_file_is_refused_before_anything_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     os.mkfifo(tmp_path / "pipe.nc")
-    assert "pipe" in refused_here(capsys, str(tmp_path / "pipe.nc"), "--port", "/dev/x")
-    assert "folder" in refused_here(capsys, str(tmp_path), "--port", "/dev/x")
+    assert "pipe" in refusal_here(capsys, str(tmp_path / "pipe.nc"), "--port", "/dev/x")
+    assert "folder" in refusal_here(capsys, str(tmp_path), "--port", "/dev/x")
 
 
 @pytest.mark.thorough
@@ -372,7 +372,7 @@ def test_options_that_cannot_be(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], words: str
 ) -> None:
     path = program(tmp_path / "p.nc", 5)
-    assert words in refused_here(capsys, *(str(path) if word == "p.nc" else word for word in arguments))
+    assert words in refusal_here(capsys, *(str(path) if word == "p.nc" else word for word in arguments))
 
 
 @pytest.mark.thorough

@@ -13,6 +13,8 @@ import httpx
 from service.agent.card import AgentCard, read_card
 from tests.waiting import PATIENCE_S, seen
 
+CHECKS = ["tool", "zero", "stock", "clear"]
+
 
 class AgentClient:
     """Of the agent at `url` that owns `folder`."""
@@ -39,9 +41,9 @@ class AgentClient:
         """As the job server does: an order is given under a grant, asked for at the press, by who has control."""
         if not (path.startswith("/v1/control/") or path.endswith((":start", ":resume", ":recover"))):
             return self.http.post(path, json=body)
-        return self.http.post(path, json=body, headers=self.granted())
+        return self.http.post(path, json=body, headers=self.ask_grant())
 
-    def granted(self) -> dict[str, str]:
+    def ask_grant(self) -> dict[str, str]:
         """Headers of one order."""
         taken = self.http.post(
             "/v1/lease",
@@ -51,6 +53,13 @@ class AgentClient:
         self.control = str(taken.json()["control"])
         headers = {"Causticmill-Control": self.control}
         return headers | {"Causticmill-Grant": self.http.post("/v1/grants", headers=headers).json()["grant"]}
+
+    def start(self, path: Path) -> str:
+        """Bring, park and start a program; the run's id."""
+        run = self.post("/v1/runs", 201, program=self.upload(path), name=path.name)
+        assert run["state"] == "parked"
+        self.post(f"/v1/runs/{run['id']}:start", 202, operator="Ada", checks=CHECKS)
+        return str(run["id"])
 
     def status(self) -> Any:
         return self.get("/v1/status")

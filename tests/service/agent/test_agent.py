@@ -17,20 +17,11 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.service.agent.client import AgentClient
+from tests.service.agent.client import CHECKS, AgentClient
 from tests.service.agent.in_process import running_agent
 from tests.service.fleet.shop import own_folders
-from tests.service.mills import Bench, bench, program
+from tests.service.mills import LONG_LINES, Bench, bench, program
 from tests.waiting import PATIENCE_S
-
-CHECKS = ["tool", "zero", "stock", "clear"]
-LONG = 2000
-
-
-@pytest.fixture
-def mill() -> Iterator[Bench]:
-    with bench(8.0) as found:
-        yield found
 
 
 @pytest.fixture
@@ -42,9 +33,9 @@ def agent(tmp_path: Path, mill: Bench, monkeypatch: pytest.MonkeyPatch) -> Itera
 
 
 @pytest.fixture(scope="module")
-def resting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AgentClient]:
+def idle_agent(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AgentClient]:
     """One that is never told to do anything, for all that it refuses."""
-    folder = tmp_path_factory.mktemp("resting")
+    folder = tmp_path_factory.mktemp("idle_agent")
     with pytest.MonkeyPatch.context() as monkeypatch, bench(8.0) as mill:
         own_folders(monkeypatch, folder)
         with running_agent(folder / "data", mill.url) as found:
@@ -52,16 +43,8 @@ def resting(tmp_path_factory: pytest.TempPathFactory) -> Iterator[AgentClient]:
             yield found
 
 
-def started(agent: AgentClient, path: Path) -> str:
-    """Bring, park and start a program; the run's id."""
-    run = agent.post("/v1/runs", 201, program=agent.upload(path), name=path.name)
-    assert run["state"] == "parked"
-    agent.post(f"/v1/runs/{run['id']}:start", 202, operator="Ada", checks=CHECKS)
-    return str(run["id"])
-
-
 def test_hold_resume_and_abort(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
-    run = started(agent, program(tmp_path / "p.nc", LONG))
+    run = agent.start(program(tmp_path / "p.nc", LONG_LINES))
     agent.until(lambda status: status["progress"]["executed_line"] > 8)
     agent.post(f"/v1/runs/{run}:hold", 202)
     agent.until(lambda status: status["status"]["state"] == "held")
@@ -131,9 +114,9 @@ def test_a_line_that_changes_what_protects_the_mill_is_asked_for_again(agent: Ag
     ],
 )
 def test_refusals_are_problems_that_name_the_field(
-    resting: AgentClient, path: str, body: dict[str, object], status: int, field: str | None
+    idle_agent: AgentClient, path: str, body: dict[str, object], status: int, field: str | None
 ) -> None:
-    answer = resting.http.post(path, json=body)
+    answer = idle_agent.http.post(path, json=body)
     assert answer.status_code == status, answer.text
     assert answer.headers["content-type"] == "application/problem+json"
     problem = answer.json()
@@ -143,17 +126,17 @@ def test_refusals_are_problems_that_name_the_field(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("content", [b"{", b"[1]", b"\xff", b'"x"', b"[" * 50000, b"x" * 70000])
-def test_bodies_that_are_not_objects(resting: AgentClient, content: bytes) -> None:
-    answer = resting.http.post("/v1/runs", content=content)
+def test_bodies_that_are_not_objects(idle_agent: AgentClient, content: bytes) -> None:
+    answer = idle_agent.http.post("/v1/runs", content=content)
     assert answer.status_code in (400, 413)
     assert answer.headers["content-type"] == "application/problem+json"
 
 
 @pytest.mark.thorough
-def test_a_bad_program_is_refused_with_its_line(resting: AgentClient, tmp_path: Path) -> None:
+def test_a_bad_program_is_refused_with_its_line(idle_agent: AgentClient, tmp_path: Path) -> None:
     path = tmp_path / "bad.nc"
     path.write_text("G21 G90\nG1 X1 F100\nT1 M6\nM2\n")
-    problem = resting.post("/v1/runs", 422, program=resting.upload(path), name="bad")
+    problem = idle_agent.post("/v1/runs", 422, program=idle_agent.upload(path), name="bad")
     assert (problem["field"], "line 3" in problem["detail"]) == ("program", True)
 
 
@@ -240,10 +223,10 @@ def test_a_program_is_deleted_unless_a_run_may_need_it(agent: AgentClient, mill:
 
 @pytest.mark.thorough
 def test_two_who_start_at_once_start_one_run(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
-    sha256 = agent.upload(program(tmp_path / "p.nc", LONG))
+    sha256 = agent.upload(program(tmp_path / "p.nc", LONG_LINES))
     runs = [agent.post("/v1/runs", 201, program=sha256, name=name)["id"] for name in ("one", "two")]
     body = {"operator": "Ada", "checks": CHECKS}
-    orders = [(f"/v1/runs/{run}:start", agent.granted()) for run in runs]
+    orders = [(f"/v1/runs/{run}:start", agent.ask_grant()) for run in runs]
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         answers = pool.map(lambda order: agent.http.post(order[0], json=body, headers=order[1]), orders)
         codes = [answer.status_code for answer in answers]
@@ -251,16 +234,16 @@ def test_two_who_start_at_once_start_one_run(agent: AgentClient, mill: Bench, tm
 
 
 @pytest.mark.thorough
-def test_a_file_without_a_block_is_not_a_program(resting: AgentClient, tmp_path: Path) -> None:
+def test_a_file_without_a_block_is_not_a_program(idle_agent: AgentClient, tmp_path: Path) -> None:
     path = tmp_path / "blank.nc"
     path.write_text("\n(words)\n")
-    problem = resting.post("/v1/runs", 422, program=resting.upload(path), name="blank")
+    problem = idle_agent.post("/v1/runs", 422, program=idle_agent.upload(path), name="blank")
     assert (problem["field"], "not one block" in problem["detail"]) == ("program", True)
 
 
 @pytest.mark.thorough
 def test_a_slow_body_does_not_stop_a_hold(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
-    started(agent, program(tmp_path / "p.nc", LONG))
+    agent.start(program(tmp_path / "p.nc", LONG_LINES))
     host, _, port = agent.url.removeprefix("http://").partition(":")
     head = (
         f"POST /v1/runs HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {agent.token}\r\nContent-Length: 99\r\n\r\n"
@@ -276,7 +259,7 @@ def test_events_come_live_and_what_was_missed_comes_again(agent: AgentClient, mi
     with agent.events() as events:
         first = next(events)
         assert first["event"] == "status"
-        run = started(agent, program(tmp_path / "p.nc", 20))
+        run = agent.start(program(tmp_path / "p.nc", 20))
         seen = next(event for event in events if event["event"] == "event")
     agent.until(lambda status: agent.get(f"/v1/runs/{run}")["state"] == "finished")
     with agent.events(seen["id"]) as events:
@@ -288,7 +271,7 @@ def test_events_come_live_and_what_was_missed_comes_again(agent: AgentClient, mi
 
 
 def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentClient, mill: Bench, tmp_path: Path) -> None:
-    run = started(agent, program(tmp_path / "p.nc", LONG))
+    run = agent.start(program(tmp_path / "p.nc", LONG_LINES))
     agent.until(lambda status: status["progress"]["executed_line"] > 8)
     mill.unplug()
     agent.until(lambda status: status["status"]["state"] in ("disconnected", "connecting"))
@@ -297,8 +280,8 @@ def test_hold_and_abort_are_taken_while_the_cable_is_out(agent: AgentClient, mil
     assert agent.get(f"/v1/runs/{run}")["state"] == "interrupted"
 
 
-def test_without_a_token_the_agent_says_nothing(resting: AgentClient) -> None:
-    bare = httpx.Client(base_url=resting.url, trust_env=False, timeout=PATIENCE_S)
+def test_without_a_token_the_agent_says_nothing(idle_agent: AgentClient) -> None:
+    bare = httpx.Client(base_url=idle_agent.url, trust_env=False, timeout=PATIENCE_S)
     assert bare.get("/livez").status_code == 200
     answer = bare.get("/v1/status")
     assert (answer.status_code, answer.headers["www-authenticate"]) == (401, "Bearer")

@@ -13,16 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.service.agent.client import CHECKS
 from tests.service.agent.process import ROOT, AgentProcess
-from tests.service.agent.test_agent import CHECKS, LONG, started
-from tests.service.mills import Bench, bench, ends, program
+from tests.service.mills import LONG_LINES, Bench, ends, program
 from tests.waiting import PATIENCE_S
-
-
-@pytest.fixture
-def mill() -> Iterator[Bench]:
-    with bench(8.0) as found:
-        yield found
 
 
 @pytest.fixture
@@ -50,7 +44,7 @@ def test_a_hold_is_quick_while_twenty_readers_listen_and_some_do_not_read(
     agent: AgentProcess, mill: Bench, tmp_path: Path
 ) -> None:
     """Readers that never read cost bounded memory, and no hold waits for them."""
-    started(agent, program(tmp_path / "p.nc", LONG))
+    agent.start(program(tmp_path / "p.nc", LONG_LINES))
     host, _, port = agent.url.removeprefix("http://").partition(":")
     request = f"GET /v1/events HTTP/1.1\r\nHost: {host}\r\nAuthorization: Bearer {agent.token}\r\n\r\n"
     with contextlib.ExitStack() as stack:
@@ -72,7 +66,7 @@ def test_an_agent_that_is_stopped_holds_the_mill_first_and_shows_the_run_as_inte
 ) -> None:
     with AgentProcess(tmp_path / "data", mill.url) as agent:
         agent.until(lambda status: status["status"]["state"] == "idle")
-        run = started(agent, program(tmp_path / "p.nc", LONG))
+        run = agent.start(program(tmp_path / "p.nc", LONG_LINES))
         agent.until(lambda status: status["progress"]["executed_line"] > 8)
         with agent.events() as events:
             next(events)
@@ -92,7 +86,7 @@ def test_an_agent_that_is_stopped_holds_the_mill_first_and_shows_the_run_as_inte
 def test_a_killed_agent_leaves_a_run_that_the_next_one_shows_as_interrupted(tmp_path: Path, mill: Bench) -> None:
     with AgentProcess(tmp_path / "data", mill.url) as agent:
         agent.until(lambda status: status["status"]["state"] == "idle")
-        run = started(agent, program(tmp_path / "p.nc", LONG))
+        run = agent.start(program(tmp_path / "p.nc", LONG_LINES))
         agent.until(lambda status: status["progress"]["executed_line"] > 8)
         agent.process.kill()
     with AgentProcess(tmp_path / "data", mill.url) as agent:
@@ -101,7 +95,7 @@ def test_a_killed_agent_leaves_a_run_that_the_next_one_shows_as_interrupted(tmp_
         assert agent.get(f"/v1/runs/{run}/recovery")
 
 
-def refused(*options: str) -> str:
+def refusal(*options: str) -> str:
     done = subprocess.run(
         [sys.executable, "-m", "service.cli", "mill", "--machine", "grbl", *options],
         cwd=ROOT,
@@ -117,26 +111,26 @@ def refused(*options: str) -> str:
 @pytest.mark.thorough
 def test_a_second_agent_ends_in_one_line(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
     other, port = str(tmp_path / "other"), agent.url.rpartition(":")[2]
-    assert port in refused("--port", mill.url, "--bind-port", port, "--data", other)
-    assert "data" in refused("--port", mill.url, "--bind-port", "0", "--data", str(agent.folder))
-    assert mill.url in refused("--port", mill.url, "--bind-port", "0", "--data", other)
+    assert port in refusal("--port", mill.url, "--bind-port", port, "--data", other)
+    assert "data" in refusal("--port", mill.url, "--bind-port", "0", "--data", str(agent.folder))
+    assert mill.url in refusal("--port", mill.url, "--bind-port", "0", "--data", other)
     assert agent.status()["status"]["state"] == "idle"
 
 
 def test_an_address_that_others_reach_is_refused_without_tls(mill: Bench) -> None:
-    assert "--behind-proxy" in refused("--port", mill.url, "--host", "0.0.0.0")
+    assert "--behind-proxy" in refusal("--port", mill.url, "--host", "0.0.0.0")
 
 
 def test_a_token_that_others_can_read_is_refused(mill: Bench, tmp_path: Path) -> None:
     path = tmp_path / "secret"
     path.write_text("x" * 32)
     path.chmod(0o640)
-    words = refused("--port", mill.url, "--bind-port", "0", "--data", str(tmp_path / "d"), "--token-file", str(path))
+    words = refusal("--port", mill.url, "--bind-port", "0", "--data", str(tmp_path / "d"), "--token-file", str(path))
     assert f"chmod 600 {path}" in words
 
 
 @pytest.mark.thorough
 def test_the_agent_stays_small(agent: AgentProcess, mill: Bench, tmp_path: Path) -> None:
-    started(agent, program(tmp_path / "p.nc", 100))
+    agent.start(program(tmp_path / "p.nc", 100))
     agent.until(lambda status: status["progress"]["executed_line"] > 20)
     assert 10 < agent.rss_mb() < 60
