@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import gc
 import os
-import queue
 import signal
+import socket
 import sqlite3
 import sys
 import threading
@@ -25,9 +25,7 @@ from service.worker.processes import STAGE_ENTRY, StageProcesses
 
 def main(*, entry: str = STAGE_ENTRY) -> int:
     """Run until told to stop; one line on stderr and a code where that cannot be. entry: what stages run."""
-    end: queue.SimpleQueue[int] = queue.SimpleQueue()  # an Event set by a handler may wait for its own waiter for ever
-    for kind in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(kind, lambda number, _: end.put(number))
+    end = catch_stop()
     try:
         settings = ServerSettings.load()
         keep_private(settings.data)  # before the process from which stages are forked
@@ -47,7 +45,21 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
     os._exit(0)
 
 
-def _work(settings: ServerSettings, processes: StageProcesses, end: queue.SimpleQueue[int], *, prepare: bool) -> None:
+def catch_stop() -> socket.socket:
+    """A socket that becomes readable when this process is told to stop.
+
+    The interpreter writes to it in the very handler: a wait for what a handler of ours would do (set an event, fill a
+    queue) never ends where the signal comes just before the wait begins.
+    """
+    ours, its = socket.socketpair()
+    its.setblocking(False)
+    signal.set_wakeup_fd(its.detach(), warn_on_full_buffer=False)
+    for kind in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(kind, lambda *_: None)
+    return ours
+
+
+def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socket, *, prepare: bool) -> None:
     import sqlalchemy as sa
 
     from service.logs import configure_logs
@@ -63,7 +75,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: queue.Simple
             if prepare and (process := preparing.begin()):
                 threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
             gc.freeze()  # what is here now stays: not worth looking at again and again
-            end.get()
+            end.recv(1)
             worker.stop()
     except sa.exc.SQLAlchemyError as error:
         reason = str(getattr(error, "orig", None) or error).splitlines()[0]

@@ -133,6 +133,7 @@ def test_left_held_the_mill_stands_and_the_way_on_is_named(tmp_path: Path) -> No
     path = program(tmp_path / "p.nc", LONG)
     with bench(4.0) as mill, Terminal("stream", str(path), "--port", mill.url, "--yes") as person:
         person.sees("RUN")
+        person.sees("spindle 1000")
         person.types("q")
         person.sees("HELD")
         person.types("l")
