@@ -14,7 +14,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from optics.threads import over_rows
+
 Array = NDArray[np.float64]
+_WORTH_THREADS = 10_000  # points
 
 
 def _fit_columns(nodes: Array) -> Array:
@@ -101,8 +104,10 @@ def spline_jet(
 
 
 @njit(cache=True, nogil=True)
-def _jets(coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array) -> None:
-    for k in range(x.size):
+def _jets(
+    lo: int, hi: int, coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array
+) -> None:
+    for k in range(lo, hi):
         jet = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k])
         for d in range(6):
             out[d, k] = jet[d]
@@ -137,7 +142,11 @@ class BicubicSpline:
         """(6, ...) values and derivatives z, zx, zy, zxx, zxy, zyy at the broadcast points."""
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         out = np.empty((6, x.size))
-        _jets(*self.kernel_arguments, x.flatten(), y.flatten(), out)  # copies, all of one type: writable
+        points = x.flatten(), y.flatten()  # copies, all of one type: writable
+        if x.size < _WORTH_THREADS:
+            _jets(0, x.size, *self.kernel_arguments, *points, out)
+        else:
+            over_rows(_jets, x.size, *self.kernel_arguments, *points, out)
         return out.reshape((6, *x.shape))
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:

@@ -89,8 +89,12 @@ def panel_height(width_in: float, height: float, width: float) -> float:
 
 
 def png_bytes(figure: Figure) -> bytes:
+    """Drawn once: `savefig` draws all of it a first time only to lay it out."""
+    canvas: Any = figure.canvas
+    canvas.draw()
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", metadata={"Software": None}, pil_kwargs={"compress_level": _PACKED})
+    opaque = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
+    opaque.save(buffer, format="PNG", dpi=(_DPI, _DPI), compress_level=_PACKED)
     return buffer.getvalue()
 
 
