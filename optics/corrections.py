@@ -75,7 +75,9 @@ class Corrected:
     closing: ClosingCost | None
 
 
-def corrected(target: Array, settings: LensSettings, report: Callable[[str, float], None]) -> Corrected:
+def corrected(
+    target: Array, settings: LensSettings, report: Callable[[str, float], None] = lambda stage, share: None
+) -> Corrected:
     """The lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections."""
     report("transport map", 0.0)
     path = solve_transport(

@@ -17,7 +17,7 @@ from optics.ball_fit import ball_fits
 from optics.bench import Bench
 from optics.caustic import share_by_way_of, simulate_caustic
 from optics.closing import closed_to_radius
-from optics.design import design_lens
+from optics.corrections import corrected
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from service.plan_light import PictureLight, Valleys
@@ -47,21 +47,21 @@ def lit_designs(
     quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
 
     def lit(radius_mm: float, aim: Array) -> tuple[LensForm, Array, bool]:
-        design = design_lens(aim, replace(quick, min_radius_mm=radius_mm))
-        missed = _light_of(design.heightfield, settings.bench, aim) - aim
-        return LensForm.of(design.heightfield), missed, design.closing is not None
+        made = corrected(aim, replace(quick, min_radius_mm=radius_mm))
+        missed = _light_of(made.best.lens, settings.bench, aim) - aim
+        return LensForm.of(made.best.lens), missed, made.closing is not None
 
     def again(light: PictureLight, marks: Marks, aim: Array) -> None:
         aim = _coarser(aim)
         if as_given:
-            made, radii = design_lens(aim, quick).heightfield, {marks.radius_mm, marks.smallest_mm}
+            made, radii = corrected(aim, quick).best.lens, {marks.radius_mm, marks.smallest_mm}
             _add_as_left(light, made, aim, radii, None)
         else:
             light.add(marks.radius_mm, *lit(marks.radius_mm, aim)[:2])
 
     light = PictureLight(target, settings.bench, aims=aims, redesign=again)
     if as_given:
-        _add_as_left(light, design_lens(coarse, quick).heightfield, coarse, radii_mm, on_progress)
+        _add_as_left(light, corrected(coarse, quick).best.lens, coarse, radii_mm, on_progress)
         return light
     wanted = sorted(set(radii_mm), reverse=True)
     served: float | None = None

@@ -8,10 +8,10 @@ simulation has it (cam.checking.sweep); only what is stated of a cutter can be c
 
 from __future__ import annotations
 
-from math import ceil
+from math import floor, sqrt
 
 import numpy as np
-from scipy.ndimage import maximum_filter
+from scipy.ndimage import maximum_filter1d
 
 from cam.checking.findings import Finding
 from cam.checking.removal import Drops, RemovalGrid
@@ -77,8 +77,13 @@ def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
 
 
 def _within(heights: Array, cells: float) -> Array:
-    """The highest within so many cells of each."""
-    n = ceil(cells)
-    across = np.arange(-n, n + 1)
-    disc = np.hypot(across[None, :], across[:, None]) <= cells
-    return np.asarray(maximum_filter(heights, footprint=disc, mode="nearest"))
+    """The highest within so many cells of each: a disc is as many runs along x as it has rows."""
+    n = floor(cells)
+    padded, rows = np.pad(heights, ((n, n), (0, 0)), mode="edge"), heights.shape[0]
+    highest = np.full_like(heights, -np.inf)
+    for down in range(n + 1):
+        half = floor(sqrt(cells * cells - down * down))
+        run = maximum_filter1d(padded, 2 * half + 1, axis=1, mode="nearest")
+        for first in (n - down, n + down):
+            np.maximum(highest, run[first : first + rows], out=highest)
+    return highest

@@ -10,6 +10,7 @@ import contextlib
 import gc
 import logging
 import os
+import signal
 import socket
 import sys
 import time
@@ -58,6 +59,8 @@ _STUCK_S = 10.0
 
 
 def main() -> int:
+    for kind in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises it once more when it has served: then all is closed
+        signal.signal(kind, lambda *_: sys.exit(0))
     try:
         settings = ServerSettings.load()
         offer = os.environ.pop(lifeline.PAIRING_OFFER, "")

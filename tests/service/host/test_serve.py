@@ -41,14 +41,19 @@ def test_it_is_ready_stops_well_and_starts_again(tmp_path: Path, starts: int) ->
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("module", [API, WORKER])
-def test_what_is_killed_is_ready_again(tmp_path: Path, module: str) -> None:
+@pytest.mark.parametrize(
+    ("module", "word", "told"),
+    [(API, signal.SIGTERM, "ended with exit code 0"), (WORKER, signal.SIGKILL, "was ended by SIGKILL")],
+)
+def test_what_ended_is_ready_again(tmp_path: Path, module: str, word: signal.Signals, told: str) -> None:
     with served("--no-agents", data=tmp_path) as serving:
         serving.until_ready()
-        before = serving.child(module)
-        serving.kill(before)
+        before, below = serving.child(module), descendants(serving.child(module))
+        serving.kill(before, word)
         until(lambda: serving.child(module) not in (0, before) and ready(serving), what="ready again")
         assert serving.process.poll() is None
+        assert [line for line in serving.err if told in line], serving.err
+        assert not any(map(is_alive, below))
 
 
 @pytest.mark.thorough
