@@ -1,4 +1,4 @@
-"""A real browser in tests: Debian's chromium, driven by playwright; what it complains of fails the test."""
+"""A real browser in tests: Debian's chromium (its headless shell starts and draws in less), driven by playwright; what it complains of fails the test."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ NOWHERE = "#/-"  # an address of no view
 TOUCH_PX = 44  # that a finger in a glove hits
 SERIOUS = ("serious", "critical")
 _LAYOUT = Path(__file__).with_name("layout.js").read_text()
-_NAMES = ("chromium", "chromium-browser", "google-chrome")
+_NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 _FLAGS = (
     "--no-sandbox",
     "--disable-gpu",
