@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 
 from cam.moves import Array
-from optics.heightfield import Heightfield, spline_jet
+from optics.heightfield import Heightfield
 
 NEARLY_EVERYWHERE = 0.999
 
@@ -37,24 +36,10 @@ class FittingRadius:
     nearly_mm: float
 
 
-@njit(cache=True, nogil=True)
-def _concave_curvature(coefs, x0, y0, inv_dx, inv_dy, x, y, out):  # type: ignore[no-untyped-def]
-    """Greatest principal curvature, positive in a hollow, at the grid points x (nx,), y (ny,); out (ny, nx) [1/mm]."""
-    for j in range(y.size):
-        for i in range(x.size):
-            _, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
-            g = 1.0 + zx * zx + zy * zy
-            mean = ((1.0 + zy * zy) * zxx - 2.0 * zx * zy * zxy + (1.0 + zx * zx) * zyy) / (2.0 * g * np.sqrt(g))
-            gauss = (zxx * zyy - zxy * zxy) / (g * g)
-            out[j, i] = mean + np.sqrt(max(mean * mean - gauss, 0.0))
-
-
 def concave_curvature(heightfield: Heightfield) -> Array:
     """Greatest principal curvature [1/mm], positive in a hollow, on a lattice twice as fine as the vertices."""
     x, y = (np.linspace(a[0], a[-1], 2 * a.size - 1) for a in (heightfield.x_mm, heightfield.y_mm))
-    out = np.empty((y.size, x.size))
-    _concave_curvature(*heightfield.spline().kernel_arguments, x, y, out)
-    return out
+    return heightfield.spline().concave_curvature(x, y)
 
 
 def largest_fitting_radius_mm(heightfield: Heightfield) -> FittingRadius:

@@ -8,7 +8,9 @@ through the same nodes is the same surface.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -20,28 +22,45 @@ Array = NDArray[np.float64]
 _WORTH_THREADS = 10_000  # points
 
 
-def _fit_columns(nodes: Array) -> Array:
-    """Coefficients (n + 2, m) of cubic splines down the columns of nodes (n, m), n >= 4, not-a-knot.
+@njit(cache=True, nogil=True)
+def _fit_columns(lo: int, hi: int, nodes: Array, coefs: Array) -> None:
+    """Coefficients (n + 2, m) of cubic splines down the columns lo .. hi - 1 of nodes (n, m), n >= 4, not-a-knot.
 
     The third-derivative continuity at the second node, together with (c[i-1] + 4 c[i] + c[i+1]) / 6 = f[i], gives
     c[1] = f[1] - (f[0] - 2 f[1] + f[2]) / 6 in closed form; what is left is one tridiagonal system (Thomas).
     """
-    n, m = nodes.shape
-    coefs = np.empty((n + 2, m))
-    coefs[2] = nodes[1] - (nodes[0] - 2.0 * nodes[1] + nodes[2]) / 6.0
-    coefs[n - 1] = nodes[n - 2] - (nodes[n - 1] - 2.0 * nodes[n - 2] + nodes[n - 3]) / 6.0
+    n = nodes.shape[0]
+    for k in range(lo, hi):
+        coefs[2, k] = nodes[1, k] - (nodes[0, k] - 2.0 * nodes[1, k] + nodes[2, k]) / 6.0
+        coefs[n - 1, k] = nodes[n - 2, k] - (nodes[n - 1, k] - 2.0 * nodes[n - 2, k] + nodes[n - 3, k]) / 6.0
     ratio = np.zeros(n)  # elimination factors; row 1 is known
     for i in range(2, n - 2):
         pivot = 4.0 - ratio[i - 1]
         ratio[i] = 1.0 / pivot
-        coefs[i + 1] = (6.0 * nodes[i] - coefs[i]) / pivot
+        for k in range(lo, hi):
+            coefs[i + 1, k] = (6.0 * nodes[i, k] - coefs[i, k]) / pivot
     for i in range(n - 3, 1, -1):
-        coefs[i + 1] -= ratio[i] * coefs[i + 2]
-    coefs[1] = 6.0 * nodes[1] - 4.0 * coefs[2] - coefs[3]
-    coefs[0] = 6.0 * nodes[0] - 4.0 * coefs[1] - coefs[2]
-    coefs[n] = 6.0 * nodes[n - 2] - 4.0 * coefs[n - 1] - coefs[n - 2]
-    coefs[n + 1] = 6.0 * nodes[n - 1] - 4.0 * coefs[n] - coefs[n - 1]
+        for k in range(lo, hi):
+            coefs[i + 1, k] -= ratio[i] * coefs[i + 2, k]
+    for k in range(lo, hi):
+        coefs[1, k] = 6.0 * nodes[1, k] - 4.0 * coefs[2, k] - coefs[3, k]
+        coefs[0, k] = 6.0 * nodes[0, k] - 4.0 * coefs[1, k] - coefs[2, k]
+        coefs[n, k] = 6.0 * nodes[n - 2, k] - 4.0 * coefs[n - 1, k] - coefs[n - 2, k]
+        coefs[n + 1, k] = 6.0 * nodes[n - 1, k] - 4.0 * coefs[n, k] - coefs[n - 1, k]
+
+
+def _fitted(nodes: Array) -> Array:
+    """(n + 2, m): `_fit_columns` of all columns."""
+    coefs = np.empty((nodes.shape[0] + 2, nodes.shape[1]))
+    _on_all_cores(_fit_columns, nodes.shape[1], nodes.size, nodes, coefs)
     return coefs
+
+
+def _on_all_cores(kernel: Callable[..., None], rows: int, points: int, *arguments: Any) -> None:
+    if points < _WORTH_THREADS:
+        kernel(0, rows, *arguments)
+    else:
+        over_rows(kernel, rows, *arguments)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -113,6 +132,19 @@ def _jets(
             out[d, k] = jet[d]
 
 
+@njit(cache=True, nogil=True)
+def _concave_curvatures(
+    lo: int, hi: int, coefs: Array, x0: float, y0: float, inv_dx: float, inv_dy: float, x: Array, y: Array, out: Array
+) -> None:
+    for j in range(lo, hi):
+        for i in range(x.size):
+            _, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
+            g = 1.0 + zx * zx + zy * zy
+            mean = ((1.0 + zy * zy) * zxx - 2.0 * zx * zy * zxy + (1.0 + zx * zx) * zyy) / (2.0 * g * np.sqrt(g))
+            gauss = (zxx * zyy - zxy * zxy) / (g * g)
+            out[j, i] = mean + np.sqrt(max(mean * mean - gauss, 0.0))
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BicubicSpline:
     """A C2 surface z(x, y). `coefs` is (ny + 2, nx + 2); node [0, 0] stands at (x0_mm, y0_mm)."""
@@ -128,8 +160,8 @@ class BicubicSpline:
         """The interpolating not-a-knot spline through nodes z_mm (ny, nx), both at least 4."""
         if min(z_mm.shape) < 4:
             raise ValueError(f"a bicubic spline needs at least 4 x 4 nodes, not {z_mm.shape[1]} x {z_mm.shape[0]}")
-        down = _fit_columns(np.ascontiguousarray(z_mm, dtype=np.float64))
-        coefs = np.ascontiguousarray(_fit_columns(np.ascontiguousarray(down.T)).T)
+        down = _fitted(np.array(z_mm, dtype=np.float64, order="C"))  # copies, all of one type: writable
+        coefs = np.ascontiguousarray(_fitted(np.ascontiguousarray(down.T)).T)
         coefs.setflags(write=False)
         return cls(coefs=coefs, x0_mm=x0_mm, y0_mm=y0_mm, dx_mm=dx_mm, dy_mm=dy_mm)
 
@@ -143,14 +175,17 @@ class BicubicSpline:
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         out = np.empty((6, x.size))
         points = x.flatten(), y.flatten()  # copies, all of one type: writable
-        if x.size < _WORTH_THREADS:
-            _jets(0, x.size, *self.kernel_arguments, *points, out)
-        else:
-            over_rows(_jets, x.size, *self.kernel_arguments, *points, out)
+        _on_all_cores(_jets, x.size, x.size, *self.kernel_arguments, *points, out)
         return out.reshape((6, *x.shape))
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
         return self.jets(x_mm, y_mm)[0]
+
+    def concave_curvature(self, x_mm: Array, y_mm: Array) -> Array:
+        """(ny, nx) greatest principal curvature, positive in a hollow, at columns x_mm and rows y_mm [1/mm]."""
+        out = np.empty((y_mm.size, x_mm.size))
+        _on_all_cores(_concave_curvatures, y_mm.size, out.size, *self.kernel_arguments, x_mm, y_mm, out)
+        return out
 
     def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3) -> BicubicSpline:
         """The same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.

@@ -33,7 +33,7 @@ _BLURS = (3.0, 1.5, 0.75, 0.75)  # pixels: from where the picture may lie to whe
 _FINE = 2  # blurred in half pixels: whole ones, each evenly lit, would blur by themselves
 # Tubes along a side of a cell. Fewer than 4 miss some error, the same one near focus: it is added from the middle's.
 _TUBES, _TUBES_COARSE = 2, 1
-_NEAR = 0.005  # of the throw: not yet far out of focus, where the coarse are within 0.35 dB
+_NEAR, _NEAR_DEG = 0.005, 0.5  # of the throw, and aslant: not yet far out of focus, where the coarse are within 0.35 dB
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -164,6 +164,7 @@ class _View:
         self._lens, self._target, self._report = lens, target, report
         self._bench = without_size(bench)
         self._blur_mm = blur_mm(lens, bench, source_rad(lens, bench))
+        self._aims = _blurred(target)
         self._done = 0
         light = in_pixels(sharp) if self._blur_mm == 0 else self._spread(sharp, self._blur_mm)
         self.middle = FocusPoint(offset_mm=0.0, psnr_db=psnr_db(light, target), irradiance=light)
@@ -238,9 +239,9 @@ class _View:
         tilted = replace(self._bench, light=replace(light, tilt_rad=(tilt_x + math.radians(tilt_deg), tilt_y)))
         by_x, by_y = picture_shift_mm(self._lens, self._bench, tilted)
         _, seen = self._seen(_moved(tilted, by_x, by_y), _TUBES_COARSE)
-        more_x, more_y = residual_shift_px(seen, self._target)
+        more_x, more_y = _shift_to(self._aims, seen)
         by_x, by_y = by_x + more_x * screen.width_mm / nx, by_y + more_y * screen.height_mm / ny
-        psnr, seen = self._seen(_moved(tilted, by_x, by_y), _TUBES)
+        psnr, seen = self._seen(_moved(tilted, by_x, by_y), _TUBES if tilt_deg <= _NEAR_DEG else _TUBES_COARSE)
         return TiltPoint(tilt_deg=tilt_deg, shift_mm=(by_x, by_y), psnr_db=psnr, irradiance=seen)
 
     def blur_point(self, size_deg: float, sharp: Array) -> BlurPoint:
@@ -284,9 +285,18 @@ def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
 
 def residual_shift_px(seen: Array, target: Array) -> tuple[float, float]:
     """(x, y): the picture `seen` lies that far aside of the target [px]: Gauss-Newton, blurred less and less."""
+    return _shift_to(_blurred(target), seen)
+
+
+def _blurred(target: Array) -> list[Array]:
+    return [gaussian_filter(target, sigma) for sigma in _BLURS]
+
+
+def _shift_to(aims: Sequence[Array], seen: Array) -> tuple[float, float]:
+    """`residual_shift_px` to a target that is blurred already."""
     found = np.zeros(2)
-    for sigma in _BLURS:
-        aim, given = gaussian_filter(target, sigma), gaussian_filter(seen, sigma)
+    for sigma, aim in zip(_BLURS, aims, strict=True):
+        given = gaussian_filter(seen, sigma)
         moved = shift(given, (-found[1], -found[0]), order=1, mode="nearest")
         slope_y, slope_x = np.gradient(moved)
         slopes = np.stack([slope_x.ravel(), slope_y.ravel()], axis=1)

@@ -23,6 +23,7 @@ _AGAIN_S = 1.0
 
 def main() -> None:
     """What the installed command calls."""
+    gc.set_threshold(100_000, 20, 20)  # nearly all that is made is made by imports and stays: no use in looking often
     code = run(sys.argv[1:])
     for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
         if signal.getsignal(kind) is not signal.SIG_IGN:

@@ -42,7 +42,7 @@ def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
     """The plain picture (ny, nx), each pixel drawn as scale x scale pixels, as an 8 bit grey PNG."""
     levels = srgb_levels(picture, white=white).repeat(scale, axis=0).repeat(scale, axis=1)
     buffer = io.BytesIO()
-    Image.fromarray(levels).save(buffer, format="PNG", optimize=True)
+    Image.fromarray(levels).save(buffer, format="PNG", compress_level=_PACKED)
     return buffer.getvalue()
 
 

@@ -11,7 +11,6 @@ from cam.cutter import concave_curvature
 from optics.heightfield import Array, Heightfield
 
 _ROWS_AT_ONCE = 128
-_SHARES = (0.99, 0.999, 1.0)
 _PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
@@ -22,6 +21,7 @@ class LensFacts:
     min_concave_radius_mm                  : largest ball that fits everywhere; inf where nothing is concave
     radius_for_99_mm, radius_for_999_mm    : largest ball for 99 % and 99.9 % of the aperture
     curvature                              : (n,) greatest principal curvature, positive in a hollow [1/mm]
+    curvature_per_mm                       : percentiles of it over the area; negative where all of it bulges out
     """
 
     relief_mm: float
@@ -30,12 +30,7 @@ class LensFacts:
     radius_for_99_mm: float
     radius_for_999_mm: float
     curvature: Array
-
-    @property
-    def curvature_per_mm(self) -> dict[str, float]:
-        """Percentiles over the area of the greatest principal curvature; negative where all of it bulges out."""
-        found = np.percentile(self.curvature, _PERCENTILES)
-        return {f"p{share:g}": float(value) for share, value in zip(_PERCENTILES, found, strict=True)}
+    curvature_per_mm: dict[str, float]
 
     def reached_share(self, radius_mm: float) -> float:
         """Share of the aperture whose curvature a ball of this radius fits."""
@@ -45,15 +40,16 @@ class LensFacts:
 def measure_lens(heightfield: Heightfield) -> LensFacts:
     """Curvature on a lattice twice as fine as the vertices, slope at the vertices; both of the C2 spline."""
     curvature = concave_curvature(heightfield).ravel()
-    ranks = [int(share * (curvature.size - 1)) for share in _SHARES]
-    for_99, for_999, for_all = (_radius(float(value)) for value in np.partition(curvature, ranks)[ranks])
+    found = np.percentile(curvature, _PERCENTILES)
+    percentiles = {f"p{share:g}": float(value) for share, value in zip(_PERCENTILES, found, strict=True)}
     return LensFacts(
         relief_mm=heightfield.relief_mm,
         max_slope_deg=degrees(atan(_steepest(heightfield))),
-        min_concave_radius_mm=for_all,
-        radius_for_99_mm=for_99,
-        radius_for_999_mm=for_999,
+        min_concave_radius_mm=_radius(percentiles["p100"]),
+        radius_for_99_mm=_radius(percentiles["p99"]),
+        radius_for_999_mm=_radius(percentiles["p99.9"]),
         curvature=curvature,
+        curvature_per_mm=percentiles,
     )
 
 

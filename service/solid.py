@@ -13,7 +13,6 @@ from typing import Any
 
 import manifold3d
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from optics.heightfield import Array, Heightfield
@@ -74,7 +73,7 @@ def lens_solid(
     vertices, faces = _block(
         x_mm, y_mm, z_mm, thickness_mm=thickness_mm, margin_mm=margin_mm if outline_mm is None else 0.0
     )
-    mesh = trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
+    mesh = _mesh(vertices, faces)
     solid = _require_closed(mesh)
     return mesh if outline_mm is None else _cut_out(solid, outline_mm, thickness_mm)
 
@@ -89,11 +88,15 @@ def _cut_out(solid: manifold3d.Manifold, outline_mm: Sequence[Sequence[float]], 
     flat = manifold3d.CrossSection([[(x, y) for x, y in outline_mm]])
     column = flat.extrude(thickness_mm + 2 * _OVERLAP_MM).translate((0, 0, -thickness_mm - _OVERLAP_MM))
     cut = (solid ^ column).to_mesh64()
-    mesh = trimesh.Trimesh(
-        vertices=np.array(cut.vert_properties)[:, :3], faces=np.array(cut.tri_verts, np.int64), process=False
-    )
+    mesh = _mesh(np.array(cut.vert_properties)[:, :3], np.array(cut.tri_verts, np.int64))
     _require_closed(mesh)
     return mesh
+
+
+def _mesh(vertices: Array, faces: Indices) -> Any:
+    import trimesh  # slow to import, which nobody waits for who asks only whether a lens fits
+
+    return trimesh.Trimesh(vertices=vertices, faces=faces, process=False)
 
 
 def _lens_grid(heightfield: Heightfield, max_vertices: int) -> tuple[Array, Array, Array]:

@@ -119,21 +119,29 @@ def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
 
 def solid_block(shop: Workshop, lens: Heightfield) -> None:
     """lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is left."""
-    from service import figures_lens, solid
+    require_fit_in_stock(shop, lens)
+    shop.draw(SOLID, lambda: _stl(shop.spec, lens))
+    shop.draw("lens.png", lambda: _lens_png(shop.spec, lens))
 
-    stock, outline_mm = shop.spec.stock, shop.spec.optics.outline_mm
-    with shop.watch.stage("solid"):
-        mesh = solid.lens_solid(
+
+def _stl(spec: JobSpec, lens: Heightfield) -> bytes:
+    from service import solid
+
+    return solid.stl_bytes(
+        solid.lens_solid(
             lens,
-            thickness_mm=stock.thickness_mm,
-            margin_mm=stock.margin_mm,
+            thickness_mm=spec.stock.thickness_mm,
+            margin_mm=spec.stock.margin_mm,
             min_floor_mm=MIN_FLOOR_MM,
-            outline_mm=outline_mm,
+            outline_mm=spec.optics.outline_mm,
         )
-        shop.save(SOLID, solid.stl_bytes(mesh))
-        shop.draw(
-            "lens.png", lambda: figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=outline_mm)
-        )
+    )
+
+
+def _lens_png(spec: JobSpec, lens: Heightfield) -> bytes:
+    from service import figures_lens
+
+    return figures_lens.heightfield_png(lens.x_mm, lens.y_mm, lens.z_mm, outline_mm=spec.optics.outline_mm)
 
 
 def require_fit_in_stock(shop: Workshop, lens: Heightfield) -> None:

@@ -110,7 +110,7 @@ _BEFORE = (
         function=f"{_LENS}:heightfield",
         reads=(".heights.npz",),
         spec=("stock.thickness_mm", "stock.margin_mm", "optics.outline"),
-        parts=(("facts", 0.4), ("solid", 0.6)),
+        parts=(("facts", 1.0),),
     ),
     Stage(
         name="caustic",

@@ -17,7 +17,7 @@ from optics.light import Light
 from optics.metrics import score_caustic
 from optics.polish import polished
 from optics.settings import LensSettings
-from optics.spline import _fit_columns
+from optics.spline import _fitted
 from optics.tubes.picture import TubePicture
 from optics.tubes.rays import fit_transposed
 
@@ -52,7 +52,7 @@ def test_transposed_fit_is_the_transpose(nodes: int) -> None:
     """<F z, g> = <z, F^T g> for any z and g."""
     rng = np.random.default_rng(nodes)
     z, g = rng.random((nodes, nodes + 3)), rng.random((nodes + 2, nodes + 5))
-    coefs = _fit_columns(np.ascontiguousarray(_fit_columns(z).T)).T
+    coefs = _fitted(np.ascontiguousarray(_fitted(z).T)).T
     assert (coefs * g).sum() == pytest.approx((z * fit_transposed(g)).sum(), rel=1e-12)
 
 

@@ -1,4 +1,7 @@
-"""A real browser in tests: Debian's chromium (its headless shell starts and draws in less), driven by playwright; what it complains of fails the test."""
+"""A real browser in tests, driven by playwright; what it complains of fails the test.
+
+Debian's chromium: its headless shell, where it is there, takes half the time.
+"""
 
 from __future__ import annotations
 
