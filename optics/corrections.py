@@ -68,23 +68,39 @@ class Pass:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Corrected:
-    """The best of the passes, a record of each, and what closing cost."""
+    """The best of the passes, the first, the lens of that before it was shaped, and a record of each."""
 
     best: Pass
+    first: Pass
+    raw: Heightfield
     history: list[dict[str, Any]]
-    closing: ClosingCost | None
+
+    @property
+    def is_shaped(self) -> bool:
+        """The ball did not fit everywhere."""
+        return self.first.lens is not self.raw
+
+
+Report = Callable[[str, float], None]
 
 
 def corrected(
-    target: Array, settings: LensSettings, report: Callable[[str, float], None] = lambda stage, share: None
+    target: Array,
+    settings: LensSettings,
+    report: Report = lambda stage, share: None,
+    *,
+    first: OpticalPath | None = None,
 ) -> Corrected:
-    """The lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections."""
+    """The lens for a target (ny, nx), work frame, mean 1, after the settings' number of corrections.
+
+    first : the target's own solution, where it is known; balls of all sizes have the same
+    """
     report("transport map", 0.0)
-    path = solve_transport(
+    path = first or solve_transport(
         target, settings.bench, skim_mm=settings.skim_mm, on_progress=lambda share: report("transport map", share)
     )
     raw = _surface(path, settings)
-    latest = best = first = _seen(path, raw, target, settings)
+    latest = best = unaided = _seen(path, raw, target, settings)
     history = [_record(0, latest)]
     aim = target
     for number in range(1, settings.corrections + 1):
@@ -99,7 +115,7 @@ def corrected(
         if latest.score.psnr_db > best.score.psnr_db:  # stripes a pixel wide get worse
             best = latest
     report("corrections", 1.0)
-    return Corrected(best=best, history=history, closing=_closing_cost(raw, first, best, target, settings))
+    return Corrected(best=best, first=unaided, raw=raw, history=history)
 
 
 def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
@@ -140,18 +156,18 @@ def _seen(path: OpticalPath, raw: Heightfield, target: Array, settings: LensSett
     return Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
 
 
-def _closing_cost(
-    raw: Heightfield, first: Pass, best: Pass, target: Array, settings: LensSettings
-) -> ClosingCost | None:
-    if first.lens is raw:
+def closing_cost(done: Corrected, target: Array, settings: LensSettings) -> ClosingCost | None:
+    """None where nothing was filled."""
+    if not done.is_shaped:
         return None
-    without = score_caustic(_light(raw, target, settings).irradiance, target)
+    best, first = done.best.score, done.first.score
+    without = score_caustic(_light(done.raw, target, settings).irradiance, target)
     return ClosingCost(
         radius_mm=settings.closing_radius_mm,
-        psnr_db_without=best.score.psnr_db + without.psnr_db - first.score.psnr_db,
-        psnr_db_with=best.score.psnr_db,
-        dark_leak_without=max(0.0, best.score.dark_leak + without.dark_leak - first.score.dark_leak),
-        dark_leak_with=best.score.dark_leak,
+        psnr_db_without=best.psnr_db + without.psnr_db - first.psnr_db,
+        psnr_db_with=best.psnr_db,
+        dark_leak_without=max(0.0, best.dark_leak + without.dark_leak - first.dark_leak),
+        dark_leak_with=best.dark_leak,
     )
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from optics.advice import Advice
 from optics.ball_fit import fit_ball
 from optics.black import advice
-from optics.corrections import ClosingCost, Corrected, Pass, corrected
+from optics.corrections import ClosingCost, Corrected, Pass, closing_cost, corrected
 from optics.heightfield import Heightfield
 from optics.polish import PolishRecord, polished
 from optics.settings import LensSettings
@@ -50,11 +50,18 @@ class LensDesign:
 Progress = Callable[[str, float], None]
 
 
-def design_lens(target: Array, settings: LensSettings, *, on_progress: Progress | None = None) -> LensDesign:
-    """The lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method."""
+def design_lens(
+    target: Array, settings: LensSettings, *, on_progress: Progress | None = None, passes: Corrected | None = None
+) -> LensDesign:
+    """The lens that paints `target` (ny, nx), work frame, mean 1, by the chosen method.
+
+    passes : those of the transport method, where they are there already
+    """
     report = on_progress or (lambda stage, share: None)
-    method = _by_transport if settings.method == "transport" else _by_the_paper
-    design = method(target, settings, report)
+    if settings.method == "transport":
+        design = _by_transport(target, settings, report, passes)
+    else:
+        design = _by_the_paper(target, settings, report)
     hard = advice(target, settings.bench, settings.closing_radius_mm, vertices_per_pixel=settings.vertices_per_pixel)
     return replace(design, warnings=(*hard, *design.warnings))
 
@@ -75,9 +82,10 @@ def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> Le
     )
 
 
-def _by_transport(target: Array, settings: LensSettings, report: Progress) -> LensDesign:
+def _by_transport(target: Array, settings: LensSettings, report: Progress, passes: Corrected | None) -> LensDesign:
     started = time.perf_counter()
-    done = corrected(target, settings, report)
+    done = passes or corrected(target, settings, report)
+    cost = closing_cost(done, target, settings)
     lens, polish = done.best.lens, None
     if settings.polish_steps > 0:
         report("polish", 0.0)
@@ -96,8 +104,8 @@ def _by_transport(target: Array, settings: LensSettings, report: Progress) -> Le
         history=done.history,
         message=_message(done.best),
         seconds=time.perf_counter() - started,
-        warnings=_warnings(done),
-        closing=done.closing,
+        warnings=_warnings(cost),
+        closing=cost,
         polish=polish,
     )
 
@@ -122,8 +130,7 @@ def _softened(path: OpticalPath) -> str:
     return f"{aim} and blurred by {path.blur_pixels:g} pixels" if path.blur_pixels > 0 else aim
 
 
-def _warnings(done: Corrected) -> tuple[Advice, ...]:
-    cost = done.closing
+def _warnings(cost: ClosingCost | None) -> tuple[Advice, ...]:
     if cost is None:
         return ()
     lost_db, leak = cost.psnr_db_without - cost.psnr_db_with, cost.dark_leak_with - cost.dark_leak_without

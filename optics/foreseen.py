@@ -36,56 +36,32 @@ def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
 
     A box of n pixels has the variance (n^2 - 1) / 12; between two odd n it is a mixture of both.
     """
-    for sigma, spread in zip(blur_px, (_spread_down, _spread_across), strict=True):
-        if sigma == 0:
-            continue
-        half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
-        small, large = 2 * half + 1, 2 * half + 3
-        share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)
-        picture = spread(picture, half, (1 - share) / small + share / large, share / large)
-    return picture
+    down, across = blur_px
+    if across > 0:
+        picture = np.ascontiguousarray(_spread(np.ascontiguousarray(picture.T), across).T)
+    return _spread(picture, down) if down > 0 else picture
+
+
+def _spread(picture: Array, sigma: float) -> Array:
+    half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
+    small, large = 2 * half + 1, 2 * half + 3
+    share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)
+    return np.asarray(_spread_down(picture, half, (1 - share) / small + share / large, share / large))
 
 
 @njit(cache=True, nogil=True)
 def _spread_down(picture, half, inner, ends):  # type: ignore[no-untyped-def]
     """inner times the sum from half above to half below, ends times the pixel beyond on either side."""
     ny, nx = picture.shape
-    out = np.empty((ny, nx))
-    total = np.zeros(nx)
+    out, total, dark = np.empty((ny, nx)), np.zeros(nx), np.zeros(nx)
     for j in range(min(half, ny)):
-        total += picture[j]
-    for j in range(ny):
-        below, above = j + half, j - half - 1
-        if below < ny:
-            total += picture[below]
-        if above >= 0:
-            total -= picture[above]
-        out[j] = inner * total
-        if above >= 0:
-            out[j] += ends * picture[above]
-        if below + 1 < ny:
-            out[j] += ends * picture[below + 1]
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _spread_across(picture, half, inner, ends):  # type: ignore[no-untyped-def]
-    """The same, from the left to the right."""
-    ny, nx = picture.shape
-    out = np.empty((ny, nx))
-    for j in range(ny):
-        total = 0.0
-        for i in range(min(half, nx)):
-            total += picture[j, i]
         for i in range(nx):
-            right, left = i + half, i - half - 1
-            if right < nx:
-                total += picture[j, right]
-            light = 0.0
-            if left >= 0:
-                total -= picture[j, left]
-                light += picture[j, left]
-            if right + 1 < nx:
-                light += picture[j, right + 1]
-            out[j, i] = inner * total + ends * light
+            total[i] += picture[j, i]
+    for j in range(ny):
+        entered = picture[j + half] if j + half < ny else dark
+        beyond = picture[j + half + 1] if j + half + 1 < ny else dark
+        left = picture[j - half - 1] if j - half - 1 >= 0 else dark
+        for i in range(nx):
+            total[i] += entered[i] - left[i]
+            out[j, i] = inner * total[i] + ends * (left[i] + beyond[i])
     return out

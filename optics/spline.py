@@ -8,9 +8,7 @@ through the same nodes is the same surface.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -19,7 +17,6 @@ from numpy.typing import ArrayLike, NDArray
 from optics.threads import over_rows
 
 Array = NDArray[np.float64]
-_WORTH_THREADS = 10_000  # points
 
 
 @njit(cache=True, nogil=True)
@@ -52,15 +49,8 @@ def _fit_columns(lo: int, hi: int, nodes: Array, coefs: Array) -> None:
 def _fitted(nodes: Array) -> Array:
     """(n + 2, m): `_fit_columns` of all columns."""
     coefs = np.empty((nodes.shape[0] + 2, nodes.shape[1]))
-    _on_all_cores(_fit_columns, nodes.shape[1], nodes.size, nodes, coefs)
+    over_rows(_fit_columns, nodes.shape[1], nodes, coefs)
     return coefs
-
-
-def _on_all_cores(kernel: Callable[..., None], rows: int, points: int, *arguments: Any) -> None:
-    if points < _WORTH_THREADS:
-        kernel(0, rows, *arguments)
-    else:
-        over_rows(kernel, rows, *arguments)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -175,7 +165,7 @@ class BicubicSpline:
         x, y = np.broadcast_arrays(np.asarray(x_mm, dtype=np.float64), np.asarray(y_mm, dtype=np.float64))
         out = np.empty((6, x.size))
         points = x.flatten(), y.flatten()  # copies, all of one type: writable
-        _on_all_cores(_jets, x.size, x.size, *self.kernel_arguments, *points, out)
+        over_rows(_jets, x.size, *self.kernel_arguments, *points, out)
         return out.reshape((6, *x.shape))
 
     def heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
@@ -184,7 +174,7 @@ class BicubicSpline:
     def concave_curvature(self, x_mm: Array, y_mm: Array) -> Array:
         """(ny, nx) greatest principal curvature, positive in a hollow, at columns x_mm and rows y_mm [1/mm]."""
         out = np.empty((y_mm.size, x_mm.size))
-        _on_all_cores(_concave_curvatures, y_mm.size, out.size, *self.kernel_arguments, x_mm, y_mm, out)
+        over_rows(_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
         return out
 
     def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3) -> BicubicSpline:

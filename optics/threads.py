@@ -12,7 +12,10 @@ from functools import cache
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 _MOST_THREADS = 8
+_WORTH_THREADS = 50_000  # values in the largest array: of fewer, handing over takes as long as computing
 
 
 @cache
@@ -27,7 +30,8 @@ def thread_count() -> int:
 
 def over_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[Any]:
     """kernel(row_lo, row_hi, *arguments) on strips that together are 0..rows; their results in order."""
-    strips = min(thread_count(), rows)
+    largest = max((one.size for one in arguments if isinstance(one, np.ndarray)), default=_WORTH_THREADS)
+    strips = min(thread_count(), rows) if largest >= _WORTH_THREADS else 1
     bounds = [rows * s // strips for s in range(strips + 1)]
     if strips == 1:
         return [kernel(0, rows, *arguments)]

@@ -5,8 +5,11 @@ Lenses are designed on a coarser picture: what they miss of it is taken over, fi
 
 from __future__ import annotations
 
+import hashlib
+import pickle
 from collections.abc import Callable, Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
 
 import numpy as np
 
@@ -17,13 +20,15 @@ from optics.ball_fit import ball_fits
 from optics.bench import Bench
 from optics.caustic import share_by_way_of, simulate_caustic
 from optics.closing import closed_to_radius
-from optics.corrections import corrected
+from optics.corrections import Corrected, corrected
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
+from optics.transport import OpticalPath, solve_transport
 from service.plan_light import PictureLight, Valleys
 from service.resampling import resized
 
 COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
+_SMALL = 128 * 128  # pixels
 _TUBES, _BEAMS = 2, 7
 
 Progress = Callable[[float], None]
@@ -46,22 +51,30 @@ def lit_designs(
     coarse = _coarser(target)
     quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
 
-    def lit(radius_mm: float, aim: Array) -> tuple[LensForm, Array, bool]:
-        made = corrected(aim, replace(quick, min_radius_mm=radius_mm))
-        missed = _light_of(made.best.lens, settings.bench, aim) - aim
-        return LensForm.of(made.best.lens), missed, made.closing is not None
+    @cache
+    def first() -> OpticalPath:
+        """Of the picture itself: lenses for all balls begin with it."""
+        return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
+
+    def near_first(aim: Array) -> OpticalPath | None:
+        path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())
+        return path if path.converged else None
+
+    def add(light: PictureLight, radius_mm: float, made: Corrected, aim: Array) -> None:
+        light.add(radius_mm, LensForm.of(made.best.lens), made.best.caustic.irradiance - aim)
 
     def again(light: PictureLight, marks: Marks, aim: Array) -> None:
         aim = _coarser(aim)
         if as_given:
-            made, radii = corrected(aim, quick).best.lens, {marks.radius_mm, marks.smallest_mm}
-            _add_as_left(light, made, aim, radii, None)
+            made = known_lens(aim, quick, lambda: near_first(aim))
+            _add_as_left(light, made.best.lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
         else:
-            light.add(marks.radius_mm, *lit(marks.radius_mm, aim)[:2])
+            made = known_lens(aim, replace(quick, min_radius_mm=marks.radius_mm), lambda: near_first(aim))
+            add(light, marks.radius_mm, made, aim)
 
     light = PictureLight(target, settings.bench, aims=aims, redesign=again)
     if as_given:
-        _add_as_left(light, corrected(coarse, quick).best.lens, coarse, radii_mm, on_progress)
+        _add_as_left(light, known_lens(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
         return light
     wanted = sorted(set(radii_mm), reverse=True)
     served: float | None = None
@@ -69,13 +82,37 @@ def lit_designs(
         if served is not None:
             light.same(radius_mm, served)
             continue
-        form, missed, filled = lit(radius_mm, coarse)
-        light.add(radius_mm, form, missed)
-        if not filled:
+        made = known_lens(coarse, replace(quick, min_radius_mm=radius_mm), first)
+        add(light, radius_mm, made, coarse)
+        if not made.is_shaped:
             served = radius_mm
         if on_progress is not None:
             on_progress(number / len(wanted))
     return light
+
+
+def known_lens(
+    target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] = lambda: None
+) -> Corrected:
+    """The passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones again.
+
+    first : the target's own solution, or one like it, where there is one
+    """
+    if target.size > _SMALL:
+        return corrected(target, settings, first=first())
+    key = hashlib.blake2b(pickle.dumps((target, settings))).digest()
+    return _remembered(_Wanted(key=key, make=lambda: corrected(target, settings, first=first())))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    key: bytes
+    make: Callable[[], Corrected] = field(compare=False)
+
+
+@lru_cache(maxsize=32)
+def _remembered(wanted: _Wanted) -> Corrected:
+    return wanted.make()
 
 
 def lit_lens(

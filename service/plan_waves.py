@@ -60,14 +60,11 @@ class Waves:
         share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
         waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), 512)
         across = slopes.across.transfer(waves, reach_mm)
-        kept, squared = np.zeros((2, self.along_y.size, self.along_x.size))
-        for turn, part in zip((edges[:-1] + edges[1:]) / 2, share, strict=True):
-            for way in (1.0, -1.0):  # a cosine transform knows no sign of a wave
-                along = self.along_x[None, :] * np.cos(turn) + way * self.along_y[:, None] * np.sin(turn)
-                left = np.interp(np.abs(along), waves, across)
-                kept += part / 2 * left
-                squared += part / 2 * left**2
-        return kept, squared
+        turns = np.concatenate([edges[:-1], -edges[1:]]) + np.pi / (2 * _DIRECTIONS)  # waves here have no sign
+        along = np.multiply.outer(np.cos(turns), self.along_x)[:, None, :]
+        along = along + np.multiply.outer(np.sin(turns), self.along_y)[:, :, None]
+        left, parts = np.interp(np.abs(along), waves, across), np.concatenate([share, share]) / 2
+        return np.tensordot(parts, left, 1), np.tensordot(parts, left**2, 1)
 
 
 def yx_spreads(slopes: RowSlopes, spec: PassSpec) -> tuple[SlopeSpread, SlopeSpread]:
