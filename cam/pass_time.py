@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from math import ceil, sqrt
 
 import numpy as np
-from scipy.ndimage import grey_dilation, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import grey_dilation, grey_opening
 
 from cam.cutter import concave_curvature
 from cam.duration import Kinematics
@@ -201,17 +201,13 @@ def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
     sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
     feed = spec.feed_mm_per_min / 60
-    crossed = np.sort(_crossed(tips, ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))), axis=None)
+    gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
+    beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
+    crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows run on over what is no wider than the ball
     planes_mm = -spec.step_down_mm * np.arange(ceil(-float(tips.min()) / spec.step_down_mm))
     rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / spec.pitch_mm
     turns_s = rows_mm / min(sides) * feed / min(mill.acceleration_mm_per_s2[:2])
     return float(rows_mm / feed + turns_s + planes_mm.size * (_BORDER * min(sides) / feed + _ENTRIES * entry_s(spec)))
-
-
-def _crossed(tips: Array, gap: int) -> Array:
-    """Tips along rows that run on over what rises above them for no more than so many places."""
-    lowest = minimum_filter1d(np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf), gap, mode="nearest")
-    return np.asarray(maximum_filter1d(lowest, gap, mode="nearest", origin=gap % 2 - 1))
 
 
 def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:

@@ -81,13 +81,13 @@ class Corrected:
         return self.first.lens is not self.raw
 
 
-Report = Callable[[str, float], None]
+Progress = Callable[[str, float], None]
 
 
 def corrected(
     target: Array,
     settings: LensSettings,
-    report: Report = lambda stage, share: None,
+    report: Progress = lambda stage, share: None,
     *,
     first: OpticalPath | None = None,
 ) -> Corrected:

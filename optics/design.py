@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from optics.advice import Advice
 from optics.ball_fit import fit_ball
 from optics.black import advice
-from optics.corrections import ClosingCost, Corrected, Pass, closing_cost, corrected
+from optics.corrections import ClosingCost, Corrected, Pass, Progress, closing_cost, corrected
 from optics.heightfield import Heightfield
 from optics.polish import PolishRecord, polished
 from optics.settings import LensSettings
@@ -45,9 +44,6 @@ class LensDesign:
     warnings: tuple[Advice, ...] = ()
     closing: ClosingCost | None = None
     polish: PolishRecord | None = None
-
-
-Progress = Callable[[str, float], None]
 
 
 def design_lens(

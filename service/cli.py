@@ -19,6 +19,7 @@ from service.job_files import STOPPING_SIGNALS
 from service.kernel_cache import use_current_kernels
 
 _AGAIN_S = 1.0
+_SOON_S = 0.01
 
 
 def main() -> None:
@@ -100,18 +101,23 @@ def _interrupts() -> Iterator[_Signals]:
     """SIGTERM and a lost terminal end a command as Ctrl-C does. A signal that is ignored (nohup) stays so.
 
     More of them change nothing, so that the cleaning is not cut short. An import or a callback may swallow the
-    interrupt, so an alarm raises it again until the command has ended.
+    interrupt, so an alarm raises it again until the command has ended. The compiler is let finish first: its callbacks
+    swallow an interrupt and give it an empty kernel instead, which is then called.
     """
     signals = _Signals()
 
-    def interrupt(number: int, _frame: FrameType | None) -> None:
+    def interrupt(number: int, frame: FrameType | None) -> None:
         if signals.over:
             return
         signals.came.append(number)
         if len(signals.came) == 1:
             sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would tell of it
             signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
-        if len(signals.came) == 1 or number == signal.SIGALRM:
+        if len(signals.came) > 1 and number != signal.SIGALRM:
+            return
+        if _compiles(frame):
+            signal.setitimer(signal.ITIMER_REAL, _SOON_S, _AGAIN_S)
+        else:
             raise KeyboardInterrupt
 
     told = sys.unraisablehook
@@ -128,6 +134,15 @@ def _interrupts() -> Iterator[_Signals]:
         sys.unraisablehook = told
         for kind, handler in before.items():
             signal.signal(kind, handler)
+
+
+def _compiles(frame: FrameType | None) -> bool:
+    """Whether this frame was called by the compiler, or is part of it."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("llvmlite."):
+            return True
+        frame = frame.f_back
+    return False
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ its slopes miss what only fine detail makes steeper.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil, hypot, sqrt
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ from service.lens_facts import LensFacts, measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import picture_of
 from service.picture_limits import PictureLimits
-from service.plan_lenses import known_lens
+from service.plan_lenses import compute_passes, simplify
 from service.planning import plan_for_picture
 from service.report_words import ball
 from service.spec import MIN_FLOOR_MM, JobSpec
@@ -132,8 +132,8 @@ def quick_lens(spec: JobSpec, target: Array) -> QuickLens:
     if planned:
         spec = with_plan(spec, {"plan": _plan(spec, target)})
     settings = lens_settings(spec, branch=branch_of(spec, target))
-    quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
-    design = design_lens(target, quick, passes=known_lens(target, quick))
+    quick = simplify(settings)
+    design = design_lens(target, quick, passes=compute_passes(target, quick))
     lens, shape = design.heightfield, (target.shape[0], target.shape[1])
     seen = simulate_caustic(lens, quick.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
     return QuickLens(

@@ -49,7 +49,7 @@ def lit_designs(
     aims     : each lens is to be made sharper by what milling will blur
     """
     coarse = _coarser(target)
-    quick = replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
+    quick = simplify(settings)
 
     @cache
     def first() -> OpticalPath:
@@ -66,15 +66,15 @@ def lit_designs(
     def again(light: PictureLight, marks: Marks, aim: Array) -> None:
         aim = _coarser(aim)
         if as_given:
-            made = known_lens(aim, quick, lambda: near_first(aim))
+            made = compute_passes(aim, quick, lambda: near_first(aim))
             _add_as_left(light, made.best.lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
         else:
-            made = known_lens(aim, replace(quick, min_radius_mm=marks.radius_mm), lambda: near_first(aim))
+            made = compute_passes(aim, replace(quick, min_radius_mm=marks.radius_mm), lambda: near_first(aim))
             add(light, marks.radius_mm, made, aim)
 
     light = PictureLight(target, settings.bench, aims=aims, redesign=again)
     if as_given:
-        _add_as_left(light, known_lens(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
+        _add_as_left(light, compute_passes(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
         return light
     wanted = sorted(set(radii_mm), reverse=True)
     served: float | None = None
@@ -82,7 +82,7 @@ def lit_designs(
         if served is not None:
             light.same(radius_mm, served)
             continue
-        made = known_lens(coarse, replace(quick, min_radius_mm=radius_mm), first)
+        made = compute_passes(coarse, replace(quick, min_radius_mm=radius_mm), first)
         add(light, radius_mm, made, coarse)
         if not made.is_shaped:
             served = radius_mm
@@ -91,7 +91,12 @@ def lit_designs(
     return light
 
 
-def known_lens(
+def simplify(settings: LensSettings) -> LensSettings:
+    """For a lens that is only looked at: by transport, corrected once at most, not polished."""
+    return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
+
+
+def compute_passes(
     target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] = lambda: None
 ) -> Corrected:
     """The passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones again.
@@ -101,7 +106,7 @@ def known_lens(
     if target.size > _SMALL:
         return corrected(target, settings, first=first())
     key = hashlib.blake2b(pickle.dumps((target, settings))).digest()
-    return _remembered(_Wanted(key=key, make=lambda: corrected(target, settings, first=first())))
+    return _compute_once(_Wanted(key=key, make=lambda: corrected(target, settings, first=first())))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,7 +116,7 @@ class _Wanted:
 
 
 @lru_cache(maxsize=32)
-def _remembered(wanted: _Wanted) -> Corrected:
+def _compute_once(wanted: _Wanted) -> Corrected:
     return wanted.make()
 
 

@@ -8,6 +8,7 @@ import re
 import resource
 import signal
 import subprocess
+import sys
 import time
 from pathlib import Path
 from typing import Any
@@ -268,6 +269,35 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
         _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     assert errors.splitlines() == ["error: interrupted; nothing half-written is left"]
+    assert list(tmp_path.iterdir()) == []
+
+
+INTERRUPTED_LOADING = """
+import signal, sys
+from service import cli, kernel_cache
+kernel_cache.use_current_kernels()
+from numba.core.codegen import CPUCodeLibrary
+loaded = CPUCodeLibrary._object_getbuffer_hook.__func__
+numbers = iter(range(int(sys.argv.pop(1)), -1, -1))
+def hook(*arguments):
+    if next(numbers, None) == 0:
+        signal.raise_signal(signal.SIGTERM)
+    return loaded(*arguments)
+CPUCodeLibrary._object_getbuffer_hook = classmethod(hook)
+cli.main()
+"""
+
+
+@pytest.mark.thorough
+def test_an_interrupt_while_a_kernel_is_loaded_leaves_nothing(
+    job: tuple[Path, str], picture: Path, tmp_path: Path
+) -> None:
+    """The compiler asks for the kernel's code by a callback: what that raises is swallowed, and the kernel empty."""
+    assert (job[0] / "report.json").exists()  # so that all kernels are there to be loaded
+    given = ["make", picture, "-o", tmp_path / "out", *SETTINGS]
+    command = [sys.executable, "-c", INTERRUPTED_LOADING, "6", *map(str, given)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert (done.returncode, done.stderr) == (130, "error: interrupted; nothing half-written is left\n")
     assert list(tmp_path.iterdir()) == []
 
 
