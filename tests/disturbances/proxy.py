@@ -146,18 +146,19 @@ class HoldingProxy:
         if self._refusing:
             writer.transport.abort()
             return
+        ends = {writer}
+        self._open.add(writer)  # before it is connected: it may be cut by then
         try:
             far_reader, far_writer = await asyncio.open_connection(*self._target)
-        except OSError:
-            writer.transport.abort()
-            return
-        ends = {writer, far_writer}
-        self._open |= ends
-        try:
-            await asyncio.gather(
-                self._carry(reader, far_writer, self._ways["there"]),
-                self._carry(far_reader, writer, self._ways["back"]),
-            )
+            ends.add(far_writer)
+            self._open.add(far_writer)
+            if not writer.transport.is_closing():
+                await asyncio.gather(
+                    self._carry(reader, far_writer, self._ways["there"]),
+                    self._carry(far_reader, writer, self._ways["back"]),
+                )
+        except OSError:  # nobody listens there
+            pass
         finally:
             self._open -= ends
             for end in ends:
