@@ -33,7 +33,7 @@ from optics.transport_map import TransportMap
 TOLERANCE = 1e-3  # rms of det - g over the rms of g, at which a level is done
 _ANDERSON_DEPTH = 16  # black logos need it: 8 and 24 are no quicker
 _PISTON_WEIGHT = 3.0  # of the highest point's distance from the skim, in throws, beside the rms of det - g
-_TURNED = 5.0  # tolerances of light may fall on turned pixels: black ones turn by rounding, others rarely
+_TURNED = 7.0  # tolerances of light may fall on turned pixels: black ones turn by rounding, others rarely
 _FOLDED = 0.02  # of the light on turned pixels: a lens that must not be made
 _SOFTER = ((0.0, 0.0), (0.01, 1.0), (0.03, 3.0), (0.1, 10.0), (1.0, 0.0))  # (floor, blur): what is tried in turn
 _MOST_COARSE = 100

@@ -47,7 +47,7 @@ def test_one_bright_pixel_on_the_rim_converges_without_a_fold() -> None:
     preimages = Preimages(bench, light.shape)
     preimages.evaluate(path.path_mm)
     area = preimages.across * preimages.along - preimages.mixed
-    assert -area[area < 0].sum() / area.size <= 0.005
+    assert -area[area < 0].sum() / area.size <= 0.007
 
 
 @pytest.mark.thorough  # 4 s
