@@ -143,6 +143,14 @@ def make_plan(
     lenses   : by radius of the finishing ball; a tool without one is not considered
     fillings : by radius, of balls that leave valleys filled; a smaller one may take out what they leave
     """
+    candidates, left_out = find_candidates(shop, lenses, light, fillings=fillings)
+    return plan_among(candidates, left_out, light, goal)
+
+
+def find_candidates(
+    shop: Shop, lenses: Mapping[float, LensForm], light: Light, *, fillings: Mapping[float, Filled]
+) -> tuple[list[Candidate], tuple[tuple[str, str], ...]]:
+    """All of them, each with what the light guesses, and the tools left out, each with the reason; NoPlanError if all."""
     left_out: list[tuple[str, str]] = []
     candidates: list[Candidate] = []
     for tool in shop.tools:
@@ -157,12 +165,19 @@ def make_plan(
         candidates += _candidates(tool, Roughing(form=form, shop=shop), rests, light)
     if not candidates:
         raise NoPlanError(tuple(left_out))
+    return candidates, tuple(left_out)
+
+
+def plan_among(
+    candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal
+) -> Plan:
+    """The choice among candidates that the light has guessed."""
     near = _near_front(candidates)
     for best in {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}.values():
         light.settle(best.marks)
     front = _front([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], _WORTH_DB)
     chosen, met = choose(front, goal)
-    return Plan(chosen=chosen, front=front, left_out=tuple(left_out), met=met)
+    return Plan(chosen=chosen, front=front, left_out=left_out, met=met)
 
 
 def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:

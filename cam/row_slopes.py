@@ -23,6 +23,7 @@ from optics.heightfield import Array
 
 _ROWS = 6000
 _BINS = 257
+_PLACES_A_ROW = 8
 _SEED = 20140301
 _LOTS = 0.3  # fits `cam.as_milled`: chords of one row follow one another, and their light is wider than a point
 _CHOSEN_ROWS, _CHOSEN_CHORDS = 0.09, 0.07  # of the errors, where `cam.rounding` puts vertices on whole steps of 2 um:
@@ -126,6 +127,19 @@ def _facets(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Ar
     rows, borders = lowest_rows(np.random.default_rng(_SEED).normal(0.0, off_mm / unit_mm, count))
     inner = slice(*np.searchsorted(rows, (1 + 2 * width, count - 2 - 2 * width)))  # the outermost reach far out
     return rows[inner], borders[:-1][inner] - rows[inner], borders[1:][inner] - rows[inner]
+
+
+@lru_cache(maxsize=4096)
+def row_profile(radius_mm: float, pitch_mm: float, off_mm: float, *, length_mm: float = 120.0) -> tuple[Array, float]:
+    """Heights across rows (n,), mean 0, and their spacing: the lowest of all rows, each off by its own error."""
+    count = int(length_mm / pitch_mm)
+    unit_mm = pitch_mm**2 / radius_mm
+    rows, borders = lowest_rows(np.random.default_rng(_SEED).normal(0.0, off_mm, count) / unit_mm)
+    at = (np.arange(count * _PLACES_A_ROW) + 0.5) / _PLACES_A_ROW
+    nearest = rows[np.clip(np.searchsorted(borders, at) - 1, 0, rows.size - 1)]
+    off = np.random.default_rng(_SEED).normal(0.0, off_mm, count)[nearest.astype(int)]
+    heights = off + unit_mm * np.square(at - nearest) / 2
+    return heights - heights.mean(), pitch_mm / _PLACES_A_ROW
 
 
 @lru_cache(maxsize=4096)

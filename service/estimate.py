@@ -156,6 +156,7 @@ def _plan(spec: JobSpec, target: Array) -> dict[str, Any]:
         "foreseen_blur_mm": planned.foreseen_blur_mm(),
         "min_radius_mm": planned.chosen.finish.radius_mm,
         "whole_steps": planned.machine.whole_steps,
+        "finish": planned.finish_table(),
     }
 
 

@@ -11,7 +11,7 @@ from cam.materials import PMMA, Material
 from cam.passes import PassSpec, Stock
 from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from service.errors import SpecError
-from service.job.finish_spec import resolve_finish
+from service.job.finish_spec import FinishSpec, resolve_finish
 from service.spec import JobSpec, PassRow
 
 LoadProfile = Callable[[str], MachineProfile]
@@ -101,11 +101,12 @@ def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
         optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
     if optics.min_radius_mm is None and not optics.creases:
         optics = optics.model_copy(update={"min_radius_mm": planned["min_radius_mm"]})
+    finish = FinishSpec.model_validate(planned.get("finish", {}))
     machine = spec.machine
     if machine.whole_steps is None and planned["whole_steps"]:
         machine = machine.model_copy(update={"whole_steps": True})
     rows = tuple(PassRow.model_validate(row) for row in planned["passes"])
-    return spec.model_copy(update={"optics": optics, "passes": rows, "machine": machine})
+    return spec.model_copy(update={"optics": optics, "passes": rows, "machine": machine, "finish": finish})
 
 
 def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:

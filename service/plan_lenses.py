@@ -21,9 +21,11 @@ from optics.bench import Bench
 from optics.caustic import share_by_way_of, simulate_caustic
 from optics.closing import closed_to_radius
 from optics.corrections import Corrected, corrected
+from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.transport import OpticalPath, solve_transport
+from service.job.planning.finished_light import Design
 from service.plan_light import PictureLight, Valleys
 from service.resampling import resized
 
@@ -92,8 +94,19 @@ def lit_designs(
 
 
 def simplify(settings: LensSettings) -> LensSettings:
-    """For a lens that is only looked at: by transport, corrected once at most, not polished."""
-    return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections))
+    """For a lens that is only looked at: by transport, corrected once at most, not polished, for no finish."""
+    return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
+
+
+def finished_designs(target: Array, settings: LensSettings) -> Design:
+    """Coarse lenses for finishes, corrected as the job's."""
+    coarse, quick = _coarser(target), replace(simplify(settings), corrections=settings.corrections)
+
+    def design(finish: Finish, radius_mm: float) -> tuple[Heightfield, Array]:
+        made = compute_passes(coarse, replace(quick, finish=finish, min_radius_mm=radius_mm))
+        return made.best.lens, coarse
+
+    return design
 
 
 def compute_passes(

@@ -65,7 +65,7 @@ class PictureLight:
 
     def __init__(self, target: Array, bench: Bench, *, aims: bool = False, redesign: Redesign | None = None) -> None:
         self.target, self.bench, self.aims, self._redesign = target, bench, aims, redesign
-        self._goal = _waves(target)
+        self._goal = waves_of(target)
         self._peak, self._square = float(target.max()), float(np.square(target).mean())
         ny, nx = target.shape
         self.pixel_mm = (bench.screen.height_mm / ny, bench.screen.width_mm / nx)
@@ -87,7 +87,7 @@ class PictureLight:
         error = resized(missed, self.target.shape)
         self.lenses[radius_mm] = Shown(
             form=form,
-            waves=self._goal + _waves(error),
+            waves=self._goal + waves_of(error),
             perfect_db=self._psnr_db(self.target + error, 0.0),
             valleys=valleys and replace(valleys, shares_past=resized(valleys.shares_past, self.target.shape)),
         )
@@ -149,7 +149,7 @@ class PictureLight:
         own = self._grain_of(marks)
         if marks.rest is None:
             return own
-        through = float(_picture(self._half_waves(marks)[1]).mean())
+        through = float(picture_of_waves(self._half_waves(marks)[1]).mean())
         return sqrt((1.0 - through) * own**2 + through * self._grain_of(marks.rest) ** 2)
 
     def _grain_of(self, marks: Marks) -> float:
@@ -217,14 +217,14 @@ class PictureLight:
     def _split(self, marks: Marks, waves: Array) -> tuple[Array, Array]:
         valleys = self.lenses[marks.radius_mm].valleys
         assert valleys is not None, "a rest pass is planned where something is left"
-        past = _waves(valleys.shares_past * _picture(waves))
+        past = waves_of(valleys.shares_past * picture_of_waves(waves))
         return past, waves - past
 
     def _aimed(self, marks: Marks) -> Array:
         """The picture of the lens for that ball, made sharper and then milled, without grain."""
         waves = self.lenses[marks.smallest_mm].waves
         if any(self.foreseen_blur_mm(marks)):
-            waves = waves + _waves(self._aim(marks) - self.target)
+            waves = waves + waves_of(self._aim(marks) - self.target)
         return self._milled(marks, waves)
 
     def _aim(self, marks: Marks) -> Array:
@@ -246,7 +246,7 @@ class PictureLight:
         else:
             past, through = self._split(marks, waves)
             blurred = self._kept(marks) * past + self._kept(marks.rest) * through
-        return np.asarray(_picture(blurred) * np.outer(*edges))
+        return np.asarray(picture_of_waves(blurred) * np.outer(*edges))
 
     def _kept(self, marks: Marks) -> Array:
         """What is left of each wave (ny, nx)."""
@@ -258,9 +258,9 @@ class PictureLight:
         return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
 
 
-def _waves(picture: Array) -> Array:
+def waves_of(picture: Array) -> Array:
     return np.asarray(dctn(picture, norm="ortho"))
 
 
-def _picture(waves: Array) -> Array:
+def picture_of_waves(waves: Array) -> Array:
     return np.asarray(idctn(waves, norm="ortho"))

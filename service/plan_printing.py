@@ -133,11 +133,11 @@ def spec_fragment(planned: Planned, spec: JobSpec) -> str:
         *(f"# {sentence}" for sentence in planned.why()),
         'preset = "recommended"',
     ]
-    tables: dict[str, dict[str, Any]] = {name: {} for name in ("image", "optics", "stock", "machine")}
+    tables: dict[str, dict[str, Any]] = {name: {} for name in ("image", "optics", "stock", "machine", "finish")}
     for name, found in tables.items():
         found.update({key: value for key, value in data.get(name, {}).items() if usual[name].get(key) != value})
     fragment = planned.fragment()
-    for name in ("optics", "machine"):
+    for name in ("optics", "machine", "finish"):
         tables[name].update(fragment[name])
     for name, values in tables.items():
         lines += _toml_table(name, values)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cam.materials import PMMA
-from cam.planner import Candidate, Goal, NoPlanError, Plan, make_plan
+from cam.planner import Candidate, Goal, NoPlanError, Plan, find_candidates, plan_among
 from cam.posts.dialects import POSTS
 from cam.shop import CLEAR_MM, Shop
 from cam.tools import Tool
@@ -19,7 +19,10 @@ from optics.heightfield import Array, Heightfield
 from optics.metrics import CausticScore
 from service.errors import InputError
 from service.passes import machine_of
-from service.plan_lenses import lit_designs, lit_lens
+from service.job.finish_spec import NONE
+from service.job.planning.finish_choice import FinishedPlan, is_worth_it, list_finishings, plan_finish
+from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.plan_lenses import finished_designs, lit_designs, lit_lens
 from service.plan_light import PictureLight
 from service.plan_words import blur_warning, blur_warnings, candidate_words, hopeful_db, reasons
 from service.spec import JobSpec, PassRow
@@ -43,6 +46,12 @@ class Planned:
     goal: Goal
     shapes_lens: bool  # the lens is shaped for the ball that is chosen
     tools: tuple[Tool, ...]
+    unfinished: Plan | None = None  # the best without a finish, where there is one
+
+    @property
+    def finishing(self) -> Finishing | None:
+        """What is done by hand after milling."""
+        return self.light.finishing if isinstance(self.light, FinishedLight) else None
 
     @cached_property
     def radius_of(self) -> dict[str, float]:
@@ -88,7 +97,21 @@ class Planned:
         if any(blur_mm := self.foreseen_blur_mm(one)):
             optics["foreseen_blur_mm"] = blur_mm
         machine = {"whole_steps": True} if self.machine.whole_steps else {}
-        return {"passes": self.rows(one), "optics": optics, "machine": machine}
+        return {"passes": self.rows(one), "optics": optics, "machine": machine, "finish": self.finish_table()}
+
+    def finish_table(self) -> dict[str, Any]:
+        """The finish as the job spec takes it."""
+        if (chosen := self.finishing) is None:
+            return {"process": NONE}
+        table = {
+            "process": chosen.process,
+            "k0_rad_per_mm": chosen.finish.k0_rad_per_mm,
+            "order": chosen.finish.order,
+            "depth_um": chosen.depth_um,
+            "minutes": chosen.minutes,
+            "pad_mm": chosen.finish.pad_mm,
+        }
+        return {key: value for key, value in table.items() if value is not None}
 
     def figures(self) -> dict[str, Any]:
         """For report.json: what was chosen and what else there was, each with all that it takes to have it."""
@@ -100,6 +123,8 @@ class Planned:
                 "min_radius_mm": chosen.marks.smallest_mm,
                 "foreseen_blur_mm": self.foreseen_blur_mm(),
                 "whole_steps": self.machine.whole_steps,
+                "finish": self.finish_table(),
+                "psnr_db_unfinished": None if self.unfinished is None else self.unfinished.chosen.psnr_db,
                 "goal": {key: value for key, value in asdict(self.goal).items() if value is not None},
                 "goal_met": self.plan.met,
                 "perfect_psnr_db": self.light.perfect_db(chosen.marks.smallest_mm),
@@ -182,7 +207,7 @@ def plan_for_picture(
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    return _planned(spec, shop, light, shapes_lens=shapes)
+    return _planned(spec, shop, light, finished_designs(target, settings), shapes_lens=shapes)
 
 
 def plan_for_lens(
@@ -192,7 +217,7 @@ def plan_for_lens(
     shop = shop_of(spec, load_tools(tools))
     bench = replace(bench_of(spec), branch=branch_of(spec, target))
     light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
-    return _planned(spec, shop, light, shapes_lens=False)
+    return _planned(spec, shop, light, lambda finish, radius_mm: (lens, target), shapes_lens=False)
 
 
 def mill_of(spec: JobSpec) -> MachineProfile:
@@ -226,10 +251,15 @@ def _radii(shop: Shop) -> list[float]:
     return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 
-def _planned(spec: JobSpec, shop: Shop, light: PictureLight, *, shapes_lens: bool) -> Planned:
+def _planned(spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool) -> Planned:
     goal = Goal(**spec.plan.model_dump())
+    area_mm2 = spec.optics.width_mm * spec.optics.height_mm
+    finished: FinishedPlan | None = None
     try:
-        plan = make_plan(shop, light.forms, light, goal, fillings=light.fillings)
+        candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
+        if finishings := list_finishings(spec.finish, area_mm2=area_mm2):
+            finished = plan_finish(finishings, candidates, left_out, light, design, goal)
+        plan = plan_among(candidates, left_out, light, goal)
     except NoPlanError as error:
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
@@ -238,4 +268,10 @@ def _planned(spec: JobSpec, shop: Shop, light: PictureLight, *, shapes_lens: boo
         raise InputError(
             f"plan.hours: {goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
         )
-    return Planned(plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools)
+    planned = Planned(
+        plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
+    )
+    if finished is None or (spec.finish.k0_rad_per_mm is None and not is_worth_it(finished.plan, plan, goal)):
+        return planned
+    return replace(planned, plan=finished.plan, light=finished.light, unfinished=plan)
+

@@ -1,0 +1,109 @@
+"""Which finish, and for how many minutes: every way of the library that the job allows, beside milling alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cam.planner import Candidate, Goal, Plan, plan_among
+from optics.finish import PAD_MM, Finish
+from service.job.finish_spec import BEST, NONE, FinishSpec
+from service.job.finishing import Process, load_processes
+from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.plan_light import PictureLight
+
+RECOMMENDED = ("sanding", "felt", "lacquer")
+"""Processes that "best" chooses from: those that a maker can repeat, and that leave no stress in the block."""
+
+_FINER = 1.25  # minutes, from one that is tried to the next
+_LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
+_WORTH_DB = 0.1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FinishedPlan:
+    """A plan and the light that it was made with."""
+
+    plan: Plan
+    light: FinishedLight
+
+
+def list_finishings(spec: FinishSpec, *, area_mm2: float) -> list[Finishing]:
+    """What the job allows: one where its transfer function is given, else one for each number of minutes worth trying."""
+    if not spec.finishes:
+        return []
+    processes = load_processes()
+    if spec.k0_rad_per_mm is not None and spec.order is not None:
+        pad_mm = PAD_MM if spec.pad_mm is None else spec.pad_mm
+        finish = Finish(k0_rad_per_mm=spec.k0_rad_per_mm, order=spec.order, pad_mm=pad_mm)
+        title = "your own finish" if spec.process == NONE else processes[spec.process].title
+        return [
+            Finishing(process=spec.process, title=title, finish=finish, minutes=spec.minutes, depth_um=spec.depth_um)
+        ]
+    names = [name for name in RECOMMENDED if name in processes] if spec.process == BEST else [spec.process]
+    return [one for name in names for one in _by_minutes(processes[name], area_mm2)]
+
+
+def _by_minutes(process: Process, area_mm2: float) -> Iterator[Finishing]:
+    least, most = process.least_and_most_minutes(area_mm2)
+    steps = int(np.log(most / least) / np.log(_FINER))
+    for minutes in least * _FINER ** np.arange(steps + 1):
+        minutes = round(float(minutes), 1)
+        k0 = process.k0_rad_per_mm(minutes, area_mm2)
+        if _LEAST_K0 <= k0 <= _MOST_K0:
+            yield Finishing(
+                process=process.name,
+                title=process.title,
+                finish=Finish(k0_rad_per_mm=round(k0, 4), order=process.order, pad_mm=min(process.pad_mm, 5000.0)),
+                minutes=minutes,
+                depth_um=round(process.depth_after_um(minutes, area_mm2), 2),
+            )
+
+
+def plan_finish(
+    finishings: list[Finishing],
+    candidates: list[Candidate],
+    left_out: tuple[tuple[str, str], ...],
+    milled: PictureLight,
+    design: Design,
+    goal: Goal,
+) -> FinishedPlan:
+    """The best plan of all finishings, its guesses corrected by a lens designed for the best of them.
+
+    candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
+    """
+    rows = [one for one in candidates if one.rest is None]
+    lights = [FinishedLight(milled, one, design) for one in finishings]
+    first = _best(rows, left_out, lights, goal)
+    first.light.calibrate(first.plan.chosen.marks)
+    for light in lights:
+        if light is not first.light:
+            light.trust(first.light)
+    return _best(rows, left_out, lights, goal)
+
+
+def _best(
+    candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], lights: list[FinishedLight], goal: Goal
+) -> FinishedPlan:
+    plans = [FinishedPlan(plan=plan_among(_seen_by(light, candidates), left_out, light, goal), light=light) for light in lights]
+    return max(plans, key=lambda one: merit(one.plan, goal))
+
+
+def _seen_by(light: FinishedLight, candidates: list[Candidate]) -> list[Candidate]:
+    return [replace(one, psnr_db=light.psnr_db(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
+
+
+def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
+    """The larger the better: a goal that is met, then less time where a quality was asked for, else the picture."""
+    if goal.psnr_db is not None or goal.blur_mm is not None:
+        return plan.met, -plan.chosen.hours if plan.met else plan.chosen.psnr_db
+    return plan.met, plan.chosen.psnr_db
+
+
+def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
+    """Whether finishing makes the picture better, or the same goal quicker to reach."""
+    met, gain = merit(finished, goal)
+    met_without, without = merit(milled, goal)
+    return (met, gain) > (met_without, without + (_WORTH_DB if goal.psnr_db is None and goal.blur_mm is None else 0.0))

@@ -1,0 +1,184 @@
+"""What a lens shows after milling and finishing, as far as it can be known before a program is written.
+
+A finish levels what rows leave (the height errors of rows, high in frequency) and the finest of what carries the
+picture; the lens foresees it. So the picture lacks waves that hardly anything is left of, and has stripes by what is
+left of the rows: the change of light is the way to the wall times the change of curvature. A first guess adds both as
+squares, wave by wave; for the plan chosen a coarse lens is designed for the finish, its rows are levelled and light is
+shone through it, which tells by how much both guesses are off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from cam.planner import Marks
+from cam.row_slopes import RowSlopes, row_profile
+from optics.bench import Bench
+from optics.caustic import simulate_caustic
+from optics.finish import GIVEN_UP, Finish, finish_surface
+from optics.heightfield import Array, Heightfield
+from service.plan_light import PictureLight, picture_of_waves, waves_of
+from service.resampling import resized
+
+_EDGES = 1.8  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
+_CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
+_STRIPES = 2.0  # bright places, whose stripes are stronger than their share
+_TUBES, _BEAMS = 2, 7
+
+Design = Callable[[Finish, float], tuple[Heightfield, Array]]
+"""A coarse lens for a finish and a ball's radius, and the target (ny, nx) that it was made for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finishing:
+    """A way to finish by hand: a process of the library, or one's own figures, and the work on the whole lens."""
+
+    process: str
+    title: str
+    finish: Finish
+    minutes: float | None
+    depth_um: float | None
+
+
+class FinishedLight(PictureLight):
+    """As the light of milled lenses, behind a finish; made from it. Rows alone: a rest pass is not foretold."""
+
+    def __init__(self, milled: PictureLight, finishing: Finishing, design: Design) -> None:
+        super().__init__(milled.target, milled.bench)
+        self.lenses, self.finishing, self._design = milled.lenses, finishing, design
+        self._kept_waves = kept_of_picture(finishing.finish, milled.target.shape, milled.bench)
+        self._lens_scale = self._stripe_scale = 1.0
+        self._errors: dict[int, float] = {}
+
+    @property
+    def finish(self) -> Finish:
+        return self.finishing.finish
+
+    def psnr_db(self, marks: Marks) -> float:
+        error = self._lens_error(marks) + self.grain(marks) ** 2 * self._square
+        return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
+
+    aimed_db = unsharpened_db = psnr_db
+
+    def settle(self, marks: Marks) -> None:
+        """Nothing: `calibrate` makes the one lens that is needed."""
+
+    def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
+        """None: the finish takes off what rows blur."""
+        return 0.0, 0.0
+
+    def blur_mm(self, slopes: RowSlopes) -> float:
+        """Of the finish: the standard deviation of a Gaussian that keeps half of the wave that half is left of."""
+        return blur_of(self.finish)
+
+    def perfect_db(self, radius_mm: float) -> float:
+        """Without any mark of the tool."""
+        shown = self.lenses[radius_mm]
+        error = self._lens_scale * self._error_of(shown.waves)
+        return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
+
+    def grain(self, marks: Marks) -> float:
+        """Standard deviation of the light over its mean, by what is left of the rows."""
+        spec, form = marks.spec, self.lenses[marks.radius_mm].form
+        pixel_mm = self.pixel_mm[0] if spec.direction == "x" else self.pixel_mm[1]
+        bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), self.finish, pixel_mm)
+        return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
+
+    def picture(self, marks: Marks) -> Array:
+        """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, and stripes along the rows by lot."""
+        smooth = np.maximum(self._shown(marks), 0.0)
+        ny, nx = smooth.shape
+        along_x = marks.spec.direction == "x"
+        lot = np.random.default_rng(ny).standard_normal(ny if along_x else nx)
+        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * (lot[:, None] if along_x else lot), 0.0))
+
+    def calibrate(self, marks: Marks) -> None:
+        """Correct both guesses by a coarse lens that is designed, milled in rows, finished and lit."""
+        lens, target = self._design(self.finish, marks.radius_mm)
+        finished = finish_surface(lens, self.finish)
+        free = self._light_of(finished, target)
+        striped = self._light_of(add_rows(finished, marks, self.finish), target)
+        off_free, off_striped = (float(np.square(one - target).mean()) for one in (free, striped))
+        fine = waves_of(self.target) ** 2
+        ny, nx = target.shape
+        fine[:ny, :nx] = 0.0  # waves that the coarse lens has no part in
+        off_fine = float((fine * np.square(1.0 - self._kept_waves)).mean())
+        self._lens_scale *= (off_free + off_fine) / self._lens_error(marks)
+        stripes = max(off_striped - off_free, 0.0)
+        if (guessed := self.grain(marks) ** 2 * self._square) > 0:
+            self._stripe_scale *= min(max(stripes / guessed, 0.1), 10.0)
+
+    def trust(self, calibrated: FinishedLight) -> None:
+        """Take over how far the guesses of another finish were off."""
+        self._lens_scale, self._stripe_scale = calibrated._lens_scale, calibrated._stripe_scale
+
+    def _light_of(self, lens: Heightfield, target: Array) -> Array:
+        shape = (target.shape[0], target.shape[1])
+        return simulate_caustic(lens, self.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS).irradiance
+
+    def _lens_error(self, marks: Marks) -> float:
+        return self._lens_scale * self._error_of(self.lenses[marks.radius_mm].waves)
+
+    def _error_of(self, waves: Array) -> float:
+        """Mean square of what the picture lacks; waves: of the lens for a ball without a finish."""
+        if (known := self._errors.get(id(waves))) is not None:
+            return known
+        lost = np.square((1.0 - self._kept_waves) * self._goal).mean()
+        closed = np.square(self._kept_waves * (waves - self._goal)).mean()
+        self._errors[id(waves)] = float(_EDGES * lost + _CLOSING * closed)
+        return self._errors[id(waves)]
+
+    def _shown(self, marks: Marks) -> Array:
+        return picture_of_waves(self._kept_waves * self._goal)
+
+
+def kept_of_picture(finish: Finish, shape: tuple[int, ...], bench: Bench) -> Array:
+    """(ny, nx) part of each wave of the picture that a lens keeps which foresees the finish, on lens and screen alike."""
+    sides = (bench.height_mm, bench.width_mm)
+    down, across = (math.pi * np.arange(n) / side for n, side in zip(shape, sides, strict=True))
+    square = np.square(finish.kept(np.hypot(down[:, None], across[None, :])))
+    return np.asarray(square / (square + GIVEN_UP))
+
+
+def blur_of(finish: Finish) -> float:
+    """Standard deviation [mm on the lens] of the Gaussian that leaves half of the wave of which half is kept."""
+    k = np.linspace(0.05, 40.0, 4000) * finish.k0_rad_per_mm / finish.order
+    square = np.square(finish.transfer(k))
+    half = k[np.argmax(square / (square + GIVEN_UP) < 0.5)]
+    return math.sqrt(2.0 * math.log(2.0)) / float(half)
+
+
+def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield:
+    """The surface with what the finish leaves of rows that are off in height, the same all along each row."""
+    spec = marks.spec
+    along_x = spec.direction == "x"
+    places = finished.y_mm if along_x else finished.x_mm
+    heights, spacing_mm = row_profile(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), length_mm=_long(places))
+    left = _levelled(heights, spacing_mm, finish)
+    off = np.interp(places, places[0] + spacing_mm * np.arange(left.size), left)
+    z = finished.z_mm + (off[:, None] if along_x else off[None, :])
+    return Heightfield(x_mm=finished.x_mm, y_mm=finished.y_mm, z_mm=z - max(0.0, float(z.max())))
+
+
+def _long(places: Array) -> float:
+    return float(10 * math.ceil((places[-1] - places[0]) / 10 + 2))
+
+
+def _levelled(heights: Array, spacing_mm: float, finish: Finish) -> Array:
+    k = 2.0 * np.pi * np.fft.rfftfreq(heights.size, spacing_mm)
+    return np.fft.irfft(np.fft.rfft(heights) * finish.kept(k), heights.size)
+
+
+@lru_cache(maxsize=8192)
+def _bend_left(radius_mm: float, pitch_mm: float, off_mm: float, finish: Finish, pixel_mm: float) -> float:
+    """Root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
+    heights, spacing_mm = row_profile(radius_mm, pitch_mm, off_mm)
+    k = 2.0 * np.pi * np.fft.rfftfreq(heights.size, spacing_mm)
+    seen = np.sinc(k * pixel_mm / (2.0 * np.pi))
+    power = np.square(np.abs(np.fft.rfft(heights)) / heights.size * finish.kept(k) * k**2 * seen)
+    return float(math.sqrt(2.0 * power[1:].sum()))
