@@ -43,10 +43,10 @@ _VALUES = Rules(
 )
 
 
-def own_file(environment: Mapping[str, str] = os.environ) -> Path | None:
-    """Where the person's own library is, or would be."""
+def own_file(name: str = _NAME, environment: Mapping[str, str] = os.environ) -> Path | None:
+    """Where the person's own library of that name is, or would be."""
     folders = user_folders(environment)
-    return folders[0].parent / _NAME if folders else None
+    return folders[0].parent / name if folders else None
 
 
 def library_file(given: Path | None = None) -> Path:
@@ -60,7 +60,7 @@ def library_file(given: Path | None = None) -> Path:
 def load_tools(given: Path | None = None) -> tuple[Tool, ...]:
     """The tools of the library, smallest ball first. InputError names file, key, value and what is allowed."""
     path = library_file(given)
-    data = _read(path)
+    data = read_library(path, "tool library")
     rows = data.pop("tool", [])
     if data:
         raise InputError(f"{path}: {next(iter(data))}: there is no such key; allowed: [[tool]] tables alone")
@@ -101,14 +101,15 @@ def _tool(path: Path, row: dict[str, Any], index: int) -> Tool:
     return tool
 
 
-def _read(path: Path) -> dict[str, Any]:
+def read_library(path: Path, what: str) -> dict[str, Any]:
+    """Return the tables of a TOML file of data. InputError names the file and says why it cannot be read."""
     try:
         with path.open("rb") as file:
             raw = file.read(_MOST_BYTES + 1)
     except OSError as error:
         raise InputError(sentence_of_os_error(error, doing=f"{path}: cannot be read")) from None
     if len(raw) > _MOST_BYTES:
-        raise InputError(f"{path}: is too large; a tool library has at most {_MOST_BYTES} bytes")
+        raise InputError(f"{path}: is too large; a {what} has at most {_MOST_BYTES} bytes")
     try:
         return tomllib.loads(raw.decode("utf-8-sig"))
     except UnicodeDecodeError:
