@@ -24,7 +24,7 @@ _STRETCH = 0.3  # share of the equalised tone curve, the rest leaves tones as th
 _STEEPEST = 2.5  # slope of the equalised curve, so that faint noise is not made a picture
 _TONES, _TONE_BLUR = 256, 6.0
 _CLIPPED = 0.001  # of the pixels at either end of the tones
-_TWO_TONES = 0.93  # of the variance between two classes, from which on there are no others: logos 0.98, photographs < 0.9
+_TWO_TONES = 0.93  # of the variance lies between two tones: there are no others (logos 0.98, photographs < 0.9)
 _GAMMA = 2.2  # lightness = light^(1/2.2), as eyes see it and near the sRGB curve
 _BLACK_ROUNDS = 20
 

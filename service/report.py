@@ -19,7 +19,15 @@ from service.outlines import ellipse_mm
 from service.report_checks import check_rows, flutes_in_words, order_in_words
 from service.report_drawing import SetUp, side_view, top_view
 from service.report_milled import milled_sentences
-from service.report_optics import lens_rows, light_sentences, prepared_sentences, score_rows, screen_sentence, source_spread_mm, table
+from service.report_optics import (
+    lens_rows,
+    light_sentences,
+    prepared_sentences,
+    score_rows,
+    screen_sentence,
+    source_spread_mm,
+    table,
+)
 from service.report_tolerances import tolerance_sentences
 from service.report_words import duration, number, size, whole
 from service.spec_light import SUN_DEG

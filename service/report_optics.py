@@ -125,12 +125,14 @@ def prepared_sentences(report: Mapping[str, Any]) -> list[str]:
             "The picture was to be prepared for what will show, and was left as it is: it has two tones only, and no "
             "contrast to bring out."
         ]
-    black = f"; black is kept at {100 * image['black_share']:.1f} % of the mean, which valleys under the ball let through"
+    share, black = image["black_share"], ""
+    if share >= _BLACK_WORTH_A_WORD:
+        black = f"; black is kept at {100 * share:.1f} % of the mean, which valleys under the ball let through"
     return [
-        f"The lens aims at a prepared picture: contrast is raised in what is a little larger than {detail}, the smallest "
-        f"detail that is expected to show on the wall, and tones are spread where there is something to see"
-        f"{black if image['black_share'] >= _BLACK_WORTH_A_WORD else ''}. Scores are against the prepared picture; against the "
-        f"picture as it was given they are: {', '.join(_scores_in_words(report))}."
+        f"The lens aims at a prepared picture: contrast is raised in what is a little larger than {detail}, the "
+        "smallest detail that is expected to show on the wall, and tones are spread where there is something to see"
+        f"{black}. Scores are against the prepared picture; against the picture as it was given they are: "
+        f"{', '.join(_scores_in_words(report))}."
     ]
 
 

@@ -62,7 +62,7 @@ class Process:
         return low * self._lenses(area_mm2), high * self._lenses(area_mm2)
 
     def k0_rad_per_mm(self, minutes: float, area_mm2: float) -> float:
-        """Return where H has fallen to 1/e after that many minutes on a lens of that area; inf where nothing is levelled.
+        """Return where H has fallen to 1/e after that many minutes on a lens of that area; inf: nothing is levelled.
 
         minutes  : of work on the whole lens, >= 0
         area_mm2 : of the whole lens, > 0
@@ -106,14 +106,14 @@ def instruct_finishing(
     process = (load_processes() if processes is None else processes).get(name)
     if name == "none":
         return None
-    minutes = finish.get("minutes")
-    if minutes is None and process is not None:
-        minutes = process.minutes(area_mm2)
-    told: dict[str, Any] = {"process": name, "title": name, "minutes": minutes, "needs": [], "steps": [], "donts": []}
+    told: dict[str, Any] = {"process": name, "title": name, "minutes": finish.get("minutes")}
+    told |= {"needs": [], "steps": [], "donts": []}
     k0, order, depth_um = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um"))
     if process is not None:
+        minutes = process.minutes(area_mm2) if told["minutes"] is None else told["minutes"]
         low, high = process.least_and_most_minutes(area_mm2)
         told |= {
+            "minutes": minutes,
             "title": process.title,
             "least_minutes": low,
             "most_minutes": high,

@@ -43,7 +43,10 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
         kept = f"{number(pad_mm, 1)} mm, the size of the tool that follows them" if follows else f"{_mm(kept_mm)}"
         yield "Levels", f"waves under {_mm(levelled_mm)} to a tenth of their height; leaves those over {kept}"
     if told.get("run_out_mm"):
-        yield "Rims", f"mask them, or finish {_mm(told['run_out_mm'])} beyond the lens: edges are rounded as far as that"
+        yield (
+            "Rims",
+            f"mask them, or finish {_mm(told['run_out_mm'])} beyond the lens: edges are rounded as far as that",
+        )
 
 
 def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -59,8 +62,8 @@ def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[st
     milled, finished = (table(report.get(key)).get("psnr_db") for key in ("as_milled", "as_finished"))
     if milled is not None and finished is not None and finished < milled - _WORTH_DB:
         yield (
-            f"This finish makes the picture worse, {finished:.1f} dB instead of {milled:.1f} dB as milled: leave it out, "
-            "or finish for longer. Half-levelled rows merge into waves that bend the light further."
+            f"This finish makes the picture worse, {finished:.1f} dB instead of {milled:.1f} dB as milled: leave it "
+            "out, or finish for longer. Half-levelled rows merge into waves that bend the light further."
         )
     minutes, least, most = (told.get(key) for key in ("minutes", "least_minutes", "most_minutes"))
     if minutes is not None and least is not None and most is not None and not least <= minutes <= most:

@@ -90,7 +90,9 @@ def _thumbnail_png(seen: Array, white: float) -> bytes:
 
 
 def transport_map(shop: Workshop) -> None:
-    """Target -> map.npz (with the original, where a prepared picture is aimed at) and the lens's heights; what the design says of itself in report `optics`; flow.png."""
+    """Target -> map.npz, with the picture as given where a prepared one is aimed at, and the lens's heights; what the
+    design says of itself in report `optics`; flow.png.
+    """
     target = shop.receive(TARGET, arrays.load_target)
     with shop.watch.stage("lens") as reached:
         settings = lens_settings(shop.spec, branch=branch_of(shop.spec, target))

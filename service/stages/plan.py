@@ -84,9 +84,12 @@ _READING = ("image.pixels", "image.tone", "image.fit", "image.invert")
 _LENS, _LIGHT = "service.stages.lens", "service.stages.light"
 _BEFORE = (
     Stage(
-        name="image", function=f"{_LENS}:image", picture=True, spec=(*_READING, "screen_mm"),
+        name="image",
+        function=f"{_LENS}:image",
+        picture=True,
+        spec=(*_READING, "screen_mm"),
         parts=(("picture", 1.0),),
-    ),  # fmt: skip
+    ),
     Stage(
         name="irradiance",
         function=f"{_LENS}:irradiance",

@@ -79,7 +79,9 @@ ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
-    "image.prepare_detail_mm": ({"image.prepare": "detail"}, {"image.prepare": "detail", "image.prepare_detail_mm": 2.0}),
+    "image.prepare_detail_mm": (
+        {"image.prepare": "detail"}, {"image.prepare": "detail", "image.prepare_detail_mm": 2.0},
+    ),
     "optics.method": ({}, {"optics.method": "paper"}),
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
