@@ -79,7 +79,7 @@ export function headlines(spec, report, foretold) {
   if (seconds !== null) found.push(["On the mill", hours(seconds), known]);
   else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
   if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  found.push(...seenByHand(report), ...onTheWall(milled?.psnr_db, report?.optics?.psnr_db, foretold));
+  found.push(...seenByHand(report) ?? onTheWall(milled?.psnr_db, report?.optics?.psnr_db, foretold));
   if (report?.optics?.relief_mm !== undefined) {
     const steep = `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
     found.push(["Depth of the lens", mm(report.optics.relief_mm), steep]);
@@ -87,10 +87,12 @@ export function headlines(spec, report, foretold) {
   return found;
 }
 
-/** What one will see once the lens is finished by hand. */
+/** What one will see once the lens is finished by hand, and before; null where it is not known. */
 function seenByHand(report) {
-  const seen = report?.as_finished?.psnr_db;
-  return seen === undefined ? [] : [["On the wall, as finished", eyeWords(seen), "after the work by hand below"]];
+  const seen = report?.as_finished?.psnr_db, milled = report?.as_milled?.psnr_db;
+  if (seen === undefined) return null;
+  const before = milled === undefined ? [] : [["On the wall, straight from the mill", eyeWords(milled)]];
+  return [["On the wall, as finished", eyeWords(seen), "after the work by hand below"], ...before];
 }
 
 /** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
