@@ -2,11 +2,13 @@
 
 Theory of operation: the picture's lightness is taken apart into layers by three guided filters (He, Sun, Tang 2010) of
 growing window, 0.75, 3 and 9 times the smallest detail that shows. They smooth what is fainter than an edge and leave
-edges in the base, so that what is raised has no halo. Layers just above the detail are raised, what is finer stays (it
-will not show). The tones of the base are stretched where the raised layers are busy, at the cost of even areas (sky,
-wall, coat): a partial histogram equalisation with a limited slope (Pizer 1987), weighted by structure (Ward 1997).
+strong edges in the base, so that what is raised has no halo that the wall would show. The layer above the detail is
+raised most; the finer one, too, since the wall's blur takes most of it and what it leaves is the sharpness of eyes and
+mouths. The tones of the base are stretched where the layers are busy, at the cost of even areas (sky, wall, coat): a
+partial histogram equalisation with a limited slope (Pizer 1987), weighted by structure (Ward 1997). What then goes
+beyond black and white is bent back softly, for scaling all down would cost the contrast that was won.
 Gains, windows and limits were chosen on blurred, grainy walls of photographs, by structural similarity to the original
-with its local contrast normalised and by looking at them.
+with its local contrast normalised, by the contrast of faces alone, and by looking at them.
 """
 
 from __future__ import annotations
@@ -18,12 +20,13 @@ from optics.errors import TargetError
 from optics.spline import Array
 
 _WINDOWS = (0.75, 3.0, 9.0)  # of the guided filters, in details
-_GAINS = (1.0, 2.0, 1.6)  # of the layers between them, finest first
-_EDGE = 0.12  # lightness: fainter steps are detail
+_GAINS = (1.6, 1.8, 1.3)  # of the layers between them, finest first
+_EDGE = 0.2  # lightness: fainter steps are detail
 _STRETCH = 0.3  # share of the equalised tone curve, the rest leaves tones as they are
 _STEEPEST = 2.5  # slope of the equalised curve, so that faint noise is not made a picture
 _TONES, _TONE_BLUR = 256, 6.0
-_CLIPPED = 0.001  # of the pixels at either end of the tones
+_CLIPPED = 0.001  # of the pixels, brighter than white
+_KNEE = 0.05  # lightness: how far from black and white tones begin to bend
 _TWO_TONES = 0.93  # of the variance lies between two tones: there are no others (logos 0.98, photographs < 0.9)
 _GAMMA = 2.2  # lightness = light^(1/2.2), as eyes see it and near the sRGB curve
 _BLACK_ROUNDS = 20
@@ -49,9 +52,7 @@ def prepare_picture(linear: Array, detail_px: float, *, black: float = 0.0) -> A
     made = _stretch_tones(layers[3], uniform_filter(busy, sizes[1], mode="nearest"))
     for gain, finer, coarser in zip(_GAINS, layers[:-1], layers[1:], strict=True):
         made += gain * (finer - coarser)
-    low, high = np.quantile(made, (_CLIPPED, 1 - _CLIPPED))
-    low, high = min(float(low), 0.0), max(float(high), 1.0)
-    return _lift_black(np.clip((made - low) / (high - low), 0.0, 1.0) ** _GAMMA, black)
+    return _lift_black(_bend_ends(made) ** _GAMMA, black)
 
 
 def has_two_tones(linear: Array) -> bool:
@@ -94,6 +95,13 @@ def _stretch_tones(base: Array, weight: Array) -> Array:
     slope = np.minimum(slope / slope.mean(), _STEEPEST)
     slope = (1.0 - _STRETCH) + _STRETCH * (slope + 1.0 - slope.mean())
     return np.asarray(np.interp(base, edges, np.concatenate([[0.0], np.cumsum(slope)]) / _TONES))
+
+
+def _bend_ends(lightness: Array) -> Array:
+    """Any lightness as one from 0 to 1: unchanged but near the ends, where it goes on ever more slowly."""
+    below = _KNEE * np.exp(np.minimum(lightness, _KNEE) / _KNEE - 1.0)
+    above = 1.0 - _KNEE * np.exp((1.0 - np.maximum(lightness, 1.0 - _KNEE)) / _KNEE - 1.0)
+    return np.where(lightness < _KNEE, below, np.where(lightness > 1.0 - _KNEE, above, lightness))
 
 
 def _lift_black(picture: Array, black: float) -> Array:

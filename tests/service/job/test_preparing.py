@@ -88,7 +88,7 @@ def test_black_is_lifted_to_what_valleys_under_the_ball_leak() -> None:
     assert 0.05 < leak < 0.07
     assert aim_at_picture(spec, picture).target.min() == pytest.approx(leak, rel=0.01)
     for dark in ([*keys[:2], "optics.min_radius_mm=0"], [DETAIL, "optics.branch=inverted", keys[2]]):
-        assert aim_at_picture(resolve_spec(overrides=dark), picture).target.min() == 0.0
+        assert aim_at_picture(resolve_spec(overrides=dark), picture).target.min() < 1e-3
 
 
 def test_a_detail_without_a_preparation_is_one_line() -> None:
