@@ -49,8 +49,6 @@ def deviations(samples: Iterable[Array], heightfield: Heightfield, bench: Bench,
     for facets in samples:
         middle = facets[:, :, :2].mean(axis=1)
         inside = ((middle > 0.0) & (middle < (bench.width_mm, bench.height_mm))).all(axis=1)
-        if not inside.any():
-            continue
         chosen = facets[inside]
         weight = _areas(chosen)
         for u in (-_INNER, _INNER):

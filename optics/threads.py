@@ -31,7 +31,7 @@ def thread_count() -> int:
 def over_rows(kernel: Callable[..., Any], rows: int, *arguments: Any) -> list[Any]:
     """kernel(row_lo, row_hi, *arguments) on strips that together are 0..rows; their results in order."""
     largest = max((one.size for one in arguments if isinstance(one, np.ndarray)), default=_WORTH_THREADS)
-    strips = min(thread_count(), rows) if largest >= _WORTH_THREADS else 1
+    strips = max(1, min(thread_count(), rows)) if largest >= _WORTH_THREADS else 1
     bounds = [rows * s // strips for s in range(strips + 1)]
     if strips == 1:
         return [kernel(0, rows, *arguments)]

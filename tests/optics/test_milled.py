@@ -91,14 +91,6 @@ def test_grooves_blur_across_and_the_deeper_the_more():
     assert found.blur_y_px == pytest.approx(px, rel=0.05)
 
 
-def test_a_sample_beside_the_lens_does_not_count() -> None:
-    """Some parts of a milled surface lie wholly in the run-out."""
-    over = lens()
-    facets = facets_of(over, groove_mrad=15.0)
-    beside = facets + np.array([2 * SIDE_MM, 0.0, 0.0, 0.0, 0.0])
-    assert deviations([beside, facets], over, BENCH, PIXELS) == deviations([facets], over, BENCH, PIXELS)
-
-
 def test_what_leaves_the_aperture_is_cut_off():
     facets = facets_of(lens())
     moved = facets.copy()
