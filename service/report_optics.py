@@ -131,8 +131,9 @@ def prepared_sentences(report: Mapping[str, Any]) -> list[str]:
     return [
         f"The lens aims at a prepared picture: contrast is raised in what is a little larger than {detail}, the "
         "smallest detail that is expected to show on the wall, and tones are spread where there is something to see"
-        f"{black}. Scores are against the prepared picture; against the picture as it was given they are: "
-        f"{', '.join(_scores_in_words(report))}."
+        f"{black}. Scores are against the prepared picture, whose stronger contrast asks for more, so that they are no "
+        "measure of what the preparation is worth; against the picture as it was given they are: "
+        f"{', '.join(_scores_in_words(report))}. What it is worth, eyes must tell, side by side."
     ]
 
 

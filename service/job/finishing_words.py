@@ -52,10 +52,11 @@ def _work_rows(told: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 def _light_rows(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for key, words in (("as_milled", "The wall as milled"), ("as_finished", "The wall as finished")):
         seen = table(report.get(key))
-        if seen.get("psnr_db") is not None:
+        likeness_db = table(seen.get("against_original")).get("psnr_db", seen.get("psnr_db"))
+        if likeness_db is not None:
             detail_mm = seen.get("smallest_detail_mm")
             detail = f"; details from {_mm(detail_mm)} show" if detail_mm is not None else ""
-            yield words, f"{seen['psnr_db']:.1f} dB: {psnr_in_words(seen['psnr_db'])}{detail}"
+            yield words, f"{likeness_db:.1f} dB: {psnr_in_words(likeness_db)}{detail}"
 
 
 def _warnings(report: Mapping[str, Any], told: Mapping[str, Any]) -> Iterator[str]:

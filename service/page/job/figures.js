@@ -35,6 +35,11 @@ export function isHard(psnrDb) {
   return psnrDb < EYE.at(-2)[0];
 }
 
+/** PSNR of a surface's light against the picture as a person gave it; undefined before it is known. */
+export function likenessOf(seen) {
+  return seen?.against_original?.psnr_db ?? seen?.psnr_db;
+}
+
 /** What PSNR means to an eye. */
 export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
@@ -79,7 +84,7 @@ export function headlines(spec, report, foretold) {
   if (seconds !== null) found.push(["On the mill", hours(seconds), known]);
   else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
   if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  found.push(...seenByHand(report) ?? onTheWall(milled?.psnr_db, report?.optics?.psnr_db, foretold));
+  found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), foretold));
   if (report?.optics?.relief_mm !== undefined) {
     const steep = `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
     found.push(["Depth of the lens", mm(report.optics.relief_mm), steep]);
@@ -89,7 +94,7 @@ export function headlines(spec, report, foretold) {
 
 /** What one will see once the lens is finished by hand, and before; null where it is not known. */
 function seenByHand(report) {
-  const seen = report?.as_finished?.psnr_db, milled = report?.as_milled?.psnr_db;
+  const seen = likenessOf(report?.as_finished), milled = likenessOf(report?.as_milled);
   if (seen === undefined) return null;
   const before = milled === undefined ? [] : [["On the wall, straight from the mill", eyeWords(milled)]];
   return [["On the wall, as finished", eyeWords(seen), "after the work by hand below"], ...before];

@@ -2,7 +2,7 @@
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { hours, mm } from "../lib/words.js";
-import { eyeWords } from "./figures.js";
+import { eyeWords, likenessOf } from "./figures.js";
 
 const WORTH_DB = 0.3;
 
@@ -31,7 +31,7 @@ export function finishingRows({ finishing: told, as_milled: milled, as_finished:
   if (told.levelled_mm) rows.push(["Levels", `waves under ${mm(told.levelled_mm)}`]);
   if (told.run_out_mm) rows.push(["Rims", `mask them, or finish ${mm(told.run_out_mm)} beyond the lens`]);
   for (const [words, seen] of [["The wall as milled", milled], ["The wall as finished", finished]])
-    if (seen?.psnr_db !== undefined) rows.push([words, eyeWords(seen.psnr_db)]);
+    if (likenessOf(seen) !== undefined) rows.push([words, eyeWords(likenessOf(seen))]);
   if (finished?.smallest_detail_mm !== undefined) rows.push(["Smallest detail, finished", mm(finished.smallest_detail_mm)]);
   return rows;
 }

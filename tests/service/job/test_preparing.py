@@ -13,6 +13,7 @@ from optics.black import valley_leak
 from optics.irradiance import target_irradiance
 from service import job_files
 from service.errors import SpecError
+from service.job.finishing_words import finishing_card
 from service.job.picture.preparing import (
     aim_at_picture,
     detail_to_prepare_for_mm,
@@ -134,7 +135,14 @@ def test_the_sheet_says_what_was_done_and_which_picture_scores_are_against() -> 
     (sentence,) = prepared_sentences({"image": IMAGE, "as_milled": milled})
     for words in ("1.3 mm", "6.0 % of the mean", "20.5 dB, SSIM 0.810", "as milled 18.2 dB"):
         assert words in sentence
-    assert "leak" not in sentence
     page = render_report({"image": IMAGE}, files=["prepared.png"])
     assert 'src="prepared.png"' in page and "contrast is raised" in page
     assert prepared_sentences({}) == []
+
+
+def test_words_compare_the_wall_with_the_picture_as_given() -> None:
+    """A prepared picture of more contrast scores lower for the same wall; a person does not see it."""
+    finished = {"psnr_db": 19.2, "against_original": {"psnr_db": 21.6, "ssim": 0.6}}
+    card = finishing_card({"finishing": {"process": "felt", "steps": ["Rub."]}, "as_finished": finished})
+    assert card is not None
+    assert card["rows"] == [("The wall as finished", "21.6 dB: recognisable, visibly soft or uneven")]
