@@ -168,9 +168,7 @@ def find_candidates(
     return candidates, tuple(left_out)
 
 
-def plan_among(
-    candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal
-) -> Plan:
+def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal) -> Plan:
     """The choice among candidates that the light has guessed."""
     near = _near_front(candidates)
     for best in {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}.values():

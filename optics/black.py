@@ -41,13 +41,20 @@ def dark_leak_estimate(target: Array, bench: Bench, radius_mm: float) -> float:
     loses: 0.5-1 % of the light for a logo at two vertices a pixel, a third of that at eight.
     """
     dark = target < DARK * target.max()
+    in_valley = valley_leak(bench, radius_mm) * float(target.mean())
+    return float(np.maximum(target[dark], in_valley).sum() / target.sum())
+
+
+def valley_leak(bench: Bench, radius_mm: float) -> float:
+    """Return the light in a valley for a ball of that radius, as a share of the mean irradiance; none without a ball,
+    nor where black comes out of ridges.
+    """
     if bench.branch == "inverted" or radius_mm <= 0:
-        return float(target[dark].sum() / target.sum())
+        return 0.0
     s = bench.screen
     spread = math.sqrt(s.width_mm * s.height_mm / (bench.width_mm * bench.height_mm))
     bending = 2.0 if bench.mirror else bench.refractive_index - 1
-    in_valley = spread / (_flat_spread(bench) + bending * bench.throw_mm / radius_mm) * float(target.mean())
-    return float(np.maximum(target[dark], in_valley).sum() / target.sum())
+    return spread / (_flat_spread(bench) + bending * bench.throw_mm / radius_mm)
 
 
 def _flat_spread(bench: Bench) -> float:

@@ -24,12 +24,12 @@ from optics.caustic import simulate_caustic
 from optics.closing import closed_to_radius
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
-from optics.irradiance import target_irradiance
 from optics.tolerance import blur_mm, source_rad
 from service import fitting
 from service.decoding import decoded
 from service.errors import InputError
 from service.estimate_light import MOST_PIXELS, foretold_db
+from service.job.picture.preparing import aim_at_picture
 from service.lens_facts import LensFacts, measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import picture_of
@@ -110,7 +110,7 @@ def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> t
     for spec in specs:
         width_mm, height_mm = spec.optics.screen_size_mm
         picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
-        found.append(target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from))
+        found.append(aim_at_picture(spec, picture.linear).target)
     return found, image.size
 
 

@@ -64,6 +64,17 @@ def comparison_png(target: Array, caustic: Array) -> bytes:
     return png_bytes(figure)
 
 
+def prepared_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes:
+    """The picture as it was given and as the lens aims at it, both with the same amount of light."""
+    white = float(max(np.quantile(given, 0.999), np.quantile(prepared, 0.999)))
+    figure = new_figure(9.0, 0.5 + panel_height(4.4, *given.shape))
+    panels = figure.subplots(1, 2)
+    titles = ("The picture as given", f"Prepared for details from {detail_mm:.2g} mm")
+    for axes, title, picture in zip(panels, titles, (given, prepared), strict=True):
+        _show_picture(axes, title, picture, white)
+    return png_bytes(figure)
+
+
 def through_focus_png(pictures: Sequence[tuple[float, Array]], *, throw_mm: float, white: float) -> bytes:
     """The caustic on screens at several distances; `pictures` holds (distance / throw, picture) in order."""
     shape = pictures[0][1].shape

@@ -27,8 +27,8 @@ from service.errors import FailedError, InputError, sentence_of_os_error
 
 SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
-TARGET_PICTURE = "target.png"
-LENS_FILES = (TARGET_PICTURE, HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
+TARGET_PICTURE, PREPARED = "target.png", "prepared.png"
+LENS_FILES = (TARGET_PICTURE, PREPARED, HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
 AS_FINISHED = "caustic-as-finished.png"
 LIGHT_FILES = (
     "caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png", AS_FINISHED,
@@ -41,7 +41,7 @@ _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 _KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH, PLAN}
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
-_REPORT_TABLES = ("source", "optics", "timings_s", "warnings_by_part", "versions")
+_REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "versions")
 _PASS_KEYS = {"file", "lines", "path_length_mm", "time_s", "entries", "bounds"}  # those that later commands read
 
 

@@ -67,13 +67,13 @@ def _planned(request: PlanRequest) -> tuple[Planned, JobSpec]:
         lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)
         target = arrays.load_target(request.source / job_files.MAP)
         return plan_for_lens(spec, lens, target, tools=request.tools), spec
-    from optics.irradiance import target_irradiance
+    from service.job.picture.preparing import aim_at_picture
     from service.picture import read_picture
 
     spec = _spec(request, {})
     width_mm, height_mm = spec.optics.screen_size_mm
     picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)
-    target = target_irradiance(picture.linear, viewed_from=spec.optics.viewed_from)
+    target = aim_at_picture(spec, picture.linear).target
     return plan_for_picture(spec, target, tools=request.tools), spec
 
 

@@ -18,10 +18,10 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
 from optics.metrics import CausticScore
 from service.errors import InputError
-from service.passes import machine_of
 from service.job.finish_spec import NONE
 from service.job.planning.finish_choice import FinishedPlan, is_worth_it, list_finishings, plan_finish
 from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.passes import machine_of
 from service.plan_lenses import finished_designs, lit_designs, lit_lens
 from service.plan_light import PictureLight
 from service.plan_words import blur_warning, blur_warnings, candidate_words, hopeful_db, reasons
@@ -274,4 +274,3 @@ def _planned(spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, 
     if finished is None or (spec.finish.k0_rad_per_mm is None and not is_worth_it(finished.plan, plan, goal)):
         return planned
     return replace(planned, plan=finished.plan, light=finished.light, unfinished=plan)
-

@@ -14,11 +14,20 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, Template
 
+from service.job.finishing_words import finishing_card
 from service.outlines import ellipse_mm
 from service.report_checks import check_rows, flutes_in_words, order_in_words
 from service.report_drawing import SetUp, side_view, top_view
 from service.report_milled import milled_sentences
-from service.report_optics import lens_rows, light_sentences, score_rows, screen_sentence, source_spread_mm, table
+from service.report_optics import (
+    lens_rows,
+    light_sentences,
+    prepared_sentences,
+    score_rows,
+    screen_sentence,
+    source_spread_mm,
+    table,
+)
 from service.report_tolerances import tolerance_sentences
 from service.report_words import duration, number, size, whole
 from service.spec_light import SUN_DEG
@@ -29,7 +38,12 @@ _SLENDER = 12.0  # free length over diameter from which a plain end mill bends t
 _PLACES_SHOWN = 6
 _COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
 
+_AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
 _PICTURES = (
+    (
+        "prepared.png",
+        "The picture as it was given, and as the lens aims at it: contrast raised in what will show on the wall.",
+    ),
     ("comparison.png", "Target, simulated caustic and the difference between them."),
     (
         "as-milled.png",
@@ -89,15 +103,18 @@ def render_report(
         coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
         score_rows=score_rows(report),
         milled=milled_sentences(table(report.get("as_milled"))),
+        prepared=prepared_sentences(report),
         lens_rows=lens_rows(report, spec),
         throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         check_rows=check_rows(passes),
+        finishing=finishing_card(report),
         clearance_mm=_CLEARANCE_MM,
         rapid_z_mm=rapid_z_mm,
         highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
         tool_changes=_tool_changes(passes),
         lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
-        main_pictures=[name for name in ("target.png", "caustic.png", "caustic-as-milled.png") if name in files],
+        main_pictures=[name for name in ("target.png", "caustic.png", _AS_MILLED, _AS_FINISHED) if name in files],
+        finish_pictures=[name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
         pictures=[(name, caption) for name, caption in _PICTURES if name in files],
         files=frozenset(files),
     )

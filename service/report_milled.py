@@ -63,7 +63,8 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | No
 
 def _expected(milled: Mapping[str, Any]) -> str:
     designed, seen = milled.get("psnr_db_designed"), milled["psnr_db"]
-    told = f"As the block comes from the machine ({seen:.1f} dB): {psnr_in_words(seen)}"
+    given = (milled.get("against_original") or {}).get("psnr_db", seen)  # a person compares with the picture as given
+    told = f"As the block comes from the machine ({given:.1f} dB): {psnr_in_words(given)}"
     if designed is None:
         return f"{told}."
     if designed < seen:

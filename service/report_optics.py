@@ -10,6 +10,7 @@ from service.report_words import ball, misplaced_in_words, number, psnr_in_words
 
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
 _STRAIGHT_MM = 0.005
+_BLACK_WORTH_A_WORD = 0.002
 _MILLED_AWAY = (
     "it shows only on a surface smoothed after milling: straight from a ball R 0.5 (Ø 1 mm) at 0.02 mm pitch nothing "
     "of it is left, with scallops smoothed to a tenth about half"
@@ -22,9 +23,9 @@ def table(value: Any) -> Mapping[str, Any]:
 
 
 def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """(what, figure, in words), first for the perfect surface, then as milled."""
+    """(what, figure, in words), first for the perfect surface, then as milled and as finished."""
     rows = []
-    for key, prefix in (("optics", "Lens itself"), ("as_milled", "As milled")):
+    for key, prefix in (("optics", "Lens itself"), ("as_milled", "As milled"), ("as_finished", "As finished")):
         scores = table(report.get(key))
         if (psnr_db := scores.get("psnr_db")) is not None:
             rows.append((f"{prefix}: likeness (PSNR)", f"{psnr_db:.1f} dB", psnr_in_words(psnr_db)))
@@ -111,6 +112,40 @@ def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
     gain = polish["psnr_db_after"] - polish["psnr_db_before"]
     words = f"{polish['steps']} steps, +{gain:.1f} dB, moves the surface by {number(polish['change_um_rms'], 2)} µm rms"
     return [("Polish", f"{words}; {_MILLED_AWAY}" if gain >= _SEEN_GAIN_DB else words)]
+
+
+def prepared_sentences(report: Mapping[str, Any]) -> list[str]:
+    """Return what was done to the picture, for the setup sheet; empty where it was to stay as it is."""
+    image = table(report.get("image"))
+    if image.get("prepare") != "detail":
+        return []
+    detail = f"{image['prepare_detail_mm']:.2g} mm"
+    if not image["prepared"]:
+        return [
+            "The picture was to be prepared for what will show, and was left as it is: it has two tones only, and no "
+            "contrast to bring out."
+        ]
+    share, black = image["black_share"], ""
+    if share >= _BLACK_WORTH_A_WORD:
+        black = f"; black is kept at {100 * share:.1f} % of the mean, which valleys under the ball let through"
+    return [
+        f"The lens aims at a prepared picture: contrast is raised in what is a little larger than {detail}, the "
+        "smallest detail that is expected to show on the wall, and tones are spread where there is something to see"
+        f"{black}. Scores are against the prepared picture, whose stronger contrast asks for more, so that they are no "
+        "measure of what the preparation is worth; against the picture as it was given they are: "
+        f"{', '.join(_scores_in_words(report))}. What it is worth, eyes must tell, side by side."
+    ]
+
+
+def _scores_in_words(report: Mapping[str, Any]) -> list[str]:
+    parts = (
+        ("image", "the prepared picture itself"),
+        ("optics", "the lens"),
+        ("as_milled", "as milled"),
+        ("as_finished", "as finished"),
+    )
+    found = ((words, table(table(report.get(key)).get("against_original"))) for key, words in parts)
+    return [f"{words} {score['psnr_db']:.1f} dB, SSIM {score['ssim']:.3f}" for words, score in found if score]
 
 
 def light_sentences(spec: Mapping[str, Any]) -> list[str]:

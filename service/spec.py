@@ -40,12 +40,25 @@ Triple = Annotated[list[float], Field(min_length=3, max_length=3)]
 
 
 class ImageSpec(Section):
-    """How the picture is read. pixels counts along the screen's width."""
+    """How the picture is read. pixels counts along the screen's width.
+
+    prepare           : "detail": contrast and tones are put where they will show on the wall; "none": it stays as it is
+    prepare_detail_mm : the smallest detail that will show, on the screen; left out: by the throw and the light
+    """
 
     pixels: Annotated[int, Field(ge=16, le=MAX_PIXELS)] = 512
     tone: Literal["srgb", "linear"] = "srgb"
     fit: Literal["crop", "pad", "stretch"] = "crop"
     invert: bool = False
+    prepare: Literal["none", "detail"] = "none"
+    prepare_detail_mm: Annotated[float, Field(gt=0, le=1000)] | None = None
+
+    @field_validator("prepare_detail_mm")
+    @classmethod
+    def _of_a_preparation(cls, value: float | None, info: ValidationInfo) -> float | None:
+        if value is not None and info.data.get("prepare") == "none":
+            raise ValueError(f"{value:g} is not allowed with prepare = 'none'; it belongs to 'detail'")
+        return value
 
 
 class StockSpec(Section):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from service.tools import own_file, read_library
 
 BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = BUILT_IN.name
+_LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
 AREA_MM2 = 10_000.0  # the minutes of a process that goes over the lens piece by piece are for so much of it
 
 
@@ -60,7 +62,7 @@ class Process:
         return low * self._lenses(area_mm2), high * self._lenses(area_mm2)
 
     def k0_rad_per_mm(self, minutes: float, area_mm2: float) -> float:
-        """Return where H has fallen to 1/e after that many minutes on a lens of that area; inf where nothing is levelled.
+        """Return where H has fallen to 1/e after that many minutes on a lens of that area; inf: nothing is levelled.
 
         minutes  : of work on the whole lens, >= 0
         area_mm2 : of the whole lens, > 0
@@ -87,6 +89,54 @@ class Process:
 
     def _lenses(self, area_mm2: float) -> float:
         return area_mm2 / AREA_MM2 if self.by_area else 1.0
+
+
+def instruct_finishing(
+    finish: Mapping[str, Any], *, area_mm2: float, processes: Mapping[str, Process] | None = None
+) -> dict[str, Any] | None:
+    """Return what a person has to be told of a job's finish, as plain values; None where it has none.
+
+    finish   : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes where they are given
+    area_mm2 : of the lens
+    returns  : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
+               wavelengths that are levelled (a tenth is left) and kept (nine tenths are), the run-out that rims need,
+               and the sentences of the process; a process that is in no library has figures only
+    """
+    name = str(finish.get("process") or "none")
+    process = (load_processes() if processes is None else processes).get(name)
+    if name == "none":
+        return None
+    told: dict[str, Any] = {"process": name, "title": name, "minutes": finish.get("minutes")}
+    told |= {"needs": [], "steps": [], "donts": []}
+    k0, order, depth_um = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um"))
+    if process is not None:
+        minutes = process.minutes(area_mm2) if told["minutes"] is None else told["minutes"]
+        low, high = process.least_and_most_minutes(area_mm2)
+        told |= {
+            "minutes": minutes,
+            "title": process.title,
+            "least_minutes": low,
+            "most_minutes": high,
+            "pad_mm": process.pad_mm if math.isfinite(process.pad_mm) else None,
+            **{key: list(getattr(process, key)) for key in ("needs", "steps", "donts")},
+            **{key: getattr(process, key) for key in ("removal", "when_to_stop", "law")},
+        }
+        k0 = process.k0_rad_per_mm(minutes, area_mm2) if k0 is None else k0
+        order = process.order if order is None else order
+        depth_um = process.depth_after_um(minutes, area_mm2) if depth_um is None else depth_um
+    told |= {"k0_rad_per_mm": k0, "order": order, "depth_um": depth_um}
+    if k0 is not None and order is not None and math.isfinite(k0):
+        told |= {
+            "levelled_mm": wavelength_mm(_LEVELLED, k0, order),
+            "kept_mm": wavelength_mm(_KEPT, k0, order),
+            "run_out_mm": 3 * math.sqrt(2) / k0,
+        }
+    return told
+
+
+def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:
+    """Return the length of the wave of which that share of its height, within 0 and 1, is left."""
+    return 2 * math.pi / (k0_rad_per_mm * math.log(1 / share) ** (1 / order))
 
 
 def load_processes(own: Path | None = None) -> dict[str, Process]:

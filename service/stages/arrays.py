@@ -62,6 +62,17 @@ def load_target(path: Path) -> Array:
     return _load(path, ("target",))["target"]
 
 
+def load_original(path: Path) -> Array | None:
+    """The picture as it was given, of a map.npz whose target is a prepared one; None where the target is that."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            if "original" not in stored:
+                return None
+    except (OSError, ValueError, EOFError, BadZipFile):
+        pass  # said by what reads the array
+    return _load(path, ("original",))["original"]
+
+
 def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays)  # type: ignore[arg-type]

@@ -24,6 +24,7 @@ from optics.irradiance import picture_from_irradiance
 from optics.metrics import psnr_db, score_caustic
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predicted_light
+from service.job.picture.preparing import scores_against_original
 from service.job_files import HEIGHTFIELD, MAP, names_of_pass, read_chunks
 from service.passes import cam_passes_of, machine_of
 from service.report_milled import CAUSES, detail_lost
@@ -138,6 +139,7 @@ def _tell(
     shop.report["as_milled"] = plain(
         {
             **asdict(score_caustic(seen.irradiance, target)),
+            **scores_against_original(shop.folder / MAP, seen.irradiance),
             "psnr_db_designed": psnr_db(designed.irradiance, target),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,

@@ -14,10 +14,11 @@ from optics.black import dark_leak_estimate
 from optics.design import LensDesign, design_lens
 from optics.foreseen import sharpened
 from optics.heightfield import Array, Heightfield
-from optics.irradiance import picture_from_irradiance, target_irradiance
+from optics.irradiance import picture_from_irradiance
 from optics.settings import LensSettings
 from service.drawing.surface import surface_bytes
-from service.job_files import HEIGHTFIELD, MAP, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
+from service.job.picture.preparing import aim_at_picture
+from service.job_files import HEIGHTFIELD, MAP, PREPARED, SOLID, SURFACE, TARGET_PICTURE, THUMBNAIL
 from service.lens_facts import LensFacts, measure_lens
 from service.picture import read_picture
 from service.spec import MIN_FLOOR_MM, JobSpec
@@ -27,7 +28,7 @@ from service.stages.plain import plain
 from service.stages.workshop import THE_PICTURE, Workshop
 
 POLISH_SHARE = 12.0  # time of a polish, where the first solution takes 1
-PICTURE, TARGET, HEIGHTS = ".picture.npz", ".target.npz", ".heights.npz"
+PICTURE, TARGET, ORIGINAL, HEIGHTS = ".picture.npz", ".target.npz", ".original.npz", ".heights.npz"
 
 
 def image(shop: Workshop) -> None:
@@ -49,22 +50,37 @@ def image(shop: Workshop) -> None:
 
 
 def irradiance(shop: Workshop) -> None:
-    """Linear light -> target irradiance (ny, nx) in the work frame; target.png, and small for the operator page."""
+    """Linear light -> target irradiance (ny, nx) in the work frame, prepared for the wall where that is asked for;
+    target.png, and small for the operator page; prepared.png, report `image`.
+    """
     linear = shop.receive(PICTURE, arrays.load_picture)
     viewed_from = shop.spec.optics.viewed_from
     with shop.watch.stage("target"):
-        target = target_irradiance(linear, viewed_from=viewed_from)
+        aimed = aim_at_picture(shop.spec, linear)
+        target, original, detail_mm = aimed.target, aimed.original, aimed.detail_mm
         shop.hand_over(TARGET, target, arrays.target_bytes)
         seen, white = picture_from_irradiance(target, viewed_from=viewed_from), float(target.max())
         shop.draw(TARGET_PICTURE, lambda: _target_png(seen, white))
         if shop.is_shown:
             shop.draw(THUMBNAIL, lambda: _thumbnail_png(seen, white))
+        if original is not None:
+            shop.hand_over(ORIGINAL, original, arrays.target_bytes)
+            given = picture_from_irradiance(original, viewed_from=viewed_from)
+            shop.draw(PREPARED, lambda: _prepared_png(given, seen, detail_mm or 0.0))
+    if told := aimed.figures():
+        shop.report["image"] = plain(told)
 
 
 def _target_png(seen: Array, white: float) -> bytes:
     from service import figures
 
     return figures.picture_png(seen, white=white)
+
+
+def _prepared_png(given: Array, prepared: Array, detail_mm: float) -> bytes:
+    from service import figures
+
+    return figures.prepared_png(given, prepared, detail_mm=detail_mm)
 
 
 def _thumbnail_png(seen: Array, white: float) -> bytes:
@@ -74,12 +90,16 @@ def _thumbnail_png(seen: Array, white: float) -> bytes:
 
 
 def transport_map(shop: Workshop) -> None:
-    """Target -> map.npz and the lens's heights; what the design says of itself in report `optics`; flow.png."""
+    """Target -> map.npz, with the picture as given where a prepared one is aimed at, and the lens's heights; what the
+    design says of itself in report `optics`; flow.png.
+    """
     target = shop.receive(TARGET, arrays.load_target)
     with shop.watch.stage("lens") as reached:
         settings = lens_settings(shop.spec, branch=branch_of(shop.spec, target))
         design = design_lens(aim_of(shop.spec, target), settings, on_progress=_way(shop.spec, reached))
         way = {"screen_mm": design.transport_map.screen_mm, "lens_mm": design.transport_map.lens_mm}
+        if (original := shop.receive_if_there(ORIGINAL, arrays.load_target)) is not None:
+            way["original"] = original
         shop.hand_over(MAP, target, lambda target: arrays.npz_bytes({**way, "target": target}))
         shop.hand_over(HEIGHTS, design.heightfield, arrays.heightfield_bytes)
     _tell_of_design(shop, design, target, settings)

@@ -22,6 +22,7 @@ from optics.tolerance import (
     lens_tolerances,
     sharp_light,
 )
+from service.job.picture.preparing import scores_against_original
 from service.job_files import FOCUS, HEIGHTFIELD, MAP
 from service.spec import JobSpec
 from service.stages import arrays
@@ -140,6 +141,7 @@ def _tell(shop: Workshop, in_focus: Caustic, score: CausticScore) -> None:
     shop.report["optics"] = plain(
         {
             **asdict(score),
+            **scores_against_original(shop.folder / MAP, in_focus.irradiance),
             "outside_share": in_focus.outside_share,
             "reflected_share": in_focus.reflected_share,
         }

@@ -21,6 +21,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
+from service.job.finishing import load_processes
 from service.passes import machine_of
 from service.spec import USUAL_ROWS, JobSpec, PassRow
 from service.stages.order import FileRef
@@ -80,16 +81,21 @@ class Stage:
         return found
 
 
+_READING = ("image.pixels", "image.tone", "image.fit", "image.invert")
 _LENS, _LIGHT = "service.stages.lens", "service.stages.light"
 _BEFORE = (
     Stage(
-        name="image", function=f"{_LENS}:image", picture=True, spec=("image", "screen_mm"), parts=(("picture", 1.0),)
+        name="image",
+        function=f"{_LENS}:image",
+        picture=True,
+        spec=(*_READING, "screen_mm"),
+        parts=(("picture", 1.0),),
     ),
     Stage(
         name="irradiance",
         function=f"{_LENS}:irradiance",
         reads=(".picture.npz",),
-        spec=("optics.viewed_from",),
+        spec=("optics.viewed_from", "preparation"),
         parts=(("target", 1.0),),
     ),
     Stage(
@@ -102,7 +108,7 @@ _BEFORE = (
     Stage(
         name="map",
         function=f"{_LENS}:transport_map",
-        reads=(".target.npz",),
+        reads=(".target.npz", ".original.npz"),
         spec=("optics", "finish", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),
@@ -278,10 +284,11 @@ def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, 
 
 
 def facts_of(spec: JobSpec) -> dict[str, Any]:
-    """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the block's
-    thickness where light slants through it or a branch is chosen for it; the mill's figures, for a profile's file may
-    change under its name; and of each pass whether it is the last one, whose stock nobody asks for, and whether a rest
-    pass comes after it, which takes what it cannot reach.
+    """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the
+    block's thickness where light slants through it or a branch is chosen for it; all that a picture is prepared for,
+    where it is; the figures of mill and finish, for their files may change under their names; and of each pass whether
+    it is the last one, whose stock nobody asks for, and whether a rest pass comes after it, which takes what it cannot
+    reach.
     """
     facts = spec.model_dump(mode="json")
     facts["screen_mm"] = list(spec.optics.screen_size_mm)
@@ -289,6 +296,10 @@ def facts_of(spec: JobSpec) -> dict[str, Any]:
         facts["optics"]["min_radius_mm"] = spec.lens_radius_mm
     facts["light_path_mm"] = spec.stock.thickness_mm if spec.optics.light_crosses_block else None
     facts["block_for_branch_mm"] = spec.stock.thickness_mm if spec.optics.branch == "auto" else None
+    is_prepared = spec.image.prepare != "none"
+    facts["preparation"] = [facts["image"], facts["optics"], spec.stock.thickness_mm] if is_prepared else None
+    finish = (facts.get("finish") or {}).get("process", "none")
+    facts["finish_process"] = None if finish == "none" else repr(load_processes().get(finish))
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(machine_of(spec))
     facts["tools"] = [asdict(tool) for tool in load_tools()] if spec.to_be_planned else None

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from service import job_files
+from service.job.finishing import instruct_finishing
 from service.passes import machine_of
 from service.report import render_report
 from service.stages.order import merge_notes, merge_reports
@@ -29,8 +30,11 @@ def sheet(shop: Workshop) -> None:
     )
     if shop.picture_name:
         shop.report["source"] = {"file": shop.picture_name}
-    report = merge_reports((shop.so_far, shop.report))
     spec = shop.spec.plain()
+    area_mm2 = shop.spec.optics.width_mm * shop.spec.optics.height_mm
+    if told := instruct_finishing(spec.get("finish", {}), area_mm2=area_mm2):
+        shop.report["finishing"] = told
+    report = merge_reports((shop.so_far, shop.report))
     job_files.write_json(shop.folder / job_files.SPEC, spec)
     spec["machine"] = {**asdict(machine_of(shop.spec)), **spec["machine"]}
     files = {path.name for path in shop.folder.iterdir()} | shop.files | {job_files.REPORT, job_files.REPORT_PAGE}

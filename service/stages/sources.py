@@ -12,7 +12,10 @@ from service.source_tree import parse
 
 _ROOT = Path(__file__).parents[2]
 _PACKAGES = ("optics", "cam", "machines", "service")
-_DATA = {"service.report": ("service/templates",)}  # folders of files that a module reads as if they were code
+_DATA = {  # files, or folders of them, that a module reads as if they were code
+    "service.report": ("service/templates",),
+    "service.job.finishing": ("service/job/finishing.toml",),
+}
 
 
 @cache
@@ -63,5 +66,6 @@ def _file(name: str) -> Path:
 
 
 def _data_of(name: str) -> list[Path]:
-    folders = (_ROOT / folder for folder in _DATA.get(name, ()))
-    return sorted(path for folder in folders for path in folder.rglob("*") if path.is_file())
+    places = [_ROOT / place for place in _DATA.get(name, ())]
+    inside = (path for place in places for path in place.rglob("*"))
+    return sorted(path for path in (*places, *inside) if path.is_file())

@@ -80,6 +80,11 @@ class Workshop:
         if self.desk is None or not name.startswith("."):
             self.save(name, encode(value))
 
+    def receive_if_there(self, name: str, decode: Callable[[Path], T]) -> T | None:
+        """The same of what an earlier stage hands over in some jobs only."""
+        is_there = (self.desk is not None and name in self.desk) or (self.folder / name).is_file()
+        return self.receive(name, decode) if is_there else None
+
     def receive(self, name: str, decode: Callable[[Path], T]) -> T:
         """What an earlier stage handed over. What is between two stages only leaves the desk, to free its memory."""
         if self.desk is not None and name in self.desk:

@@ -39,6 +39,14 @@ def test_run_out_leaves_the_lens_alone_and_is_smooth_across_the_rim(seed: int) -
     assert np.abs(longer.heights_mm(-4.0, y)).max() < 20  # the slope dies out
 
 
+@pytest.mark.parametrize("side", [20, 230])
+def test_no_points_have_no_heights(side: int) -> None:
+    """Of a large lens, too, whose points are shared out to threads: some samples lie beside it."""
+    axis_mm = np.arange(side) * 0.1
+    lens = Heightfield(x_mm=axis_mm, y_mm=axis_mm, z_mm=np.full((side, side), -1.0))
+    assert lens.spline().jets(np.empty(0), np.empty(0)).shape == (6, 0)
+
+
 def test_run_out_makes_no_towers_beyond_the_corners() -> None:
     """Around a rim that twists, the corners of the run-out rise no higher than what runs out of the four sides."""
     x = np.linspace(0, 20, 81)

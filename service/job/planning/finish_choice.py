@@ -87,7 +87,10 @@ def plan_finish(
 def _best(
     candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], lights: list[FinishedLight], goal: Goal
 ) -> FinishedPlan:
-    plans = [FinishedPlan(plan=plan_among(_seen_by(light, candidates), left_out, light, goal), light=light) for light in lights]
+    plans = [
+        FinishedPlan(plan=plan_among(_seen_by(light, candidates), left_out, light, goal), light=light)
+        for light in lights
+    ]
     return max(plans, key=lambda one: merit(one.plan, goal))
 
 

@@ -23,7 +23,6 @@ from optics.caustic import simulate_caustic
 from optics.finish import GIVEN_UP, Finish, finish_surface
 from optics.heightfield import Array, Heightfield
 from service.plan_light import PictureLight, picture_of_waves, waves_of
-from service.resampling import resized
 
 _EDGES = 1.8  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
@@ -158,7 +157,9 @@ def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield
     spec = marks.spec
     along_x = spec.direction == "x"
     places = finished.y_mm if along_x else finished.x_mm
-    heights, spacing_mm = row_profile(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), length_mm=_long(places))
+    heights, spacing_mm = row_profile(
+        spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), length_mm=_long(places)
+    )
     left = _levelled(heights, spacing_mm, finish)
     off = np.interp(places, places[0] + spacing_mm * np.arange(left.size), left)
     z = finished.z_mm + (off[:, None] if along_x else off[None, :])

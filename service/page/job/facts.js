@@ -2,7 +2,7 @@
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { sentence } from "../lib/words.js";
-import { expertFigures, headlines, mainCause } from "./figures.js";
+import { expertFigures, expertSides, headlines, mainCause } from "./figures.js";
 import { foretoldOf } from "./foretold.js";
 
 /** {node, update(job)} */
@@ -23,13 +23,13 @@ export function factsPart() {
     replace(list, rows.map(row));
     replace(cause, mainCause(job.report));
     experts.hidden = figures.length === 0;
-    replace(scores, table(figures));
+    replace(scores, table(expertSides(job.report).map(([words]) => words), figures));
   }
   return { node, update };
 }
 
-function table(figures) {
-  const heads = ["", "as milled", "the lens itself"].map((words) => h(words ? "th" : "td", words && { scope: "col" }, words));
+function table(sides, figures) {
+  const heads = ["", ...sides].map((words) => h(words ? "th" : "td", words && { scope: "col" }, words));
   const rows = figures.map(([what, ...values]) => h("tr", {}, h("th", { scope: "row" }, what), values.map((value) => h("td", {}, value))));
   return h("table", { class: "expert-figures" }, h("thead", {}, h("tr", {}, heads)), h("tbody", {}, rows));
 }

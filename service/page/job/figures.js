@@ -35,6 +35,11 @@ export function isHard(psnrDb) {
   return psnrDb < EYE.at(-2)[0];
 }
 
+/** PSNR of a surface's light against the picture as a person gave it; undefined before it is known. */
+export function likenessOf(seen) {
+  return seen?.against_original?.psnr_db ?? seen?.psnr_db;
+}
+
 /** What PSNR means to an eye. */
 export function eyeWords(psnrDb) {
   return EYE.find(([least]) => psnrDb >= least)[1];
@@ -48,10 +53,12 @@ export function eyeBands(low, high) {
 }
 
 /**
- * Size of the smallest detail on the wall that still shows, in mm; null before it is known. Twice the rms blur that
- * the tool's marks make, with the disc that the lamp makes of a point, and never less than a pixel.
+ * Size of the smallest detail on the wall that still shows, in mm; null before it is known: as finished, where the lens
+ * is finished by hand; else twice the rms blur that the tool's marks make, with the disc that the lamp makes of a point,
+ * and never less than a pixel.
  */
 export function smallestDetail(spec, report) {
+  if (report?.as_finished?.smallest_detail_mm !== undefined) return report.as_finished.smallest_detail_mm;
   const milled = report?.as_milled, pixel = pixelMm(spec), known = milled?.blur_x_px !== undefined;
   const marks = known ? Math.hypot(milled.blur_x_px, milled.blur_y_px) * pixel : report?.plan?.blur_mm;
   if (marks === undefined) return null;
@@ -77,12 +84,20 @@ export function headlines(spec, report, foretold) {
   if (seconds !== null) found.push(["On the mill", hours(seconds), known]);
   else if (report?.plan?.hours) found.push(["On the mill", hours(report.plan.hours * 3600), "as planned"]);
   if (detail !== null) found.push(["Sharpness", `details under ${mm(detail)} will blur`, sharpnessWords(spec, detail)]);
-  found.push(...onTheWall(milled?.psnr_db, report?.optics?.psnr_db, foretold));
+  found.push(...seenByHand(report) ?? onTheWall(likenessOf(milled), likenessOf(report?.optics), foretold));
   if (report?.optics?.relief_mm !== undefined) {
     const steep = `steepest slope ${report.optics.max_slope_deg.toFixed(0)}°`;
     found.push(["Depth of the lens", mm(report.optics.relief_mm), steep]);
   }
   return found;
+}
+
+/** What one will see once the lens is finished by hand, and before; null where it is not known. */
+function seenByHand(report) {
+  const seen = likenessOf(report?.as_finished), milled = likenessOf(report?.as_milled);
+  if (seen === undefined) return null;
+  const before = milled === undefined ? [] : [["On the wall, straight from the mill", eyeWords(milled)]];
+  return [["On the wall, as finished", eyeWords(seen), "after the work by hand below"], ...before];
 }
 
 /** What one will see; a lens that is made sharper for the marks of its tool shows less without them. */
@@ -101,9 +116,15 @@ const SCORES = [
   ["dark_leak", "Light where it should be dark", (value) => `${(100 * value).toFixed(2)} %`],
 ];
 
-/** What experts compare lenses by: [[what, as milled, of the lens itself]], "–" where one is not known. */
+/** The surfaces that experts compare: [[what it is called, its part of the report]]. */
+export function expertSides(report) {
+  const finished = report?.as_finished ? [["as finished", report.as_finished]] : [];
+  return [...finished, ["as milled", report?.as_milled], ["the lens itself", report?.optics]];
+}
+
+/** What experts compare them by: [[what, of each surface]], "–" where one is not known. */
 export function expertFigures(report) {
-  const sides = [report?.as_milled, report?.optics];
+  const sides = expertSides(report).map(([, side]) => side);
   const known = SCORES.filter(([key]) => sides.some((side) => side?.[key] !== undefined));
   return known.map(([key, what, say]) => [what, ...sides.map((side) => (side?.[key] === undefined ? "–" : say(side[key])))]);
 }

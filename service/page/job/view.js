@@ -10,6 +10,7 @@ import { follow } from "../lib/sse.js";
 import { factsPart, warningsPart } from "./facts.js";
 import { passesOf, screenOf } from "./figures.js";
 import { filesPart, programsPart } from "./files.js";
+import { finishingPart } from "./finishing.js";
 import { focusPart } from "./focus.js";
 import { headPart } from "./head.js";
 import { lensPart } from "./lens.js";
@@ -46,6 +47,7 @@ export default async function view(root, params, app) {
     parts.lens.update(artifacts);
     parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
     parts.plan.update(job);
+    parts.finishing.update(job);
     parts.files.update(job, artifacts);
   }
   /** Asks for the job as it is now; several wishes at once are one. */
@@ -112,7 +114,8 @@ export default async function view(root, params, app) {
 function made(app, changed) {
   return {
     head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
-    programs: programsPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), files: filesPart(),
+    programs: programsPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
+    files: filesPart(),
   };
 }
 
@@ -126,7 +129,7 @@ function layout(parts, spec) {
     h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.plan.node,
     h("div", { class: "job-columns lens-columns" }, parts.lens.node, parts.focus.node),
-    parts.path.node, parts.files.node,
+    parts.path.node, parts.finishing.node, parts.files.node,
   );
 }
 

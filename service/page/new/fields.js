@@ -22,6 +22,7 @@ const choice = (key, label, choices, usual, more) => ({ key, label, kind: "choic
 
 const recommended = (spec) => spec.preset === "recommended";
 const lamp = (spec) => spec.optics?.light?.kind === "point";
+const prepared = (spec) => spec.image?.prepare === "detail";
 const sun = (spec) => spec.optics?.light?.kind === "sun";
 
 export const LENS = [
@@ -71,10 +72,16 @@ export const MILL = [
 const TONES = [["srgb", "as photos are (sRGB)"], ["linear", "linear light"]];
 const FITS = [["crop", "choose a part"], ["pad", "whole picture, dark around"], ["stretch", "stretch"]];
 
+const PREPARED = [["none", "no, as it is"], ["detail", "yes: faces and detail brought out"]];
+const PREPARING = "Contrast is raised in what is just large enough to show. The job shows both pictures beside each other.";
+const DETAIL = "As the estimate says it. Empty: about 1 mm for every 100 mm to the wall.";
+
 export const PICTURE = [
   choice("image.tone", "Tones are meant", TONES, "srgb", { wide: true }),
   choice("image.fit", "Where proportions differ", FITS, "crop", { wide: true }),
   tick("image.invert", "Negative"),
+  choice("image.prepare", "Prepared for the wall", PREPARED, "none", { wide: true, hint: PREPARING }),
+  number("image.prepare_detail_mm", "Smallest detail that will show", "mm", "by the wall", { when: prepared, hint: DETAIL }),
 ];
 
 const VIEWS = [["lens", "on a wall"], ["behind", "from behind"]];

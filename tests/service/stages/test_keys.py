@@ -80,6 +80,7 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("optics.viewed_from", {"irradiance", "map", "caustic", "as-milled"}),
         ("image.tone", {"image"}),
         ("image.pixels", {"image"}),
+        ("image.prepare", {"irradiance"}),
         ("stock.thickness_mm", {"heightfield", "pass-1", "pass-2", "check"}),
         ("stock.skim_mm", {"map"}),
         ("machine.safe_z_mm", {"pass-1", "pass-2", "check"}),
@@ -99,6 +100,7 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
     [
         ("optics.method", {"map"}),
         ("optics.creases", {"map"}),
+        ("image.prepare_detail_mm", {"irradiance"}),
         ("plan.hours", set()),  # the passes are given
         *((key, {"map", "caustic", "as-milled"}) for key in ALONE if key.startswith("optics.light")),
     ],

@@ -20,7 +20,8 @@ _ROW = {
 BASE: dict[str, Any] = {
     "preset": "draft",
     "plan": {"hours": None, "blur_mm": None, "psnr_db": None},
-    "image": {"pixels": 24, "tone": "linear", "fit": "crop", "invert": False},
+    "image": {"pixels": 24, "tone": "linear", "fit": "crop", "invert": False, "prepare": "none",
+              "prepare_detail_mm": None},
     "optics": {
         "width_mm": 4.0, "height_mm": 4.0, "throw_mm": 20.0, "refractive_index": 1.49, "screen_width_mm": 4.0,
         "screen_height_mm": 4.0, "min_radius_mm": 3.0, "method": "transport", "viewed_from": "lens", "corrections": 0,
@@ -47,7 +48,7 @@ BASE: dict[str, Any] = {
 }  # fmt: skip
 OTHER: dict[str, Any] = {
     "preset": "paper",
-    "image.pixels": 20, "image.tone": "srgb", "image.fit": "stretch", "image.invert": True,
+    "image.pixels": 20, "image.tone": "srgb", "image.fit": "stretch", "image.invert": True, "image.prepare": "detail",
     "optics.width_mm": 4.5, "optics.height_mm": 3.5, "optics.throw_mm": 25.0, "optics.refractive_index": 1.52,
     "optics.screen_width_mm": 4.4, "optics.screen_height_mm": 3.6, "optics.min_radius_mm": 2.5,
     "optics.viewed_from": "behind", "optics.corrections": 1, "optics.screen_shift_x_mm": 1.0,
@@ -78,6 +79,9 @@ ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
+    "image.prepare_detail_mm": (
+        {"image.prepare": "detail"}, {"image.prepare": "detail", "image.prepare_detail_mm": 2.0},
+    ),
     "optics.method": ({}, {"optics.method": "paper"}),
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),

@@ -1,0 +1,1 @@
+"""From a picture file to the light that a lens aims at."""

@@ -1,0 +1,70 @@
+/** What a person does to the lens after the mill: report `finishing` as a card, with what comes of it. */
+import { h, replace } from "../lib/dom.js";
+import { shape } from "../lib/state.js";
+import { hours, mm } from "../lib/words.js";
+import { eyeWords, likenessOf } from "./figures.js";
+
+const WORTH_DB = 0.3;
+
+/** {node, update(job)}; the card is there only where the job has a finish. */
+export function finishingPart() {
+  const title = h("h2", { id: "finishing-title" }), body = h("div", { class: "stack" });
+  const node = h("section", { class: "card finishing", "aria-labelledby": "finishing-title", hidden: true }, title, body);
+  let shown = "";
+
+  function update(job) {
+    const report = job.report ?? {}, told = report.finishing, key = JSON.stringify([told, report.as_milled, report.as_finished]);
+    node.hidden = !told;
+    if (!told || key === shown) return;
+    shown = key;
+    title.textContent = `Finishing by hand: ${told.title}`;
+    replace(body, warnings(report).map(warning), figures(report), told.steps.length > 0 && howTo(told));
+  }
+  return { node, update };
+}
+
+/** [[what, figure]] of the work and of what the wall shows. */
+export function finishingRows({ finishing: told, as_milled: milled, as_finished: finished }) {
+  const rows = [], depth = told.depth_um;
+  if (told.minutes != null) rows.push(["Time, the whole lens", hours(60 * told.minutes)]);
+  if (depth) rows.push([depth > 0 ? "Comes off" : "Is added", mm(Math.abs(depth) / 1000)]);
+  if (told.levelled_mm) rows.push(["Levels", `waves under ${mm(told.levelled_mm)}`]);
+  if (told.run_out_mm) rows.push(["Rims", `mask them, or finish ${mm(told.run_out_mm)} beyond the lens`]);
+  for (const [words, seen] of [["The wall as milled", milled], ["The wall as finished", finished]])
+    if (likenessOf(seen) !== undefined) rows.push([words, eyeWords(likenessOf(seen))]);
+  if (finished?.smallest_detail_mm !== undefined) rows.push(["Smallest detail, finished", mm(finished.smallest_detail_mm)]);
+  return rows;
+}
+
+/** What speaks against this finish, as sentences. */
+export function warnings({ finishing: told, as_milled: milled, as_finished: finished }) {
+  const found = [], { minutes, least_minutes: least, most_minutes: most } = told, said = (time) => hours(60 * time);
+  if (finished?.psnr_db < milled?.psnr_db - WORTH_DB)
+    found.push("This finish makes the picture worse than the mill left it: leave it out, or finish for longer.");
+  if (minutes < least || minutes > most)
+    found.push(`${said(minutes)} lies outside what this process is known for, ${said(least)} to ${said(most)} on a lens of this size. A test piece tells.`);
+  if (!told.steps.length) found.push("This process is in no library: there are no instructions for it, its figures are your own.");
+  return found;
+}
+
+function warning(words) {
+  return h("p", { class: "notice warn" }, shape("warn"), h("span", {}, words));
+}
+
+function figures(report) {
+  return h("dl", { class: "facts" }, finishingRows(report).map(([what, figure]) => h("div", {}, h("dt", {}, what), h("dd", {}, h("strong", {}, figure)))));
+}
+
+function howTo(told) {
+  const list = (tag, sentences) => h(tag, {}, sentences.map((words) => h("li", {}, words)));
+  const part = (words, inner) => inner && h("div", {}, h("h3", {}, words), inner);
+  return h(
+    "details", { open: true }, h("summary", {}, "How to do it"),
+    part("You need", told.needs.length > 0 && list("ul", told.needs)),
+    part("Steps", list("ol", told.steps)),
+    part("How much comes off", told.removal && h("p", {}, told.removal)),
+    part("When to stop", told.when_to_stop && h("p", {}, told.when_to_stop)),
+    part("What not to do", told.donts.length > 0 && list("ul", told.donts)),
+    told.law && h("p", { class: "dim" }, `Where the figures come from: ${told.law}`),
+  );
+}
