@@ -1,0 +1,1 @@
+"""A job: its spec, its stages and what they make of it."""

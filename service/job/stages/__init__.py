@@ -1,0 +1,1 @@
+"""Stages of a job beside those of the lens and its passes."""
