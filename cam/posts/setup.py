@@ -61,7 +61,7 @@ class ProgramSetup:
         each_s = max(dwell_s, self.warm_up_s / len(WARM_UP_SHARES))
         steps: list[tuple[float, float]] = []
         for share in WARM_UP_SHARES:
-            speed = min(rpm, max(float(round(share * rpm)), self.slowest_rpm))
+            speed = min(rpm, max(float(round(share * rpm)), self.slowest_rpm)) if share < 1.0 else rpm
             if steps and steps[-1][0] == speed:
                 steps[-1] = (speed, steps[-1][1] + each_s)
             else:
