@@ -73,13 +73,14 @@ class AroundCheck:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CheckedMill:
-    """What the check must know of the mill. digit_mm: the raster of the heights written."""
+    """What the check must know of the mill. digit_mm, xy_digit_mm: the raster of the positions written."""
 
     kinematics: Kinematics
     travel_mm: Sequence[float]
     safe_z_mm: float
     language: Language = GRBL
     digit_mm: float = 0.0
+    xy_digit_mm: float = 0.0
 
 
 def check_facing(
@@ -160,7 +161,7 @@ class _Run:
         self._spec, self._mill, self._lens_mm, self._before = spec, mill, lens_mm, stock_top
         self._lowest_mm, self._highest_mm = lowest_mm, float(stock_top.top_mm.max())
         self._ball = RemovalGrid(stock_top, radius_mm=spec.radius_mm) if ball else None
-        self._flat = FlatRemoval(stock_top, radius_mm=spec.radius_mm)
+        self._flat = FlatRemoval(stock_top, radius_mm=spec.radius_mm, rim_mm=2 * mill.xy_digit_mm)
         self._low = np.array([-reach_mm, -reach_mm])
         self._high = np.array([stock.width_mm, stock.height_mm]) + reach_mm
         self._duration = DurationModel(mill.kinematics)
@@ -201,8 +202,9 @@ class _Run:
             self._airborne = bool(aloft) or (self._airborne and not bites)
         spot = np.column_stack([*self._places_mm(places)])
         note = self._kinds
-        near = self._highest_mm + _RAPID_CLEARANCE_MM - low_z
-        note["rapid"].note_moves(batch.is_rapid & (near > _TOUCH_MM), near, line, end)
+        near = self._highest_mm + _RAPID_CLEARANCE_MM - end[:, 2]
+        down = (near > _TOUCH_MM) & (step[:, 2] < 0)
+        note["rapid"].note_moves(batch.is_rapid & (down | touched), np.maximum(near, drops), line, end)
         across = batch.is_rapid & (step[:, :2] != 0).any(axis=1)
         note["low"].note_moves(across & (low_z < self._mill.safe_z_mm - 1e-6), -low_z, line, end)
         allowed_mm = _BITE_ALLOWED * self._spec.step_down_mm + 1.5 * self._mill.digit_mm

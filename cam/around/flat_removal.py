@@ -14,10 +14,11 @@ _STILL_MM = 1e-9
 
 
 @njit(cache=True, nogil=True)
-def carve(top, x0, y0, cell, points, radius, drops, places):  # type: ignore[no-untyped-def]
+def carve(top, x0, y0, cell, points, radius, rim, drops, places):  # type: ignore[no-untyped-def]
     """Move a flat end of this radius along points (n + 1, 3) through the stock's heights top (ny, nx), lowering them.
 
-    drops, places (n,) : greatest drop of each move and its flat cell, -1 where there is none
+    drops, places (n,) : greatest drop of each move and its flat cell, -1 where there is none; cells nearer to the rim
+                         of the end than `rim` are cut, but do not count
     At a cell the end leaves the lowest height that it has while its centre is within the radius.
     """
     ny, nx = top.shape
@@ -54,7 +55,7 @@ def carve(top, x0, y0, cell, points, radius, drops, places):  # type: ignore[no-
                 drop = top[j, i] - height
                 if drop > 0.0:
                     top[j, i] = height
-                    if drop > drops[k]:
+                    if drop > drops[k] and half2 > rim * (2.0 * radius - rim):
                         drops[k] = drop
                         places[k] = j * nx + i
 
@@ -62,8 +63,9 @@ def carve(top, x0, y0, cell, points, radius, drops, places):  # type: ignore[no-
 class FlatRemoval:
     """The stock that is left under one flat end mill. Not a value: it changes with every batch of moves."""
 
-    def __init__(self, stock: StockGrid, *, radius_mm: float) -> None:
-        self._stock, self._radius_mm = stock, radius_mm
+    def __init__(self, stock: StockGrid, *, radius_mm: float, rim_mm: float = 0.0) -> None:
+        """rim_mm: by how much a way that is gone along once more may lie beside itself, by its digits."""
+        self._stock, self._radius_mm, self._rim_mm = stock, radius_mm, rim_mm
         self.top_mm = stock.top_mm.copy()
 
     def cut(self, points_mm: Array) -> tuple[Array, np.ndarray]:
@@ -72,6 +74,6 @@ class FlatRemoval:
         grid = self._stock
         carve(
             *(self.top_mm, grid.x0_mm, grid.y0_mm, grid.cell_mm),
-            *(np.ascontiguousarray(points_mm), self._radius_mm, drops, places),
+            *(np.ascontiguousarray(points_mm), self._radius_mm, self._rim_mm, drops, places),
         )
         return drops, places

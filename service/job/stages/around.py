@@ -64,13 +64,14 @@ def cut_out(shop: Workshop) -> None:
 def simulate(paths: Sequence[Path], task: Facing | CutOut, spec: JobSpec, stock_top: StockGrid) -> AroundCheck:
     """Read the programs back, one after the other, and simulate what they remove from stock_top."""
     machine, stock = machine_of(spec), cam_stock_of(spec)
-    texts = map(read_chunks, paths)
+    texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
     mill = CheckedMill(
         kinematics=pass_programs.kinematics_of(machine),
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
-        digit_mm=POSTS[machine.dialect].digits.z_mm,
+        digit_mm=digits.z_mm,
+        xy_digit_mm=digits.xy_mm,
     )
     if isinstance(task, Facing):
         return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
