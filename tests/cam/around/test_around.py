@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import cos, pi, sin
 
 import numpy as np
@@ -18,7 +19,7 @@ from cam.around.outline import aperture_corners, offset_loop, segment_distances
 from cam.around.specs import CutOut, Facing
 from cam.errors import OutlineError, PassValueError, SafeHeightError
 from cam.moves import Path, cut, rapid
-from cam.parts import PassFrame, PartLimits, programs
+from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import Stock
 from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES
@@ -92,7 +93,7 @@ def slow_flat(top: StockGrid, points: np.ndarray, radius_mm: float) -> np.ndarra
     """The end at many places of its way, one after the other."""
     left = top.top_mm.copy()
     x, y = top.x_mm[None, :], top.y_mm[:, None]
-    for a, b in zip(points[:-1], points[1:], strict=True):
+    for a, b in pairwise(points):
         for t in np.linspace(0, 1, 400):
             p = a + t * (b - a)
             under = (x - p[0]) ** 2 + (y - p[1]) ** 2 <= radius_mm**2
@@ -240,11 +241,13 @@ def test_a_cut_out_that_is_wrong_is_found() -> None:
     assert "below the safe height" in faults([*still, rapid((x, y, 2)), rapid((x + 1, y, 2))])
 
 
+RAYS = st.lists(
+    st.tuples(st.floats(0, 2 * pi), st.floats(0.4, 1)), min_size=3, max_size=9, unique_by=lambda ray: round(ray[0], 1)
+)
+
+
 @settings(max_examples=40, deadline=None)
-@given(
-    st.lists(st.tuples(st.floats(0, 2 * pi), st.floats(0.4, 1)), min_size=3, max_size=9, unique_by=lambda a: round(a[0], 1)),
-    st.floats(0.3, 3),
-)  # fmt: skip
+@given(RAYS, st.floats(0.3, 3))
 def test_the_way_around_any_outline_keeps_the_radius_or_is_refused(rays, radius_mm) -> None:
     """And nowhere is farther from a convex one than that and the allowance: nothing of the block hangs on."""
     angles = np.array(sorted(angle for angle, _ in rays))
@@ -277,7 +280,7 @@ def test_a_pocket_behind_a_narrow_mouth_cannot_be_cut_out_in_one_line() -> None:
 
 def test_what_cannot_be_is_refused_before_the_first_move() -> None:
     loop = offset_loop(ELLIPSE, 1.5)
-    with pytest.raises(PassValueError, match="tabs = 9 .*at most"):
+    with pytest.raises(PassValueError, match=r"tabs = 9 .*at most"):
         list(cut_out_paths(replace(CUT_OUT, tabs=9), STOCK, loop, top_mm=0.0, safe_z_mm=SAFE_Z))
     with pytest.raises(SafeHeightError):
         list(cut_out_paths(CUT_OUT, STOCK, loop, top_mm=0.0, safe_z_mm=0.5))
