@@ -282,7 +282,6 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
         )
     try:
         fitting.require_travel(quick.lens, cam_stock_of(spec), passes, machine_of(spec))
-        fitting.require_travel_around(spec)
         fitting.require_flutes(quick.lens, passes)
         fitting.unfit_ball(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
     except InputError as error:

@@ -9,7 +9,6 @@ import shutil
 from math import isfinite
 from pathlib import Path
 
-from cam.around.specs import BESIDE_MM
 from cam.checking.collision import lens_over_flutes_mm
 from cam.passes import PassSpec, Stock
 from cam.program import LEAST_REACHED
@@ -17,10 +16,8 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError, InputError
 from service.lens_facts import LensFacts
-from service.passes import cam_stock_of, cut_out_of, facing_of, machine_of
 from service.program_size import SURE, pass_bytes
 from service.report_words import ball
-from service.spec import JobSpec
 
 
 def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
@@ -80,30 +77,6 @@ def require_travel(
             raise InputError(
                 f"{key} = {have_mm:g} mm ({machine.name}) is too small: the job moves {need_mm:.1f} mm along {axis}; "
                 f"allowed: at least {need_mm:.1f} mm"
-            )
-
-
-def require_travel_around(spec: JobSpec) -> None:
-    """InputError when what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
-    machine, stock = machine_of(spec), cam_stock_of(spec)
-    facing, cut_out = facing_of(spec), cut_out_of(spec)
-    beside_mm = 0.0
-    if machine.trace_outline or cut_out is not None:
-        beside_mm = stock.margin_mm
-    if facing is not None:
-        beside_mm = stock.margin_mm + facing.radius_mm + BESIDE_MM
-    needed = [
-        ("X", stock.width_mm + 2 * beside_mm, machine.travel_mm[0]),
-        ("Y", stock.height_mm + 2 * (beside_mm if facing is None else stock.margin_mm), machine.travel_mm[1]),
-    ]
-    if cut_out is not None:
-        needed.append(("Z", machine.safe_z_mm + stock.thickness_mm + cut_out.through_mm, machine.travel_mm[2]))
-    for number, (axis, need_mm, have_mm) in enumerate(needed):
-        if need_mm > have_mm and (beside_mm or axis == "Z"):
-            raise InputError(
-                f"machine.travel_mm.{number} = {have_mm:g} mm ({machine.name}) is too small: what goes around the lens "
-                f"(stock.face, stock.cut_out, machine.trace_outline) moves {need_mm:.1f} mm along {axis}; allowed: at "
-                f"least {need_mm:.1f} mm"
             )
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 from typing import Any, cast
 
 from cam import passes as cam_passes
-from cam.around.specs import CutOut, Facing
+from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.materials import PMMA, Material
 from cam.passes import PassSpec, Stock
 from cam.posts.setup import Coolant, HighPrecision, ProgramSetup, find_unsupported
@@ -94,6 +94,7 @@ def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += _beyond_the_mill(tool, machine, f"stock.{name}")
+    problems += _beyond_the_travel(spec, machine)
     if problems:
         raise SpecError(problems)
     spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine)})
@@ -182,6 +183,29 @@ def facing_of(spec: JobSpec) -> Facing | None:
 def cut_out_of(spec: JobSpec) -> CutOut | None:
     """How the lens is cut out, as the CAM package takes it; None where it is not."""
     return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump())
+
+
+def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, str]]:
+    """Where what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
+    stock, width_mm, height_mm = spec.stock, spec.optics.width_mm, spec.optics.height_mm
+    if not machine.trace_outline and stock.face is None and stock.cut_out is None:
+        return []
+    beside_mm = 0.0 if stock.face is None else stock.face.radius_mm + BESIDE_MM
+    depth_mm = 0.0 if stock.cut_out is None else stock.thickness_mm + stock.cut_out.through_mm
+    needed = (
+        ("X", width_mm + 2 * (stock.margin_mm + beside_mm)),
+        ("Y", height_mm + 2 * stock.margin_mm),
+        ("Z", machine.safe_z_mm + depth_mm),
+    )
+    return [
+        (
+            f"machine.travel_mm.{number}",
+            f"{machine.travel_mm[number]:g} is not enough; allowed: at least {need_mm:g} mm, which stock.face, "
+            f"stock.cut_out or machine.trace_outline move along {axis} around the lens",
+        )
+        for number, (axis, need_mm) in enumerate(needed)
+        if need_mm > machine.travel_mm[number]
+    ]
 
 
 def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:

@@ -67,9 +67,7 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
         "material": stock.get("material"),
     }
     top = "the block's top" if number else f"{row.get('above_mm') or 0:g} mm below the raw top"
-    zero = (
-        f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}"
-    )
+    zero = f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}"
     change = _same_pass(row) if part > 1 else _change(row, before) if before or number > 1 else None
     return {"tool": tool, "stock": block, "zero": zero, "change": change}
 

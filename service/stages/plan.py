@@ -40,7 +40,6 @@ _KINEMATICS = tuple(
     )
 )  # fmt: skip
 _SETUP = tuple(f"machine.{name}" for name in ("coolant", "blend_tolerance_mm", "high_precision"))
-_BEGINNING = ("warm_up", "traced")
 _LIMITS = ("machine.most_program_mb", "machine.most_program_hours")
 _PROGRAMS = ("machine.step_mm", "machine.whole_steps", *_LIMITS, *_SETUP)
 _ALL_PROGRAMS = ("pass-*-*",)
@@ -136,7 +135,7 @@ _AROUND = "service.job.stages.around"
 _FACE = Stage(
     name="pass-face",
     function=f"{_AROUND}:face",
-    spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, *_BEGINNING),
+    spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
     parts=(("write", 0.2), ("check", 0.8)),
 )
 _CUT_OUT = Stage(
@@ -203,7 +202,7 @@ def _pass(number: int) -> Stage:
         cutters = ("radius_mm", "stock_to_leave_mm", "step_down_mm", "flute_length_mm", "shank_radius_mm")
         fit = (*(f"passes.*.{key}" for key in cutters), "optics.min_radius_mm")
         reads = (*_PASS.reads, ".stock-0.npz")
-        return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit, "faced", *_BEGINNING), reads=reads)
+        return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit, "faced", "own_beginning"), reads=reads)
     reads = (*_PASS.reads, f".stock-{number - 1}.npz")
     return replace(_PASS, name=f"pass-{number}", number=number, spec=own, reads=reads)
 
@@ -283,9 +282,9 @@ def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, 
 def facts_of(spec: JobSpec) -> dict[str, Any]:
     """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the block's
     thickness where light slants through it or a branch is chosen for it; the mill's figures, for a profile's file may
-    change under its name; whether the stock is faced, how the spindle is warmed up, the outline that is traced in the
-    air; and of each pass whether it is the last one, whose stock nobody asks for, and whether a rest pass comes after
-    it, which takes what it cannot reach.
+    change under its name; whether the stock is faced; how the spindle is warmed up and which outline is traced in the
+    air, in the job's first program, and in that of the first pass; and of each pass whether it is the last one, whose
+    stock nobody asks for, and whether a rest pass comes after it, which takes what it cannot reach.
     """
     facts = spec.model_dump(mode="json")
     facts["screen_mm"] = list(spec.optics.screen_size_mm)
@@ -298,8 +297,9 @@ def facts_of(spec: JobSpec) -> dict[str, Any]:
     facts["tools"] = [asdict(tool) for tool in load_tools()] if spec.to_be_planned else None
     facts["faced"] = spec.stock.face is not None
     warm_up_s, slowest_rpm = facts["machine"]["warm_up_s"], facts["machine"]["spindle_rpm"][0]
-    facts["warm_up"] = [warm_up_s, slowest_rpm] if warm_up_s else None
-    facts["traced"] = facts["optics"]["outline"] if facts["machine"]["trace_outline"] else None
+    warm_up = [warm_up_s, slowest_rpm] if warm_up_s else None
+    facts["beginning"] = [warm_up, facts["optics"]["outline"] if facts["machine"]["trace_outline"] else None]
+    facts["own_beginning"] = None if facts["faced"] else facts["beginning"]
     facts["passes_count"] = len(facts["passes"])
     for row in facts["passes"]:
         row["last"] = row is facts["passes"][-1] and spec.stock.cut_out is None

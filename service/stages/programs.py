@@ -23,7 +23,7 @@ from cam.stock_grid import StockGrid
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError
-from service.fitting import require_flutes, require_travel, require_travel_around, unfit_ball
+from service.fitting import require_flutes, require_travel, unfit_ball
 from service.job_files import (
     FACED_STOCK,
     HEIGHTFIELD,
@@ -81,7 +81,6 @@ def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
     passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
     with shop.watch.stage("fit"):
         require_travel(heightfield, stock, passes, machine_of(shop.spec))
-        require_travel_around(shop.spec)
         require_flutes(heightfield, passes)
         unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.lens_radius_mm)
         if unfit:

@@ -26,7 +26,6 @@ from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, ProgramError
 from cam.stock_grid import StockGrid
 from service.errors import FailedError
-from service.fitting import require_travel_around
 from service.job_files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
 from service.passes import cam_stock_of, cut_out_of, facing_of, machine_of, setup_of
 from service.spec import JobSpec
@@ -39,7 +38,6 @@ def face(shop: Workshop) -> None:
     """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
     facing, stock, machine = facing_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
     assert facing is not None and shop.spec.stock.face is not None  # by the plan of stages
-    require_travel_around(shop.spec)
     paths = facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
     written = _write(shop, 0, FACE, paths, facing, trace=pass_programs.trace_of(shop.spec, machine))
     verdict = _check(shop, written, facing, raw_stock(shop.spec))

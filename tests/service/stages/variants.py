@@ -30,7 +30,8 @@ BASE: dict[str, Any] = {
         "light": {"kind": "collimated", "size_deg": None, "distance_mm": None, "size_mm": None, "profile": None,
                   "gaussian_mm": None},
     },
-    "stock": {"thickness_mm": 20.0, "margin_mm": 2.0, "skim_mm": 0.1, "material": "pmma", "face": None, "cut_out": None},
+    "stock": {"thickness_mm": 20.0, "margin_mm": 2.0, "skim_mm": 0.1, "material": "pmma", "face": None,
+              "cut_out": None},
     "passes": [
         {**_ROW, "name": "rough", "radius_mm": 3.0, "pitch_mm": 1.0, "stock_to_leave_mm": 0.2, "step_down_mm": 1.5,
          "feed_mm_per_min": 1200.0},
