@@ -84,7 +84,8 @@ def _follow(shop: Workshop, paths: list[Path], number: int, sample: PathSample) 
     side_mm = max(stock.width_mm, stock.height_mm)
     with PathDrawing(shop.folder, kinematics=kinematics_of(machine), side_mm=side_mm) as drawing:
         for batch in read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect]):
-            sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
+            seen = batch.is_rapid | batch.spindle_on  # without a trace in the air, which cuts nothing
+            sample.add(batch.start_mm[seen], batch.end_mm[seen], batch.is_rapid[seen])
             if shop.is_shown:
                 drawing.add(batch)
         if shop.is_shown:
