@@ -59,3 +59,14 @@ class LineTooLongError(CamError):
     def __init__(self, *, line: str, allowed: int) -> None:
         self.line, self.allowed = line, allowed
         super().__init__(f"block of {len(line)} characters (allowed {allowed}): {line!r}")
+
+
+class OutlineError(CamError):
+    """An outline around which a cutter cannot go in one line without touching it."""
+
+    def __init__(self, *, radius_mm: float, nearest_mm: float) -> None:
+        self.radius_mm, self.nearest_mm = radius_mm, nearest_mm
+        super().__init__(
+            f"the outline has a hollow with a mouth too narrow for a cutter of radius {radius_mm:g} mm, which would "
+            f"come as near as {nearest_mm:.3f} mm; a thinner cutter, or an outline without it"
+        )

@@ -12,12 +12,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from cam.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
 from cam.moves import Array, Motion, Path, cut, rapid
+from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Dialect
 
 OVERLAP_MM = 1.0
@@ -53,7 +54,10 @@ class PartLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PassFrame:
-    """What all programs of a pass begin and end with. aperture_mm: width and height of the lens."""
+    """What all programs of a pass begin and end with. aperture_mm: width and height of the lens.
+
+    trace : paths in the air before the first cut; they, and the warm-up of `setup`, are for the first program alone
+    """
 
     remarks: tuple[str, ...]
     rpm: float
@@ -61,6 +65,8 @@ class PassFrame:
     safe_z_mm: float
     aperture_mm: tuple[float, float]
     number: int = 1
+    setup: ProgramSetup = field(default_factory=ProgramSetup)
+    trace: tuple[Path, ...] = ()
 
 
 def programs(
@@ -78,7 +84,9 @@ def programs(
 def _program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
     writer, meter = post.writer(), _Meter(limits)
     remarks = frame.remarks if part == 1 else (*frame.remarks, f"part {part}: goes on where part {part - 1} has ended")
-    first = writer.start(remarks, rpm=frame.rpm, safe_z_mm=frame.safe_z_mm, program=100 * frame.number + part)
+    setup, trace = (frame.setup, frame.trace) if part == 1 else (frame.setup.without_warm_up(), ())
+    number = 100 * frame.number + part
+    first = writer.start(remarks, rpm=frame.rpm, safe_z_mm=frame.safe_z_mm, program=number, setup=setup, trace=trace)
     meter.wrote(first)
     yield first
     for path in _way_back(source, frame):
@@ -99,7 +107,7 @@ def _program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimit
             if not aloft:
                 yield from writer.write(leave(place[0], place[1], safe_z_mm=frame.safe_z_mm))
             break
-    yield writer.end(safe_z_mm=frame.safe_z_mm)
+    yield writer.end(safe_z_mm=frame.safe_z_mm, setup=setup)
 
 
 def _outside(place: Array, frame: PassFrame) -> bool:

@@ -150,7 +150,10 @@ def make_plan(
 def find_candidates(
     shop: Shop, lenses: Mapping[float, LensForm], light: Light, *, fillings: Mapping[float, Filled]
 ) -> tuple[list[Candidate], tuple[tuple[str, str], ...]]:
-    """All of them, each with what the light guesses, and the tools left out, each with the reason; NoPlanError if all."""
+    """All of them, each with what the light guesses, and the tools left out, each with the reason.
+
+    NoPlanError where all are left out.
+    """
     left_out: list[tuple[str, str]] = []
     candidates: list[Candidate] = []
     for tool in shop.tools:

@@ -17,6 +17,7 @@ from cam.moves import Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
 from cam.posts.post import number
+from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Dialect
 from cam.raster import Rows, climbs_rightward, continuous_rows, separate_rows
 from cam.rest import RestAreas, rest_paths
@@ -81,11 +82,14 @@ def generate_parts(
     limits: PartLimits | None = None,
     step_mm: float = 0.0,
     number: int = 1,
+    setup: ProgramSetup | None = None,
+    trace: tuple[Path, ...] = (),
     on_progress: Progress | None = None,
 ) -> Iterator[Iterator[bytes]]:
     """The pass as one program after the other, each within the limits; read each to its end before the next.
 
     step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
+    setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts
     """
     paths = pass_paths(
         heightfield,
@@ -103,6 +107,8 @@ def generate_parts(
         safe_z_mm=safe_z_mm,
         aperture_mm=(stock.width_mm, stock.height_mm),
         number=number,
+        setup=setup or ProgramSetup(),
+        trace=trace,
     )
     rounding = Rounding(digits=post.digits.coarsened(step_mm), pitch_mm=spec.pitch_mm)
     if spec.finishes and rounding.matters:

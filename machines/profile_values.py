@@ -11,6 +11,8 @@ DIALECTS = ("grbl", "grblhal", "fluidnc", "linuxcnc", "fanuc", "okuma", "roland-
 DRIVERS = ("grbl", "roland-serial", "roland-usb", "drip", "none")
 FLOWS = ("none", "rtscts", "xonxoff")
 SPINDLE = ("turns", "stops", "unknown")
+COOLANTS = ("none", "air", "mist", "flood")
+HIGH_PRECISION = ("none", "g05.1", "g08")
 
 
 class BadValueError(ValueError):
@@ -128,6 +130,11 @@ PROFILE_VALUES = Rules(
         "whole_steps": Rule(_flag, "true, false"),
         "most_program_mb": number(0.1, 1_000_000, "MB"),
         "most_program_hours": number(0.05, 10_000, "hours"),
+        "coolant": one_of(*COOLANTS),
+        "blend_tolerance_mm": number(0, 1, "mm"),
+        "high_precision": one_of(*HIGH_PRECISION),
+        "warm_up_s": number(0, 3600, "s"),
+        "trace_outline": Rule(_flag, "true, false"),
         "junction_deviation_mm": number(1e-5, 10, "mm"),
         "planner_blocks": whole(2, 100_000),
         "lines_per_s": number(0.1, 1_000_000),

@@ -146,6 +146,11 @@ class MachineProfile:
     whole_steps            : heights are written in whole steps, where the light suffers least from it
     most_program_mb        : a larger program is split; None: never
     most_program_hours     : a longer program is split; None: never
+    coolant                : what blows or runs while a program cuts, one of COOLANTS
+    blend_tolerance_mm     : how far the control may round corners; 0: exact stop; None: as programs usually have it
+    high_precision         : which of such modes of the control programs switch on, one of HIGH_PRECISION
+    warm_up_s              : a job's first program brings the spindle up to speed in steps for so long; 0: at once
+    trace_outline          : a job's first program goes around block and lens in the air before it cuts
     spindle                : what becomes of the spindle in a hold, and without a link
     homing                 : has switches and a homing cycle, so that a lost position can be found again
     description            : what it is, in words
@@ -169,6 +174,11 @@ class MachineProfile:
     whole_steps: bool = False
     most_program_mb: float | None = None
     most_program_hours: float | None = None
+    coolant: str = "none"
+    blend_tolerance_mm: float | None = None
+    high_precision: str = "none"
+    warm_up_s: float = 0.0
+    trace_outline: bool = False
     description: str = ""
 
 

@@ -7,13 +7,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
+from cam.around.check import AroundCheck
+from cam.around.specs import CutOut, Facing
+from cam.checking.check import PassCheck
 from cam.errors import CamError
 from cam.passes import PassSpec, Stock
 from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service import job_files
 from service.errors import InputError, SpecError, printable
-from service.passes import cam_passes_of, cam_stock_of, machine_of
+from service.job.stages import around
+from service.passes import cam_passes_of, cam_stock_of, cut_out_of, facing_of, machine_of
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.spec_files import resolve_spec, stored_spec
@@ -22,8 +26,8 @@ from service.stages.programs import first_stock, simulate
 from service.summary import duration
 
 T = TypeVar("T")
-Task = tuple[Sequence[Path], PassSpec]
-"""The programs of a pass, in the order in which they are run, and the pass."""
+Task = tuple[Sequence[Path], PassSpec | Facing | CutOut]
+"""The programs of a pass, in the order in which they are run, and the pass, or what is milled around them."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,16 +75,24 @@ def check_programs(
     heightfield = load_heightfield(heightfield_path)
     folder = programs[0].parent
     if not settings.says_anything and job_files.is_job_folder(folder):
-        tasks, stock, machine = _of_the_job(programs, folder)
+        job = stored_spec(folder)
+        tasks, stock, machine = _of_the_job(programs, folder, job)
     else:
+        job = None
         tasks, stock, machine = _of_the_command_line(programs, heightfield, settings)
     _require_programs([path for paths, _ in tasks for path in paths])  # the job's earlier ones, too
-    watch, stock_top, verdicts = Stopwatch(reporter), first_stock(stock), []
+    watch, verdicts = Stopwatch(reporter), []
+    stock_top = first_stock(stock) if job is None else around.raw_stock(job)
     for paths, spec in tasks:
         path = paths[0]
         with watch.stage(f"check {path.name}") as reached:
             try:
-                result = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
+                result: PassCheck | AroundCheck
+                if isinstance(spec, PassSpec):
+                    result = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
+                else:
+                    assert job is not None  # nothing else knows of these
+                    result = around.simulate(paths, spec, job, stock_top)
             except CamError as error:  # text that no mill should be given
                 verdicts.append(_unreadable(path, error))
                 break
@@ -111,11 +123,10 @@ def _unreadable(path: Path, error: CamError) -> Verdict:
     return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 
-def _of_the_job(programs: Sequence[Path], folder: Path) -> tuple[list[Task], Stock, MachineProfile]:
+def _of_the_job(programs: Sequence[Path], folder: Path, spec: JobSpec) -> tuple[list[Task], Stock, MachineProfile]:
     """Passes by file name from the job's report and spec; passes before the last one asked for are run as well, and all
     parts of a pass."""
-    spec: JobSpec = stored_spec(folder)
-    rows = job_files.read_report(folder).get("passes", [])
+    rows = job_files.programs_in_order(job_files.read_report(folder))
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
     for path in programs:
@@ -124,7 +135,9 @@ def _of_the_job(programs: Sequence[Path], folder: Path) -> tuple[list[Task], Sto
     last = max(of_file[path.name] for path in programs)
     given = {path.name: path for path in programs}
     paths = [[given.get(name, folder / name) for name in names] for names in files[: last + 1]]
-    tasks: list[Task] = list(zip(paths, cam_passes_of(spec), strict=False))
+    all_specs = (facing_of(spec), *cam_passes_of(spec), cut_out_of(spec))
+    specs = [one for one in all_specs if one is not None]
+    tasks: list[Task] = list(zip(paths, specs, strict=False))
     return tasks, cam_stock_of(spec), machine_of(spec)
 
 

@@ -30,6 +30,8 @@ from service.decoding import decoded
 from service.errors import InputError
 from service.estimate_light import MOST_PIXELS, foretold_db
 from service.job.picture.preparing import aim_at_picture
+from service.job.stages.around import paths_around, seconds_of
+from service.job_files import CUT_OUT, FACE
 from service.lens_facts import LensFacts, measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import picture_of
@@ -79,7 +81,7 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
     with in_the_services_words():
         (target, whole), (width, height) = _targets(path, coarse, fine, limits=limits, name=name)
         quick = quick_lens(coarse, target)
-        passes = list(_hours(quick))
+        passes = _with_around(quick.spec, list(_hours(quick)))
         blur = _blur(quick)
         seen_db = _seen_db(quick, whole)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
@@ -174,6 +176,17 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
             seconds = _seconds_after(quick, spec, stock_mm - made_mm)
         stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
         yield {"name": spec.name, "tool": f"ball {ball(spec.radius_mm)}", "hours": seconds / 3600}
+
+
+def _with_around(spec: JobSpec, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same with what is milled around the passes, before and after them."""
+    rates = machine_of(spec).max_rate_mm_per_min
+    around = {
+        name: {"name": name, "tool": f"cutter {ball(radius_mm)}", "hours": seconds_of(paths, min(rates)) / 3600}
+        for name, radius_mm, paths in paths_around(spec)
+    }
+    first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
+    return [*first, *passes, *last]
 
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:

@@ -33,6 +33,7 @@ AS_FINISHED = "caustic-as-finished.png"
 LIGHT_FILES = (
     "caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png", AS_FINISHED,
 )  # fmt: skip
+FACE, CUT_OUT = "face", "cut-out"  # programs around the passes, by the name in their file
 TOOLPATH = "toolpath.png"
 PLAN = "plan.png"
 SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"
@@ -58,6 +59,21 @@ class WrittenProgram:
 def program_name(number: int, name: str, suffix: str, part: int | None = None) -> str:
     """pass-1-rough.nc: number from 1, the pass's name, the dialect's suffix with its dot. Part: pass-1-rough-02.nc."""
     return f"pass-{number}-{name}{suffix}" if part is None else f"pass-{number}-{name}-{part:02d}{suffix}"
+
+
+def stock_name(number: int) -> str:
+    """The file that holds the stock that pass `number` has left; 0: the facing before all of them."""
+    return f".stock-{number}.npz"
+
+
+FACED_STOCK, LAST_STOCK = stock_name(0), ".stock-last.npz"
+
+
+def programs_in_order(report: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Rows of all programs in the order in which they are run: face, passes, cut-out."""
+    around = report.get("around", {})
+    first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
+    return [*first, *report.get("passes", ()), *last]
 
 
 def path_name(number: int) -> str:

@@ -145,7 +145,7 @@ def _job(
 
 def _take_over(job: Job, earlier: dict[str, Any], *, programs: bool) -> None:
     """What an earlier report says of the parts that this command does not make anew."""
-    keys = ("source", "image", "optics", "timings_s", *(("passes", "as_milled") if programs else ()))
+    keys = ("source", "image", "optics", "timings_s", *(("passes", "around", "as_milled") if programs else ()))
     job.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})
     job.notes = {part: list(notes.get(part, ())) for part in ("optics", *(("passes",) if programs else ()))}

@@ -18,9 +18,9 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
 from optics.metrics import CausticScore
 from service.errors import InputError
-from service.job.finish_spec import NONE
 from service.job.planning.finish_choice import FinishedPlan, is_worth_it, list_finishings, plan_finish
 from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.job.spec.finish import NONE
 from service.passes import machine_of
 from service.plan_lenses import finished_designs, lit_designs, lit_lens
 from service.plan_light import PictureLight

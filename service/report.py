@@ -15,6 +15,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, Template
 
 from service.job.finishing_words import finishing_card
+from service.job.report.around import around_sentences, facing_zero
+from service.job_files import CUT_OUT, FACE
 from service.outlines import ellipse_mm
 from service.report_checks import check_rows, flutes_in_words, order_in_words
 from service.report_drawing import SetUp, side_view, top_view
@@ -81,10 +83,11 @@ def render_report(
     report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
     """
     spec = spec or {}
-    passes = _passes(report, spec)
-    job = _set_up(report, spec, passes)
+    programs = _programs(report, spec)
+    passes = [row for row in programs if not row["is_around"]]
+    job = _set_up(report, spec, programs)
     warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
-    highest_mm = max((_z_bounds(row)[1] for row in passes if _z_bounds(row)), default=None)
+    highest_mm = max((_z_bounds(row)[1] for row in programs if _z_bounds(row)), default=None)
     rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
     return _template().render(
         title=title or _job_name(report) or "lens",
@@ -94,24 +97,27 @@ def render_report(
         job=job,
         top_view=top_view(job) if job else None,
         side_view=side_view(job) if job else None,
-        passes=passes,
+        passes=programs,
         unreached=_unreached(passes),
-        verdict=_verdict(passes),
-        total_s=sum(row["time_s"] for row in passes) if all(row.get("time_s") for row in passes) else None,
+        verdict=_verdict(programs),
+        total_s=sum(row["time_s"] for row in programs) if all(row.get("time_s") for row in programs) else None,
         warnings=warnings,
-        notes=[note for note in _notes(passes) if note not in warnings],
+        notes=[note for note in _notes(programs) if note not in warnings],
+        around=around_sentences(spec, report),
+        facing_zero=facing_zero(spec),
+        edge_z_mm=_edge_z_mm(programs, job),
         coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
         score_rows=score_rows(report),
         milled=milled_sentences(table(report.get("as_milled"))),
         prepared=prepared_sentences(report),
         lens_rows=lens_rows(report, spec),
         throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
-        check_rows=check_rows(passes),
+        check_rows=check_rows(programs),
         finishing=finishing_card(report),
         clearance_mm=_CLEARANCE_MM,
         rapid_z_mm=rapid_z_mm,
         highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
-        tool_changes=_tool_changes(passes),
+        tool_changes=_tool_changes(programs),
         lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
         main_pictures=[name for name in ("target.png", "caustic.png", _AS_MILLED, _AS_FINISHED) if name in files],
         finish_pictures=[name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
@@ -136,6 +142,20 @@ def _template() -> Template:
 
 def _sentences(value: Any) -> list[str]:
     return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
+
+
+def _edge_z_mm(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> float:
+    """The lowest Z of those programs whose cutters reach the edge of the block."""
+    lowest = [0.0]
+    for row in programs:
+        swept = _swept([row])
+        if job is None or swept is None or not _z_bounds(row):
+            continue
+        left, right, front, back = swept
+        ring_mm = job.margin_mm - max(-left, right - job.width_mm, -front, back - job.height_mm)
+        if ring_mm <= 0:
+            lowest.append(_z_bounds(row)[0])
+    return min(lowest)
 
 
 def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> SetUp | None:
@@ -171,7 +191,7 @@ def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, fl
     """Left, right, front and back of what the balls of all programs go over, their radius included."""
     sides = []
     for row in passes:
-        bounds, radius_mm = table(row.get("bounds")), row.get("radius_mm")
+        bounds, radius_mm = table(row.get("cut_bounds")) or table(row.get("bounds")), row.get("radius_mm")
         if radius_mm is None or not all(len(bounds.get(axis) or ()) == 2 for axis in "xy"):
             return None
         (left, right), (front, back) = bounds["x"], bounds["y"]
@@ -182,12 +202,19 @@ def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, fl
     return min(lefts), max(rights), min(fronts), max(backs)
 
 
-def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """One row per pass: the spec's values, the report's over them, and what follows for the tool."""
+def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per program, in the order in which they are run: the spec's values, the report's over them, and what
+    follows for the tool. number: of the pass; is_around: not one of the lens.
+    """
     wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
+    around = table(report.get("around"))
+    first, last = ([table(around[name])] if name in around else [] for name in (FACE, CUT_OUT))
+    numbered = [*((0, row) for row in first), *enumerate(made, 1), *((len(made) + 1, row) for row in last)]
     rows = []
-    for k, program in enumerate(made):
-        row = {**(wanted[k] if k < len(wanted) else {}), **table(program.get("settings")), **program}
+    for number_, program in numbered:
+        is_around = program in first or program in last
+        own = {} if is_around or number_ > len(wanted) else wanted[number_ - 1]
+        row = {**own, **table(program.get("settings")), **program, "number": number_, "is_around": is_around}
         row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
         row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
         if _z_bounds(row):
@@ -199,13 +226,13 @@ def _passes(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str
 
 def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
     """When Z0 is to be set again: after another tool was put in, and only then."""
-    radii = [row.get("radius_mm") for row in passes]
+    radii = [row.get("radius_mm") and (row.get("tool", "ball"), row["radius_mm"]) for row in passes]
     changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
     if len(radii) < 2:
         return ""
     if not changed:
         return "All passes use the same tool: it stays in, and Z0 is set once."
-    before = " and ".join(f"pass {k + 1}" for k in changed)
+    before = " and ".join(f"pass {passes[k]['number']}" for k in changed)
     same = "; between the others the tool stays in and Z0 as it is" if len(changed) < len(radii) - 1 else ""
     return f"Set it again after each tool change, that is before {before}{same}."
 
@@ -272,7 +299,7 @@ def _throw(
     """Figures for the paragraph on the distance to the wall and the lamp."""
     if job is None:
         return None
-    optics, image = table(spec.get("optics")), table(spec.get("image"))
+    optics, image, stock = table(spec.get("optics")), table(spec.get("image")), table(spec.get("stock"))
     radii = [row.get("radius_mm") or 0.0 for row in passes]
     own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, job.throw_mm)
     spread_mm = job.throw_mm * 2 * tan(radians(SUN_DEG) / 2) if own_mm is None else own_mm
@@ -282,7 +309,7 @@ def _throw(
         "one_percent_mm": 0.01 * job.throw_mm,
         "tolerances": tolerance_sentences(tolerances, throw_mm=job.throw_mm),
         "from_back_mm": job.throw_mm + job.thickness_mm,
-        "ring_stays": job.ring_mm > 0 and job.margin_mm > 2 * max(radii, default=0.0),
+        "ring_stays": job.ring_mm > 0 and job.margin_mm > 2 * max(radii, default=0.0) and not stock.get("cut_out"),
         "spread_mm": spread_mm,
         "spread_pixels": spread_mm / pixel_mm if pixel_mm else None,
         "spread_of": "The sun's disc" if own_mm is None else "The size of the source",

@@ -31,6 +31,13 @@ def check_rows(passes: Sequence[Row]) -> list[Cells]:
         ("Cut at the ball's full width", "deep ones at half the feed", _slots),
         ("Along the contour lines (within 15°)", "", lambda p: _percent(_part(p, "contour"), "aligned_share")),
         ("Places gone over, of a rest pass", "", _rest),
+        (
+            "Left above Z0 by the facing, or in the slot of the cut-out",
+            "cusps",
+            lambda p: _number(p, "left_um", 1, "µm"),
+        ),
+        ("Between the cutter and the lens, cutting it out", "0", lambda p: _number(p, "clear_um", 1, "µm")),
+        ("Tabs that hold the lens", "as asked", _tabs),
     )
     rows = []
     for what, allowed, answer in asked:
@@ -51,6 +58,8 @@ def flutes_in_words(row: Row) -> str:
 
 def order_in_words(row: Row) -> str:
     """How the tool goes over the lens in a pass."""
+    if row.get("is_around"):
+        return "rows along X over the whole top" if "above_mm" in row else "around the lens, layer by layer"
     if row.get("strategy") == "contour":
         return "one path along the contour lines"
     if row.get("pitch_mm") is None:
@@ -126,3 +135,11 @@ def _rest(row: Row) -> str | None:
         return None
     places = f"{rest.get('regions', 0):.0f} place{'' if rest.get('regions') == 1 else 's'}"
     return f"{places}, {number(rest.get('area_mm2'), 1)} mm²"
+
+
+def _tabs(row: Row) -> str | None:
+    tabs = row.get("tabs")
+    if not isinstance(tabs, list):
+        return None
+    heights = [tab["height_mm"] for tab in tabs]
+    return f"{len(heights)}, {number(min(heights), 2)} to {number(max(heights), 2)} mm high"

@@ -9,7 +9,8 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
-from service.job.finish_spec import FinishSpec
+from service.job.spec.around import CutOutSpec, FaceSpec, cut_out_fault
+from service.job.spec.finish import FinishSpec
 from service.spec_light import LightSpec
 from service.spec_optics import OpticsSpec
 from service.spec_section import Section
@@ -62,12 +63,17 @@ class ImageSpec(Section):
 
 
 class StockSpec(Section):
-    """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies."""
+    """The block: thickness, a margin around the aperture, and the depth at which the highest point of the lens lies.
+
+    face, cut_out : what is milled beside the lens; left out: nothing
+    """
 
     thickness_mm: Annotated[float, Field(gt=0, le=500)] = 40.0
     margin_mm: Annotated[float, Field(ge=0, le=200)] = 8.0  # keeps a ring at Z0 beside the 6 mm that a 3 mm ball clears
     skim_mm: Annotated[float, Field(gt=0, le=10)] = 0.1
     material: Literal["pmma"] = "pmma"
+    face: FaceSpec | None = None
+    cut_out: CutOutSpec | None = None
 
 
 class PassRow(Section):
@@ -126,6 +132,11 @@ class MachineSpec(Section):
     lines_per_s: Annotated[float, Field(gt=0, le=1_000_000)] | None = None
     safe_z_mm: Annotated[float, Field(ge=0.5, le=200)] | None = None
     spindle_rpm: Annotated[list[Speed], Field(min_length=2, max_length=2)] | None = None
+    coolant: Literal["none", "air", "mist", "flood"] | None = None
+    blend_tolerance_mm: Annotated[float, Field(ge=0, le=1)] | None = None
+    high_precision: Literal["none", "g05.1", "g08"] | None = None
+    warm_up_s: Annotated[float, Field(ge=0, le=3600)] | None = None
+    trace_outline: bool | None = None
 
     @field_validator("spindle_rpm")
     @classmethod
@@ -184,6 +195,22 @@ class JobSpec(Section):
     def _rest_of_something(self) -> Self:
         if self.passes and self.passes[0].where == "rest":
             raise ValueError('passes.0.where = "rest" has no pass before it; allowed: "everywhere" for the first')
+        return self
+
+    @model_validator(mode="after")
+    def _can_be_cut_out(self) -> Self:
+        if self.stock.cut_out is None:
+            return self
+        width_mm, height_mm = self.optics.width_mm, self.optics.height_mm
+        fault = cut_out_fault(
+            self.stock.cut_out,
+            self.optics.outline_mm or [[0.0, 0.0], [width_mm, 0.0], [width_mm, height_mm], [0.0, height_mm]],
+            size_mm=(width_mm, height_mm),
+            margin_mm=self.stock.margin_mm,
+            thickness_mm=self.stock.thickness_mm,
+        )
+        if fault is not None:
+            raise ValueError(fault)
         return self
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from service.job_files import REPORT_PAGE
+from service.job_files import REPORT_PAGE, programs_in_order
 from service.report_words import ball
 
 
@@ -15,7 +15,8 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
     if optics:
         yield _optics_line(optics)
         yield from _light_lines(optics)
-    for row in report.get("passes", []):
+    rows = programs_in_order(report)
+    for row in rows:
         deepest = row["bounds"]["z"][0]
         parts = row.get("parts") or [row]
         names = row["file"] if len(parts) == 1 else f"{row['file']} to {parts[-1]['file']}"
@@ -24,8 +25,8 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
             f"{row['path_length_mm'] / 1000:.1f} m, {duration(row['time_s'])}, "
             f"{row['entries']} entr{'y' if row['entries'] == 1 else 'ies'}, deepest Z {deepest:.3f} mm, checked"
         )
-    if len(report.get("passes", [])) > 1:
-        yield f"machine time of all passes: {duration(sum(row['time_s'] for row in report['passes']))}"
+    if len(rows) > 1:
+        yield f"machine time of all passes: {duration(sum(row['time_s'] for row in rows))}"
     for sentence in report.get("warnings", []):
         yield f"warning: {sentence}"
     made = "pictures, programs and" if report.get("passes") else "pictures and"

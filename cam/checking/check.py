@@ -79,6 +79,7 @@ class PassCheck:
     unreached        : the highest spots the ball cannot touch; unreached_share of the aperture's area
     contour          : of a contour pass, how it runs (`cam.checking.path_quality`)
     rest             : of a rest pass, where it cuts: area_mm2, regions
+    cut_bounds       : like bounds, without what goes on in the air: a trace around the block is wider than any cut
     stock_top        : what is left, for the next pass
     """
 
@@ -107,6 +108,7 @@ class PassCheck:
     stock_top: StockGrid
     contour: PathMeasures | None = None
     rest: RestAreas | None = None
+    cut_bounds: Bounds | None = None
 
     @property
     def ok(self) -> bool:
@@ -129,6 +131,7 @@ class PassCheck:
             },
             "unreached": [asdict(place) for place in self.unreached],
             "windows": [asdict(window) for window in self.windows],
+            **({} if self.cut_bounds is None else {"cut_bounds": self.cut_bounds}),
             **({} if self.contour is None else {"contour": self.contour.as_report()}),
             **({} if self.rest is None else {"rest": self.rest.as_report()}),
         }
@@ -298,6 +301,7 @@ class _Run:
             stock_top=after,
             contour=measures,
             rest=self.rest,
+            cut_bounds=None if _as_wide(rules.cut_bounds, rules.bounds) else rules.cut_bounds,
         )
 
     def _gouge_um(self, left: StockLeft, fine: list[StockLeft]) -> float:
@@ -352,6 +356,10 @@ class _Run:
                 f"the ball of radius {self.spec.radius_mm:g} mm cannot reach {100 * excess.unreached_share:.2g} % of "
                 f"the aperture; highest at {excess.unreached[0]}"
             )
+
+
+def _as_wide(some: Bounds, others: Bounds) -> bool:
+    return all(some[axis] == others[axis] for axis in "xy")
 
 
 def _window_result(place: Window, left: StockLeft) -> WindowResult:

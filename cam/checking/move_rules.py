@@ -93,6 +93,7 @@ class MoveRules:
         self.lines = self.bytes = self.moves = self.entries = 0
         self.path_length_mm = self.max_engagement_mm = self.gouge_mm = 0.0
         self._low_corner, self._high_corner = np.full(3, np.inf), np.full(3, -np.inf)
+        self._low_cut, self._high_cut = np.full(3, np.inf), np.full(3, -np.inf)
         self._airborne, self._ended, self._spindle_left_on = True, False, False
         # The last move of the batch before: line, is rapid, spindle on, in the air, end point.
         self._last_line, self._last_rapid, self._last_spindle, self._last_clear = 0, True, False, True
@@ -113,6 +114,13 @@ class MoveRules:
             return {axis: [0.0, 0.0] for axis in _AXES}
         return {a: [float(self._low_corner[d]), float(self._high_corner[d])] for d, a in enumerate(_AXES)}
 
+    @property
+    def cut_bounds(self) -> dict[str, list[float]]:
+        """The same of moves at a feed that come down to the stock: without ways in the air."""
+        if not np.isfinite(self._low_cut).all():
+            return self.bounds
+        return {a: [float(self._low_cut[d]), float(self._high_cut[d])] for d, a in enumerate(_AXES)}
+
     def judge(self, batch: MoveBatch, drops: Drops, overlaps: Overlaps, whole: RemovalGrid) -> None:
         self.lines, self.bytes, self._ended = batch.lines_read, batch.bytes_read, batch.ended
         if len(batch) == 0:
@@ -126,6 +134,10 @@ class MoveRules:
         self.path_length_mm += float(np.sqrt(np.einsum("ij,ij->i", step, step)).sum())
         self._low_corner = np.minimum(self._low_corner, batch.points_mm.min(axis=0))
         self._high_corner = np.maximum(self._high_corner, batch.points_mm.max(axis=0))
+        low = ~clear
+        if low.any():
+            self._low_cut = np.minimum(self._low_cut, np.minimum(start[low], end[low]).min(axis=0))
+            self._high_cut = np.maximum(self._high_cut, np.maximum(start[low], end[low]).max(axis=0))
         self._judge_drops(
             drops,
             whole,

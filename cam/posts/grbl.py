@@ -10,7 +10,8 @@ from cam.posts.post import Post
 GRBL = Post(
     name="grbl",
     suffix=".nc",
-    start=("G21G90G94G17G54", "G0Z{safe_z}", "M3S{rpm}", "G4P{dwell_s}"),
+    start=("G21G90G94G17G54", "G0Z{safe_z}"),
+    spin=("M3S{rpm}", "G4P{dwell_s}"),
     end=("G0Z{safe_z}", "M5", "M2"),
 )
 GRBLHAL = replace(GRBL, name="grblhal")

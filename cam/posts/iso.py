@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from cam.posts.post import Post
 
-# G64 P: corners rounded by 1 µm at most; Q0: no vertex left out because it lies near a straight line.
+# G64 P: corners rounded by 1 µm at most unless told otherwise; Q0: no vertex left out because it lies near a straight
+# line. G61.1: an exact stop.
 LINUXCNC = Post(
     name="linuxcnc",
     suffix=".ngc",
-    start=("G21G90G94G17G40G80G54", "G64P0.001Q0", "G0Z{safe_z}", "M3S{rpm}", "G4P{dwell_s}"),
+    start=("G21G90G94G17G40G80G54", "{blend}", "G0Z{safe_z}"),
+    spin=("M3S{rpm}", "G4P{dwell_s}"),
+    blend=("G64P{tolerance}Q0", "G61.1"),
     end=("G0Z{safe_z}", "M5", "M2"),
 )
 # The dwell by X, in seconds: P is milliseconds on most of these and seconds on some.
@@ -21,7 +24,8 @@ FANUC = Post(
     name="fanuc",
     suffix=".nc",
     tape=("%", "O{number:04d}"),
-    start=("G21G90G94G17G40G80G54", "G0Z{safe_z}", "S{rpm}M3", "G4X{dwell_s}"),
+    start=("G21G90G94G17G40G80G54", "G0Z{safe_z}"),
+    spin=("S{rpm}M3", "G4X{dwell_s}"),
     end=("G0Z{safe_z}", "M5", "M30", "%"),
     xy_decimals=3,
     z_decimals=3,
@@ -34,7 +38,8 @@ OKUMA = Post(
     name="okuma",
     suffix=".min",
     tape=("%", "O{number:04d}"),
-    start=("G21G90G94G17G40G80", "G15H1", "G0Z{safe_z}", "S{rpm}M3", "G4F{dwell_s}"),
+    start=("G21G90G94G17G40G80", "G15H1", "G0Z{safe_z}"),
+    spin=("S{rpm}M3", "G4F{dwell_s}"),
     end=("G0Z{safe_z}", "M5", "M2", "%"),
     xy_decimals=3,
     z_decimals=3,
@@ -48,7 +53,9 @@ ROLAND_NC = Post(
     name="roland-nc",
     suffix=".nc",
     tape=("%", "O{number:08d}"),
-    start=("G21G90G17G40G80G54", "S{rpm}M03", "G00Z{safe_z}", "G04P4"),
+    start=("G21G90G17G40G80G54", "S{rpm}M03", "G00Z{safe_z}"),
+    spin=("G04P{whole_dwell_s}",),
+    faster=("S{rpm}M03", "G04P{whole_dwell_s}"),
     end=("G00Z{safe_z}", "M05", "M02", "%"),
     rapid="G00",
     cut="G01",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,7 @@ from cam.errors import LineTooLongError
 from cam.moves import Motion, Path
 from cam.posts.digits import Digits
 from cam.posts.lines import MOST_BYTES_PER_LINE, UNKNOWN, write_lines
+from cam.posts.setup import COOLANT_WORDS, HIGH_PRECISION_WORDS, ProgramSetup
 from cam.posts.writer import Writer
 
 POINTS_AT_ONCE = 40_000
@@ -22,7 +23,11 @@ class Post:
     """One dialect of G-code: words, decimals, first and last blocks. It decides nothing about geometry.
 
     tape           : before the remarks: what a control wants first, such as % and the program's name
-    start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and {safe_z} are filled in
+    start, end     : blocks before and after the moves. {number}, {rpm}, {dwell_s} and {safe_z} are filled in; the first
+                     block of the end lifts the tool
+    spin           : blocks after the start that bring the spindle up to speed; faster: the same for every further speed
+                     of a warm-up, where the start has switched it on already
+    blend          : blocks for corners rounded within {tolerance}, and for an exact stop; {blend} of the start is one
     least_decimals : 1 where a control reads 5 as 5 least inputs, and only 5.0 as 5 mm
     feed_decimals  : of F, which is rounded down to them; where there are any, it has a point like the coordinates
     number_every   : an N word on every so many-th line, from which an interrupted program can be entered; 0: none
@@ -33,6 +38,9 @@ class Post:
     start: tuple[str, ...]
     end: tuple[str, ...]
     tape: tuple[str, ...] = ()
+    spin: tuple[str, ...] = ()
+    faster: tuple[str, ...] = ()
+    blend: tuple[str, str] = ("", "")
     rapid: str = "G0"
     cut: str = "G1"
     feed: str = "F"
@@ -47,6 +55,7 @@ class Post:
     line_end: str = "\n"
     most_characters: int = 79
     spindle_dwell_s: float = 4.0
+    usual_blend_mm: float = 0.001
 
     @property
     def digits(self) -> Digits:
@@ -87,15 +96,46 @@ class ProgramWriter(Writer):
         self._decimals = np.array([post.xy_decimals, post.xy_decimals, post.z_decimals], dtype=np.int64)
         self._buffer = np.empty(POINTS_AT_ONCE * MOST_BYTES_PER_LINE, dtype=np.uint8)
 
-    def start(self, remarks: tuple[str, ...], *, rpm: float, safe_z_mm: float, program: int = 1) -> bytes:
-        """Tape mark and name, remarks, then the first blocks: modes, safe height, spindle and its dwell."""
-        values = {"number": program, "rpm": number(rpm), "safe_z": self._number(safe_z_mm)}
-        values["dwell_s"] = self._number(self.post.spindle_dwell_s)
-        tape = self._blocks(self.post.tape, values)
-        return tape + b"".join(self.post.remark(r) for r in remarks) + self._blocks(self.post.start, values)
+    def start(
+        self,
+        remarks: tuple[str, ...],
+        *,
+        rpm: float,
+        safe_z_mm: float,
+        program: int = 1,
+        setup: ProgramSetup | None = None,
+        trace: Iterable[Path] = (),
+    ) -> bytes:
+        """Tape mark and name, remarks, then the first blocks: modes, safe height, trace, spindle, coolant."""
+        post, setup = self.post, setup or ProgramSetup()
+        first, *further = setup.spindle_steps(rpm, dwell_s=post.spindle_dwell_s)
+        values: dict[str, object] = {"number": program, "safe_z": self._number(safe_z_mm), "blend": self._blend(setup)}
+        begin = {**values, **self._spin(*first)}
+        return b"".join(
+            [
+                self._blocks(post.tape, values),
+                *(post.remark(remark) for remark in remarks),
+                self._blocks(post.start, begin),
+                *(piece for path in trace for piece in self.write(path)),
+                self._blocks(post.spin, begin),
+                *(self._blocks(post.faster or post.spin, self._spin(*step)) for step in further),
+                self._blocks(_on(post.name, setup), {}),
+            ]
+        )
 
-    def end(self, *, safe_z_mm: float) -> bytes:
-        return self._blocks(self.post.end, {"safe_z": self._number(safe_z_mm)})
+    def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
+        """Up, what the start has switched on off again, spindle off, end."""
+        values: dict[str, object] = {"safe_z": self._number(safe_z_mm)}
+        lift, rest = self.post.end[:1], self.post.end[1:]
+        return self._blocks((*lift, *_off(setup or ProgramSetup()), *rest), values)
+
+    def _blend(self, setup: ProgramSetup) -> str:
+        tolerance_mm = self.post.usual_blend_mm if setup.blend_tolerance_mm is None else setup.blend_tolerance_mm
+        rounded, stopped = self.post.blend
+        return rounded.format(tolerance=number(tolerance_mm)) if tolerance_mm > 0 else stopped
+
+    def _spin(self, rpm: float, dwell_s: float) -> dict[str, object]:
+        return {"rpm": number(rpm), "dwell_s": self._number(dwell_s), "whole_dwell_s": f"{math.ceil(dwell_s)}"}
 
     def _number(self, value: float) -> str:
         return number(value, self.post.least_decimals)
@@ -135,6 +175,17 @@ class ProgramWriter(Writer):
         scale = 10**self.post.feed_decimals
         units = max(1, math.floor(feed_mm_per_min * scale + 1e-6))
         return self.post.feed + number(units / scale, self.post.least_decimals if self.post.feed_decimals else 0)
+
+
+def _on(dialect: str, setup: ProgramSetup) -> tuple[str, ...]:
+    coolant = () if setup.coolant == "none" else (COOLANT_WORDS[dialect][setup.coolant],)
+    precise = () if setup.high_precision == "none" else HIGH_PRECISION_WORDS[setup.high_precision][:1]
+    return (*coolant, *precise)
+
+
+def _off(setup: ProgramSetup) -> tuple[str, ...]:
+    precise = () if setup.high_precision == "none" else HIGH_PRECISION_WORDS[setup.high_precision][1:]
+    return (*precise, *(() if setup.coolant == "none" else ("M9",)))
 
 
 def _bytes(text: str) -> np.ndarray:

@@ -7,7 +7,7 @@ thousand times the height of a scallop; what that does to the light is for the r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +16,12 @@ from numba import njit
 from cam.moves import Motion, Path
 from cam.posts.digits import Digits
 from cam.posts.lines import UNKNOWN, write_number
+from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Writer
 
 FASTEST_MM_PER_S = 50.0
 DWELL_S = 4.0
+_LONGEST_WAIT_MS = 30_000  # of a range that ends at 32,767
 _TOP = "^PR;Z0,0,10500;^PA;"  # up to the top of the mill, wherever the tool stands
 _POINTS_AT_ONCE = 40_000
 _MOST_BYTES_PER_LINE = 64
@@ -55,14 +57,28 @@ class RmlWriter(Writer):
         self._line_end = np.frombuffer(f";{post.line_end}".encode("ascii"), dtype=np.uint8)
         self._buffer = np.empty(_POINTS_AT_ONCE * _MOST_BYTES_PER_LINE, dtype=np.uint8)
 
-    def start(self, remarks: tuple[str, ...], *, rpm: float, safe_z_mm: float, program: int = 1) -> bytes:
-        """Defaults, up, spindle on and up to speed. The language has no remarks and no program names."""
+    def start(
+        self,
+        remarks: tuple[str, ...],
+        *,
+        rpm: float,
+        safe_z_mm: float,
+        program: int = 1,
+        setup: ProgramSetup | None = None,
+        trace: Iterable[Path] = (),
+    ) -> bytes:
+        """Defaults, up, trace, spindle on and up to speed. The language has no remarks, program names or coolant."""
         self._speed, self._place[:] = _speed_word(FASTEST_MM_PER_S), UNKNOWN
-        return self._lines(
-            *(";;^DF;", "!MC0;", f"{self._speed};", _TOP, f"!RC{rpm:.0f};", "!MC1;", f"W{1000 * DWELL_S:.0f};")
-        )
+        begin = self._lines(";;^DF;", "!MC0;", f"{self._speed};", _TOP)
+        traced = b"".join(piece for path in trace for piece in self.write(path))
+        steps = (setup or ProgramSetup()).spindle_steps(rpm, dwell_s=DWELL_S)
+        spin = [
+            self._lines(f"!RC{speed:.0f};", *["!MC1;"] * (number == 0), *_waits(dwell_s))
+            for number, (speed, dwell_s) in enumerate(steps)
+        ]
+        return b"".join([begin, traced, *spin])
 
-    def end(self, *, safe_z_mm: float) -> bytes:
+    def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
         self._place[:] = UNKNOWN
         return self._lines(f"{_speed_word(FASTEST_MM_PER_S)};", _TOP, "!MC0;", "^DF;")
 
@@ -86,6 +102,12 @@ class RmlWriter(Writer):
                 head = b"" if speed == self._speed else self._lines(speed + ";")
                 self._speed = speed
                 yield head + self._buffer[:size].tobytes()
+
+
+def _waits(dwell_s: float) -> list[str]:
+    """Commands that stand still for a time, none of them longer than the language can say."""
+    whole, rest = divmod(round(1000 * dwell_s), _LONGEST_WAIT_MS)
+    return [f"W{milliseconds};" for milliseconds in [_LONGEST_WAIT_MS] * whole + [rest] * (rest > 0)]
 
 
 def _speed_word(mm_per_s: float) -> str:

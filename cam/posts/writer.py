@@ -3,27 +3,39 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Protocol
 
 from cam.moves import Path
 from cam.posts.digits import Digits
+from cam.posts.setup import ProgramSetup
 
 
 class Writer(ABC):
     """The modal state of one program while it is written: start, then paths, then end."""
 
     @abstractmethod
-    def start(self, remarks: tuple[str, ...], *, rpm: float, safe_z_mm: float, program: int = 1) -> bytes:
-        """Everything before the first move: modes, safe height, spindle up to speed. program: number, from 1."""
+    def start(
+        self,
+        remarks: tuple[str, ...],
+        *,
+        rpm: float,
+        safe_z_mm: float,
+        program: int = 1,
+        setup: ProgramSetup | None = None,
+        trace: Iterable[Path] = (),
+    ) -> bytes:
+        """Everything before the first cut: modes, safe height, the trace in the air, spindle up to speed, what `setup`
+        switches on. program: number, from 1; trace: paths run before the spindle turns, where the control allows that.
+        """
 
     @abstractmethod
     def write(self, path: Path) -> Iterator[bytes]:
         """Blocks of one path, in pieces."""
 
     @abstractmethod
-    def end(self, *, safe_z_mm: float) -> bytes:
-        """Everything after the last move: up, spindle off, end."""
+    def end(self, *, safe_z_mm: float, setup: ProgramSetup | None = None) -> bytes:
+        """Everything after the last move: up, all off, end."""
 
 
 class Dialect(Protocol):

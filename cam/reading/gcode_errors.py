@@ -40,7 +40,8 @@ ALLOWED_RML = "^DF ^PA ^PR !MC !RC V W Z, each ended by ; on its line"
     NO_SEMICOLON,
     RELATIVE,
     NO_VELOCITY,
-) = range(1, 30)
+    ALONE,
+) = range(1, 31)
 
 REFUSALS = {
     LONG: "a line holds at most 79 characters",
@@ -66,7 +67,8 @@ REFUSALS = {
     NEEDS_POINT: "this control reads a coordinate or feed without a decimal point in its least input (X8.0, not X8)",
     DECIMALS_LEFT_OUT: "more decimals than this control takes",
     TWO_DIGITS_ONLY: "this control takes G and M words with two digits only (G01, not G1)",
-    USELESS_WORD: "H belongs to G15, Q to G64",
+    USELESS_WORD: "H belongs to G15, Q to G64 or G5.1",
+    ALONE: "G5.1 stands alone with Q, G8 with P: 1 for on, 0 for off",
     NO_COMMAND: f"not a command that is read here; allowed: {ALLOWED_RML}",
     BAD_NUMBERS: "the command takes other numbers: whole ones for Z (three), !RC, !MC (0 or 1), W (1 or more)",
     NO_SEMICOLON: "each command ends with ; on its own line",

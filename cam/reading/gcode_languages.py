@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 DWELL_P, DWELL_X, DWELL_F = range(3)
-TAPE, DWELL, TWO_DIGITS, POINTED, DECIMALS, LETTERS, BLENDS, OFFSETS_BY_H, RULES = range(9)
+TAPE, DWELL, TWO_DIGITS, POINTED, DECIMALS, LETTERS, BLENDS, OFFSETS_BY_H, COOLANT, PRECISE, RULES = range(11)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -23,7 +23,9 @@ class Language:
     two_digits    : G01, not G1
     pointed       : letters whose numbers need a decimal point
     most_decimals : more would be cut off, or refused
-    blends        : G64 P Q
+    blends        : G64 P Q, and G61.1
+    coolant       : M7, M8, M9
+    precise       : G5.1 Q and G8 P, 1 for on and 0 for off
     offsets_by_h  : the work offset is G15 H, not G54
     digit_mm      : the finest height that it can state
     """
@@ -36,6 +38,8 @@ class Language:
     pointed: str = ""
     most_decimals: int = 17
     blends: bool = False
+    coolant: bool = True
+    precise: bool = False
     offsets_by_h: bool = False
     digit_mm: float = 1e-5
 
@@ -44,8 +48,9 @@ class Language:
         rules = np.zeros(RULES, dtype=np.int64)
         rules[TAPE], rules[DWELL], rules[TWO_DIGITS] = self.tape, self.dwell, self.two_digits
         rules[POINTED], rules[DECIMALS] = _bits(self.pointed), self.most_decimals
-        rules[LETTERS] = _bits("FNPSXYZ" + "Q" * self.blends + "H" * self.offsets_by_h)
+        rules[LETTERS] = _bits("FNPSXYZ" + "Q" * (self.blends or self.precise) + "H" * self.offsets_by_h)
         rules[BLENDS], rules[OFFSETS_BY_H] = self.blends, self.offsets_by_h
+        rules[COOLANT], rules[PRECISE] = self.coolant, self.precise
         return rules
 
 
@@ -61,7 +66,7 @@ LANGUAGES: dict[str, Language] = {
         Language(name="grblhal"),
         Language(name="fluidnc"),
         Language(name="linuxcnc", tape=True, blends=True),
-        Language(name="fanuc", tape=True, dwell=DWELL_X, pointed="XYZ", most_decimals=3, digit_mm=0.001),
+        Language(name="fanuc", tape=True, dwell=DWELL_X, pointed="XYZ", most_decimals=3, precise=True, digit_mm=0.001),
         Language(
             name="okuma",
             tape=True,
@@ -71,7 +76,15 @@ LANGUAGES: dict[str, Language] = {
             offsets_by_h=True,
             digit_mm=0.001,
         ),
-        Language(name="roland-nc", tape=True, two_digits=True, pointed="XYZF", most_decimals=3, digit_mm=0.001),
+        Language(
+            name="roland-nc",
+            tape=True,
+            two_digits=True,
+            pointed="XYZF",
+            most_decimals=3,
+            coolant=False,
+            digit_mm=0.001,
+        ),
         Language(name="rml-1", kind="rml", digit_mm=0.01),
     )
 }

@@ -7,6 +7,7 @@ from numba import njit
 
 from cam.reading.gcode_errors import (
     AFTER_END,
+    ALONE,
     ARC,
     BAD_DWELL,
     BAD_FEED,
@@ -33,6 +34,7 @@ from cam.reading.gcode_errors import (
 )
 from cam.reading.gcode_languages import (
     BLENDS,
+    COOLANT,
     DECIMALS,
     DWELL,
     DWELL_F,
@@ -40,6 +42,7 @@ from cam.reading.gcode_languages import (
     LETTERS,
     OFFSETS_BY_H,
     POINTED,
+    PRECISE,
     TAPE,
     TWO_DIGITS,
 )
@@ -85,6 +88,8 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         g_unit = 0.0
         g_distance = -1.0
         g_blend = False
+        g_contour = False  # G5.1 Q
+        g_ahead = False  # G8 P
         g_offset = False
         percent = False
         m_spindle = -1
@@ -201,6 +206,14 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 elif code == 640 and rules[BLENDS]:
                     g_blend = True
                     group = 512
+                elif code == 611 and rules[BLENDS]:
+                    group = 512
+                elif code == 51 and rules[PRECISE]:
+                    g_contour = True
+                    group = 512
+                elif code == 80 and rules[PRECISE]:
+                    g_ahead = True
+                    group = 512
                 elif code == 940:
                     group = 64
                 elif code == 400 or code == 490 or code == 800:
@@ -222,7 +235,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 elif value == 2.0 or value == 30.0:
                     m_end = True
                     group = 256
-                elif value == 7.0 or value == 8.0 or value == 9.0:
+                elif (value == 7.0 or value == 8.0 or value == 9.0) and rules[COOLANT]:
                     group = 0
                 else:
                     return begin, n, WRONG_WORD, begin
@@ -255,8 +268,12 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
         if seen & ~(1 << 13 | 1 << 14):  # anything but an N word and a name
             if state[ENDED]:
                 return begin, n, AFTER_END, begin
-            if (seen & (1 << 7) and not g_offset) or (seen & (1 << 16) and not g_blend):  # H, Q
+            if (seen & (1 << 7) and not g_offset) or (seen & (1 << 16) and not (g_blend or g_contour)):  # H, Q
                 return begin, n, USELESS_WORD, begin
+            if (g_contour or g_ahead) and seen & ~(1 << 13) != (1 << 6 | 1 << (16 if g_contour else 15)):
+                return begin, n, ALONE, begin
+            if (g_contour or g_ahead) and not 0.0 <= values[16 if g_contour else 15] <= 1.0:
+                return begin, n, ALONE, begin
             axes = seen & (7 << 23)
             halt = -1.0
             if g_dwell:  # its seconds: a word that means something else without G4
@@ -295,7 +312,7 @@ def parse(raw, state, rules, powers, points, rapid, feed, line, spindle, pause):
                 halt = max(halt, 0.0)
             if g_dwell and (axes or g_motion >= 0):
                 return begin, n, DWELL_MOVES, begin
-            if seen & (1 << 15) and not g_blend and not (g_dwell and rules[DWELL] == 0):
+            if seen & (1 << 15) and not (g_blend or g_ahead) and not (g_dwell and rules[DWELL] == 0):
                 return begin, n, USELESS_P, begin
             if m_end and not axes:
                 halt = max(halt, 0.0)

@@ -115,6 +115,7 @@ _CNC_OWN = (
     *_m(MOVES_FRAME, (6,)),
     *_m(ACCEPT, (48, 49, 19, 60)),
 )
+_PRECISE = (*_g(ACCEPT, (5.1,), "Q"), *_g(ACCEPT, (8,), "P"))  # high-precision modes, on and off
 _LENGTHS = _g(MOVES_FRAME, (43, 44), "HZ")
 # What GRBL and LinuxCNC share, and controls of other families do not have or mean otherwise.
 _NOT_ON_ISO = _g(-refusals.NOT_HERE, (28.1, 30.1, 38.2, 38.3, 38.4, 38.5, 43.1, 91.1, 92.1))
@@ -133,7 +134,7 @@ DIALECTS: dict[str, Dialect] = {
             name="fanuc", line_limit=128, n_limit=99_999_999, percent=True, name_digits=(1, 4),
             needs_point="XYZIJKR",  # F in mm/min is a whole number on these
             own=(*_CNC_OWN, *_LENGTHS, *_NOT_ON_ISO, *_g(MOVES_FRAME, (54.1,), "P"), *_g(DWELL_MS, (4,), "PX"),
-                 *_g(ACCEPT, (30,), "P")),
+                 *_g(ACCEPT, (30,), "P"), *_PRECISE),
         ),
         Dialect(
             name="okuma", line_limit=157, n_limit=99_999_999, percent=True, named=True, needs_point="XYZIJKRF",

@@ -187,7 +187,9 @@ def _straight(n, start, end, cut, feed, line, state, place, totals, events, boun
             totals[MOST_FEED] = feed
         if blind:
             _event(events, BLIND_CUT, line)
-        if state[SPINDLE] == 5.0 or state[SPEED] == 0.0:
+        # A level move over the work zero, at the greatest height so far, is a way in the air: a trace, no cut.
+        aloft = start[2] == row[5] and end[2] == row[5] and end[2] > 0.0
+        if (state[SPINDLE] == 5.0 or state[SPEED] == 0.0) and not aloft:
             _event(events, SPINDLE_OFF, line)
         over = False
         for d in range(3):

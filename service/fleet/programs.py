@@ -51,10 +51,11 @@ def programs_of(files: Sequence[Artifact]) -> list[Program]:
 def set_up(job: Job, number: int, part: int = 1) -> Json:
     """Tool, block, zero and what changes since the program before, from the job's own spec and report.
 
-    number : of the pass, from 1; part: of it, from 1
+    number : of the pass, from 1, 0 for the facing before them, one more than they are for the cutting out; part: of
+             it, from 1
     """
     row, before = _pass(job, number), _pass(job, number - 1)
-    tool = {"shape": "ball end mill", "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
+    tool = {"shape": _shape(row), "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
     optics, stock = _table(job.spec, "optics"), _table(job.spec, "stock")
     margin_mm = float(stock.get("margin_mm", 0.0))
     width_mm, height_mm, thickness_mm = optics.get("width_mm"), optics.get("height_mm"), stock.get("thickness_mm")
@@ -65,35 +66,39 @@ def set_up(job: Job, number: int, part: int = 1) -> Json:
         "margin_mm": margin_mm,
         "material": stock.get("material"),
     }
-    zero = (
-        f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; "
-        "Z0: the block's top"
-    )
-    change = _same_pass(row) if part > 1 else _change(row, before) if number > 1 else None
+    top = "the block's top" if number else f"{row.get('above_mm') or 0:g} mm below the raw top"
+    zero = f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}"
+    change = _same_pass(row) if part > 1 else _change(row, before) if before or number > 1 else None
     return {"tool": tool, "stock": block, "zero": zero, "change": change}
 
 
 def _same_pass(row: Mapping[str, Any]) -> Json:
     """Between two parts of one pass nothing may change: a mark would show where one goes on from the other."""
     radius = row.get("radius_mm")
-    words = f"the same tool as before, {_ball(radius)}, and all zeros as they are: the pass goes on where it ended"
+    words = f"the same tool as before, {_tool(row)}, and all zeros as they are: the pass goes on where it ended"
     return {"from_radius_mm": radius, "to_radius_mm": radius, "words": words}
 
 
 def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
     """What to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
     old, new = before.get("radius_mm"), row.get("radius_mm")
-    if old is not None and old == new:
-        words = f"the same tool as before, {_ball(new)}: it stays in, and all zeros as they are"
+    if old is not None and old == new and _shape(row) == _shape(before):
+        words = f"the same tool as before, {_tool(row)}: it stays in, and all zeros as they are"
     else:
-        words = f"change the tool from {_ball(old)} to {_ball(new)}, set Z zero again; X and Y zero stay"
+        words = f"change the tool from {_tool(before)} to {_tool(row)}, set Z zero again; X and Y zero stay"
     return {"from_radius_mm": old, "to_radius_mm": new, "words": words}
 
 
 def _pass(job: Job, number: int) -> Mapping[str, Any]:
-    """Row `number` of the spec's passes, what the report says of it on top."""
+    """Row `number` of the spec's passes, what the report says of it on top; what is milled around them by its table."""
     wanted, made = _rows(job.spec), _rows(job.report or {})
+    stock = _table(job.spec, "stock")
     row: dict[str, Any] = {}
+    if number == 0:
+        return _table(stock, "face")
+    if number == max(len(wanted), len(made)) + 1:
+        cut_out = _table(stock, "cut_out")
+        return {"tool": "flat", **cut_out} if cut_out else {}
     if 1 <= number <= len(wanted):
         row |= wanted[number - 1]
     if 1 <= number <= len(made):
@@ -102,8 +107,13 @@ def _pass(job: Job, number: int) -> Mapping[str, Any]:
     return row
 
 
-def _ball(radius_mm: float | None) -> str:
-    return "R ?" if radius_mm is None else ball(radius_mm)
+def _shape(row: Mapping[str, Any]) -> str:
+    return f"{row.get('tool', 'ball')} end mill"
+
+
+def _tool(row: Mapping[str, Any]) -> str:
+    size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
+    return f"flat end mill {size}" if row.get("tool") == "flat" else size
 
 
 def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:

@@ -1,1 +1,1 @@
-"""What a job is made of: its data libraries and the steps that are taken by hand."""
+"""A job: its spec, its stages, what they make of it, and what is done by hand afterwards."""

@@ -13,7 +13,7 @@ from machines.gcode.limits import MillLimits, limits_of
 from service.contour_sample import ContourSample
 from service.drawing.path import PathDrawing
 from service.errors import FailedError
-from service.job_files import TOOLPATH, files_of_pass, names_of_pass, path_name, read_chunks
+from service.job_files import TOOLPATH, files_of_pass, names_of_pass, path_name, programs_in_order, read_chunks
 from service.passes import cam_passes_of, cam_stock_of, machine_of
 from service.path_sample import PathSample
 from service.preflight_worker import examine
@@ -26,7 +26,7 @@ def final_check(shop: Workshop) -> None:
     rows = shop.so_far["passes"]
     limits = limits_of(machine_of(shop.spec))
     with shop.watch.stage("pre-flight") as reached:
-        files = [file for row in rows for file in files_of_pass(row)]
+        files = [file for row in programs_in_order(shop.so_far) for file in files_of_pass(row)]
         for number, (name, sha256) in enumerate(files):
             for warning in _warnings(shop.folder / name, sha256, limits, _part(reached, number, len(files))):
                 shop.note("passes", f"{name}: {warning}")
@@ -84,7 +84,8 @@ def _follow(shop: Workshop, paths: list[Path], number: int, sample: PathSample) 
     side_mm = max(stock.width_mm, stock.height_mm)
     with PathDrawing(shop.folder, kinematics=kinematics_of(machine), side_mm=side_mm) as drawing:
         for batch in read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect]):
-            sample.add(batch.start_mm, batch.end_mm, batch.is_rapid)
+            seen = batch.is_rapid | batch.spindle_on  # without a trace in the air, which cuts nothing
+            sample.add(batch.start_mm[seen], batch.end_mm[seen], batch.is_rapid[seen])
             if shop.is_shown:
                 drawing.add(batch)
         if shop.is_shown:

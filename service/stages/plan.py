@@ -40,11 +40,15 @@ _KINEMATICS = tuple(
         "planner_blocks", "lines_per_s", "safe_z_mm",
     )
 )  # fmt: skip
-_PROGRAMS = ("machine.step_mm", "machine.whole_steps", "machine.most_program_mb", "machine.most_program_hours")
+_SETUP = tuple(f"machine.{name}" for name in ("coolant", "blend_tolerance_mm", "high_precision"))
+_LIMITS = ("machine.most_program_mb", "machine.most_program_hours")
+_PROGRAMS = ("machine.step_mm", "machine.whole_steps", *_LIMITS, *_SETUP)
+_ALL_PROGRAMS = ("pass-*-*",)
 MILLED_S_PER_M = 0.025
 POLISH_S = 20.0  # of 512 x 512 pixels
 REST_SHARE = 0.1  # of the lens, at a guess, that a rest pass goes over
 PLAN_S = 12.0
+AROUND_S = 2.0
 AS_MILLED_S_PER_M = 0.06
 AS_FINISHED_S_PER_M = 0.02
 _LIBRARIES = (
@@ -134,18 +138,32 @@ _PASS = Stage(
     spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
 )
+_AROUND = "service.job.stages.around"
+_FACE = Stage(
+    name="pass-face",
+    function=f"{_AROUND}:face",
+    spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
+    parts=(("write", 0.2), ("check", 0.8)),
+)
+_CUT_OUT = Stage(
+    name="pass-cut-out",
+    function=f"{_AROUND}:cut_out",
+    reads=(".stock-last.npz",),
+    spec=("stock.cut_out", "optics.outline", "passes_count", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
+    parts=(("write", 0.2), ("check", 0.8)),
+)
 _AFTER = (
     Stage(
         name="check",
         function="service.stages.final_check:final_check",
-        reads=("pass-*-*",),
+        reads=_ALL_PROGRAMS,
         spec=("passes", "machine", "optics.outline", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(
         name="as-milled",
         function="service.stages.as_milled:as_milled",
-        reads=("heightfield.npz", "map.npz", "pass-*-*"),
+        reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=(
             *_BENCH,
             "optics.viewed_from",
@@ -174,7 +192,7 @@ _AFTER = (
     ),
     Stage(name="report", function="service.stages.sheet:sheet", spec=("",), sheet=True),
 )
-_ROWS = {stage.name: stage for stage in (*_BEFORE, *_AFTER)}
+_ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _CUT_OUT, *_AFTER)}
 
 
 def plan(spec: JobSpec) -> tuple[str, ...]:
@@ -183,8 +201,10 @@ def plan(spec: JobSpec) -> tuple[str, ...]:
     """
     passes = (f"pass-{number}" for number in range(1, len(_rows(spec)) + 1))
     before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
+    first = (_FACE.name,) if spec.stock.face is not None else ()
+    last = (_CUT_OUT.name,) if spec.stock.cut_out is not None else ()
     after = (stage.name for stage in _AFTER if stage.name != "as-finished" or spec.finish.finishes)
-    return (*before, *passes, *after)
+    return (*before, *first, *passes, *last, *after)
 
 
 def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
@@ -205,7 +225,8 @@ def _pass(number: int) -> Stage:
     if number == 1:
         cutters = ("radius_mm", "stock_to_leave_mm", "step_down_mm", "flute_length_mm", "shank_radius_mm")
         fit = (*(f"passes.*.{key}" for key in cutters), "optics.min_radius_mm")
-        return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit))
+        reads = (*_PASS.reads, ".stock-0.npz")
+        return replace(_PASS, name="pass-1", number=1, spec=(*own, *fit, "faced", "own_beginning"), reads=reads)
     reads = (*_PASS.reads, f".stock-{number - 1}.npz")
     return replace(_PASS, name=f"pass-{number}", number=number, spec=own, reads=reads)
 
@@ -245,6 +266,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
         "report": 0.1,
     }
     block = spec.optics.width_mm * spec.optics.height_mm / 100**2
+    seconds[_FACE.name] = seconds[_CUT_OUT.name] = AROUND_S
     for number, row in enumerate(_rows(spec), 1):
         path_m = _path_m(spec, row) * (REST_SHARE if row.where == "rest" else 1.0)
         finishes = row.stock_to_leave_mm == 0
@@ -286,9 +308,10 @@ def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, 
 def facts_of(spec: JobSpec) -> dict[str, Any]:
     """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the
     block's thickness where light slants through it or a branch is chosen for it; all that a picture is prepared for,
-    where it is; the figures of mill and finish, for their files may change under their names; and of each pass whether
-    it is the last one, whose stock nobody asks for, and whether a rest pass comes after it, which takes what it cannot
-    reach.
+    where it is; the figures of mill and finish, for their files may change under their names; whether the stock is
+    faced; how the spindle is warmed up and which outline is traced in the air, in the job's first program, and in that
+    of the first pass; and of each pass whether it is the last one, whose stock nobody asks for, and whether a rest pass
+    comes after it, which takes what it cannot reach.
     """
     facts = spec.model_dump(mode="json")
     facts["screen_mm"] = list(spec.optics.screen_size_mm)
@@ -303,8 +326,14 @@ def facts_of(spec: JobSpec) -> dict[str, Any]:
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(machine_of(spec))
     facts["tools"] = [asdict(tool) for tool in load_tools()] if spec.to_be_planned else None
+    facts["faced"] = spec.stock.face is not None
+    warm_up_s, slowest_rpm = facts["machine"]["warm_up_s"], facts["machine"]["spindle_rpm"][0]
+    warm_up = [warm_up_s, slowest_rpm] if warm_up_s else None
+    facts["beginning"] = [warm_up, facts["optics"]["outline"] if facts["machine"]["trace_outline"] else None]
+    facts["own_beginning"] = None if facts["faced"] else facts["beginning"]
+    facts["passes_count"] = len(facts["passes"])
     for row in facts["passes"]:
-        row["last"] = row is facts["passes"][-1]
+        row["last"] = row is facts["passes"][-1] and spec.stock.cut_out is None
     for number, row in enumerate(facts["passes"], 1):
         row["rest_follows"] = any(later["where"] == "rest" for later in facts["passes"][number:])
     return facts

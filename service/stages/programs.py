@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
+from functools import partial
 from itertools import count
 from pathlib import Path
 
+from cam.around.outline import TRACE_FEED_MM_PER_MIN, trace_paths
 from cam.checking.check import PassCheck, check_program
 from cam.duration import Kinematics
+from cam.moves import Path as ToolPath
 from cam.parts import PartLimits
 from cam.passes import PassSpec, Stock
 from cam.posts.dialects import POSTS
@@ -21,9 +24,18 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Heightfield
 from service.errors import FailedError
 from service.fitting import require_flutes, require_travel, unfit_ball
-from service.job_files import HEIGHTFIELD, WrittenProgram, program_name, read_chunks, write_program
+from service.job_files import (
+    FACED_STOCK,
+    HEIGHTFIELD,
+    LAST_STOCK,
+    WrittenProgram,
+    program_name,
+    read_chunks,
+    stock_name,
+    write_program,
+)
 from service.lens_facts import measure_lens
-from service.passes import cam_passes_of, cam_stock_of, machine_of
+from service.passes import cam_passes_of, cam_stock_of, machine_of, setup_of
 from service.spec import JobSpec
 from service.stages import arrays
 from service.stages.workshop import Workshop
@@ -41,7 +53,7 @@ def one_pass(shop: Workshop) -> None:
     spec, stock = cam_passes_of(shop.spec)[shop.number - 1], cam_stock_of(shop.spec)
     if shop.number == 1:
         require_millable(shop, heightfield)
-        stock_top = first_stock(stock)
+        stock_top = first_stock(stock) if shop.spec.stock.face is None else shop.receive(FACED_STOCK, arrays.load_stock)
     else:
         stock_top = shop.receive(stock_name(shop.number - 1), arrays.load_stock)
     written = _write(shop, spec, heightfield, stock_top)
@@ -60,11 +72,8 @@ def one_pass(shop: Workshop) -> None:
     shop.report["passes"] = [row]
     if shop.number < len(shop.spec.passes):
         shop.hand_over(stock_name(shop.number), verdict.stock_top, arrays.stock_bytes)
-
-
-def stock_name(number: int) -> str:
-    """The file that holds what pass `number` has left."""
-    return f".stock-{number}.npz"
+    elif shop.spec.stock.cut_out is not None:
+        shop.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
 
 
 def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
@@ -171,7 +180,7 @@ def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: 
     """The programs of the pass: one, or its parts."""
     machine = machine_of(shop.spec)
     post = POSTS[machine.dialect]
-    whole = shop.folder / program_name(shop.number, spec.name, post.suffix)
+    setup, is_first = setup_of(machine), shop.number == 1 and shop.spec.stock.face is None
     with shop.watch.stage(f"write pass {shop.number} {spec.name}") as reached:
         parts = generate_parts(
             heightfield,
@@ -183,14 +192,32 @@ def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: 
             limits=part_limits_of(machine),
             step_mm=_step_mm(machine),
             number=shop.number,
+            setup=setup if is_first else setup.without_warm_up(),
+            trace=trace_of(shop.spec, machine) if is_first else (),
             on_progress=reached,
         )
-        names = (program_name(shop.number, spec.name, post.suffix, part) for part in count(1))
-        written = [write_program(shop.folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
-        if len(written) == 1:
-            (shop.folder / written[0].file).rename(whole)
-            return [replace(written[0], file=whole.name)]
-        return written
+        return write_parts(shop.folder, partial(program_name, shop.number, spec.name, post.suffix), parts)
+
+
+def write_parts(
+    folder: Path, name_of: Callable[[int | None], str], parts: Iterable[Iterable[bytes]]
+) -> list[WrittenProgram]:
+    """The programs of a pass; name_of: their files, by the number of the part, or None where there is but one."""
+    names = map(name_of, count(1))
+    written = [write_program(folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
+    if len(written) == 1:
+        (folder / written[0].file).rename(folder / name_of(None))
+        return [replace(written[0], file=name_of(None))]
+    return written
+
+
+def trace_of(spec: JobSpec, machine: MachineProfile) -> tuple[ToolPath, ...]:
+    """Around block and lens at the safe height, for the first program of a job; nothing where it is not asked for."""
+    if not machine.trace_outline:
+        return ()
+    feed = min(TRACE_FEED_MM_PER_MIN, *machine.max_rate_mm_per_min[:2])
+    outline = spec.optics.outline_mm or ()
+    return trace_paths(cam_stock_of(spec), outline, safe_z_mm=machine.safe_z_mm, feed_mm_per_min=feed)
 
 
 def _check(

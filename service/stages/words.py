@@ -5,11 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from cam.errors import CamError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
+from cam.errors import (
+    CamError,
+    CutterTooLargeError,
+    OutlineError,
+    PassValueError,
+    SafeHeightError,
+    StockTooThinError,
+)
 from optics.errors import OpticsError
 from service.errors import FailedError, InputError
 
-_INPUT_ERRORS = (OpticsError, CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError)
+_INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
 
 
 @contextmanager

@@ -9,9 +9,9 @@ import numpy as np
 
 from cam.planner import Candidate, Goal, Plan, plan_among
 from optics.finish import PAD_MM, Finish
-from service.job.finish_spec import BEST, NONE, FinishSpec
 from service.job.finishing import Process, load_processes
 from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.job.spec.finish import BEST, NONE, FinishSpec
 from service.plan_light import PictureLight
 
 RECOMMENDED = ("sanding", "felt", "lacquer")

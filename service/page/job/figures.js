@@ -70,9 +70,15 @@ export function detailOfPlan(spec, row) {
   return Math.max(pixelMm(spec), 2 * row.blur_mm);
 }
 
-/** Seconds on the mill of all passes; null before they are known. */
+/** What the report says of all programs, in the order in which they are run: facing, passes, cutting out. */
+export function programRows(report) {
+  const { face, "cut-out": cutOut } = report?.around ?? {};
+  return [face, ...(report?.passes ?? []), cutOut].filter(Boolean);
+}
+
+/** Seconds on the mill of all programs; null before they are known. */
 export function millSeconds(report) {
-  const passes = report?.passes ?? [];
+  const passes = programRows(report);
   return passes.length && passes.every((row) => row.time_s) ? passes.reduce((sum, row) => sum + row.time_s, 0) : null;
 }
 
@@ -167,6 +173,8 @@ export function passesOf(job) {
 
 /** One pass of a spec in words: "ball R 3 (Ø 6 mm), rows along X every 0.14 mm at 1500 mm/min". */
 export function passWords(row) {
+  if ("above_mm" in row) return `${row.tool} end mill ${ball(row.radius_mm)}, takes ${mm(row.above_mm)} off the top`;
+  if ("tabs" in row) return `flat end mill ${ball(row.radius_mm)}, cuts the lens out, ${count(row.tabs, "tab", "tabs")}`;
   const tool = `ball ${ball(row.radius_mm)}`;
   const rows = `rows along ${String(row.direction ?? "x").toUpperCase()}`;
   const ways = row.strategy === "contour" ? "one path along contour lines" : rows;
@@ -198,6 +206,8 @@ const STAGES = {
   map: "Shape the lens",
   heightfield: "Check its surface",
   caustic: "Simulate its light",
+  "pass-face": "Make and check the facing of the block",
+  "pass-cut-out": "Make and check the cutting out",
   check: "Check the programs as the mill reads them",
   "as-milled": "Simulate the milled lens",
   report: "Write the setup sheet",

@@ -3,7 +3,7 @@ import { api } from "../lib/api.js";
 import { h, replace, write } from "../lib/dom.js";
 import { mayBeMilled } from "../lib/state.js";
 import { bytes, hours, jobName, thousands } from "../lib/words.js";
-import { passWords, passesOf } from "./figures.js";
+import { passWords, passesOf, programRows } from "./figures.js";
 import { saveLink, sheetLink } from "./save.js";
 
 const SHEET = "report.html";
@@ -30,7 +30,7 @@ export function programsPart() {
     write(wait, waitWords(job));
     wait.hidden = !wait.textContent;
     wait.classList.toggle("soon", !job.programs.length);
-    const key = JSON.stringify([job.state, job.cancel_requested, job.programs, job.report?.passes?.map((row) => row.time_s)]);
+    const key = JSON.stringify([job.state, job.cancel_requested, job.programs, programRows(job.report).map((row) => row.time_s)]);
     if (key === shown) return;
     shown = key;
     if (mayBeMilled(job) && !mills) mills = await machines();
@@ -58,7 +58,7 @@ async function machines() {
 }
 
 function row(job, program, mills) {
-  const checked = job.report?.passes?.find(({ file }) => file === program.name);
+  const checked = programRows(job.report).find(({ file }) => file === program.name);
   const pass = checked?.settings ?? passOf(program.name, job);
   const { time_s: seconds, lines } = checked ?? {};
   const facts = [seconds && hours(seconds), lines && `${thousands(lines)} lines`, bytes(program.bytes)];

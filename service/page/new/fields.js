@@ -122,6 +122,10 @@ const STOCK = [
 ];
 
 const YES_NO = [[null, OF_MACHINE], [true, "yes"], [false, "no"]];
+const COOLANTS = [[null, OF_MACHINE], ["none", "none"], ["air", "air"], ["mist", "mist"], ["flood", "flood"]];
+const MODES = [[null, OF_MACHINE], ["none", "none"], ["g05.1", "G05.1"], ["g08", "G08"]];
+const BLEND = { hint: "LinuxCNC only; 0: exact stop." };
+const WARM_UP = { hint: "In the first program, in steps of speed." };
 
 const MACHINE = [
   numbers("machine.travel_mm", "Travel", "mm", XYZ),
@@ -137,6 +141,11 @@ const MACHINE = [
   number("machine.lines_per_s", "Lines per second", "", OF_MACHINE),
   number("machine.most_program_mb", "Largest program", "MB", "no limit"),
   number("machine.most_program_hours", "Longest program", "h", "no limit"),
+  choice("machine.coolant", "Coolant or air", COOLANTS, null),
+  number("machine.warm_up_s", "Spindle warm-up", "s", OF_MACHINE, WARM_UP),
+  choice("machine.trace_outline", "Trace the block first", YES_NO, null),
+  number("machine.blend_tolerance_mm", "Corners rounded by", "mm", OF_MACHINE, BLEND),
+  choice("machine.high_precision", "High-precision mode", MODES, null),
 ];
 
 /** [title, rows] of what is folded away. */

@@ -234,7 +234,7 @@ def test_a_refusal_names_line_text_and_way_out() -> None:
 
 
 def test_events_name_their_first_line() -> None:
-    program = b"X1\nG0X5Y5Z5\nG1X9F100\nM3S100\nG91\nM0\nG10L20P1X0\nG92X0\nG1X1F9999\n"
+    program = b"X1\nG0X5Y5Z5\nG1X9Z4F100\nM3S100\nG91\nM0\nG10L20P1X0\nG92X0\nG1X1F9999\n"
     scan, _, bad, why = scanned([b"G0 " + program])
     assert not bad, why
     first = {slot: int(scan.events[slot, 0]) for slot in range(tally.EVENTS) if scan.events[slot, 1]}
@@ -244,6 +244,14 @@ def test_events_name_their_first_line() -> None:
     assert first[tally.SETTINGS_WRITTEN] == 7
     assert first[tally.FRAME_MOVED] == 7
     assert first[tally.OVER_RATE] == 9
+
+
+@pytest.mark.parametrize(("moves", "told"), [("X9", 0), ("X9\nX1Y1", 0), ("Z4", 1), ("X9Z4.9", 1), ("Z-1\nX9", 2)])
+def test_a_level_way_at_the_height_of_rapids_is_no_cut_with_the_spindle_off(moves: str, told: int) -> None:
+    """A trace in the air is run with the spindle off on purpose; whatever goes lower is a cut."""
+    scan, _, bad, why = scanned([f"G21G90\nG0Z5\nX5Y5\nG1F100{moves}\n".encode()])
+    assert not bad, why
+    assert scan.events[tally.SPINDLE_OFF, 1] == told
 
 
 @given(points=st.lists(st.tuples(st.floats(-50, 50), st.floats(-50, 50)), min_size=1, max_size=30))

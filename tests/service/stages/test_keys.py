@@ -87,6 +87,9 @@ def test_there_is_another_value_for_every_key_of_the_spec() -> None:
         ("machine.most_program_mb", {"pass-1", "pass-2", "check"}),
         ("machine.spindle_rpm", {"check"}),
         ("machine.profile", {"check"}),  # all its figures are given otherwise
+        ("machine.coolant", {"pass-1", "pass-2", "check"}),
+        ("machine.warm_up_s", {"pass-1", "check"}),
+        ("machine.trace_outline", {"pass-1", "check"}),
         ("preset", set()),
     ],
 )
@@ -102,12 +105,36 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
         ("optics.creases", {"map"}),
         ("image.prepare_detail_mm", {"irradiance"}),
         ("plan.hours", set()),  # the passes are given
+        ("stock.face", {"pass-1"}),  # its stage is a further one; the first pass begins from another stock
+        ("stock.cut_out", {"pass-2", "check"}),  # which hands on what it leaves
+        ("machine.high_precision", set()),  # said to be none, or left so
         *((key, {"map", "caustic", "as-milled"}) for key in ALONE if key.startswith("optics.light")),
     ],
 )
 def test_what_a_change_reaches_where_values_go_together(key: str, stages: set[str]) -> None:
     before, after = (keys_of(spec_of(changes)) for changes in ALONE[key])
     assert {stage for stage in STAGES if before[stage] != after[stage]} == stages | {"report"}
+
+
+FACED = {"stock.face": {"above_mm": 0.5}, "stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}
+
+
+@pytest.mark.parametrize(
+    ("changes", "stages"),
+    [
+        ({"stock.face": {"above_mm": 0.6}}, {"pass-face"}),
+        ({"stock.cut_out": {"radius_mm": 0.5, "tabs": 2, "tab_width_mm": 1.0}}, {"pass-cut-out"}),
+        ({"machine.warm_up_s": 9.0}, {"pass-face", "check"}),
+        ({"machine.coolant": "flood"}, {"pass-face", "pass-1", "pass-2", "pass-cut-out", "check"}),
+        ({"passes.1.pitch_mm": 0.3}, {"pass-2", "check", "as-milled"}),
+        ({"optics.throw_mm": 21.0}, {"map", "caustic", "as-milled"}),
+    ],
+)
+def test_what_is_milled_around_the_passes_depends_on_the_block_and_not_on_the_lens(
+    changes: dict[str, Any], stages: set[str]
+) -> None:
+    before, after = keys_of(spec_of(FACED)), keys_of(spec_of({**FACED, **changes}))
+    assert {stage for stage in before if before[stage] != after[stage]} == stages | {"report"}
 
 
 @pytest.mark.parametrize(

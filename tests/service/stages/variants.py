@@ -31,7 +31,8 @@ BASE: dict[str, Any] = {
         "light": {"kind": "collimated", "size_deg": None, "distance_mm": None, "size_mm": None, "profile": None,
                   "gaussian_mm": None},
     },
-    "stock": {"thickness_mm": 20.0, "margin_mm": 2.0, "skim_mm": 0.1, "material": "pmma"},
+    "stock": {"thickness_mm": 20.0, "margin_mm": 2.0, "skim_mm": 0.1, "material": "pmma", "face": None,
+              "cut_out": None},
     "passes": [
         {**_ROW, "name": "rough", "radius_mm": 3.0, "pitch_mm": 1.0, "stock_to_leave_mm": 0.2, "step_down_mm": 1.5,
          "feed_mm_per_min": 1200.0},
@@ -43,7 +44,8 @@ BASE: dict[str, Any] = {
         "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
         "junction_deviation_mm": 0.01,
         "planner_blocks": 15, "lines_per_s": 100.0, "safe_z_mm": 5.0, "spindle_rpm": [1000.0, 20000.0],
-        "whole_steps": False, "most_program_mb": 100.0, "most_program_hours": 100.0,
+        "whole_steps": False, "most_program_mb": 100.0, "most_program_hours": 100.0, "coolant": "none",
+        "blend_tolerance_mm": None, "high_precision": "none", "warm_up_s": 0.0, "trace_outline": False,
     },
 }  # fmt: skip
 OTHER: dict[str, Any] = {
@@ -60,7 +62,8 @@ OTHER: dict[str, Any] = {
     "machine.profile": "grbl-3018", "machine.travel_mm": [190.0, 190.0, 55.0],
     "machine.max_rate_mm_per_min": [1900.0, 1900.0, 500.0], "machine.acceleration_mm_per_s2": [90.0, 90.0, 40.0],
     "machine.step_mm": 0.01, "machine.z_noise_mm": 0.001, "machine.whole_steps": True,
-    "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05,
+    "machine.most_program_mb": 0.1, "machine.most_program_hours": 0.05, "machine.coolant": "flood",
+    "machine.warm_up_s": 10.0, "machine.trace_outline": True,
     "machine.junction_deviation_mm": 0.02, "machine.planner_blocks": 31,
     "machine.lines_per_s": 200.0, "machine.safe_z_mm": 6.0, "machine.spindle_rpm": [2000.0, 19000.0],
     **{
@@ -76,6 +79,7 @@ OTHER: dict[str, Any] = {
     },
 }  # fmt: skip
 ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
+LINUXCNC = {"machine.profile": "linuxcnc"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
@@ -85,6 +89,10 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     "optics.method": ({}, {"optics.method": "paper"}),
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
+    "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
+    "stock.cut_out": ({}, {"stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}),
+    "machine.blend_tolerance_mm": (LINUXCNC, {**LINUXCNC, "machine.blend_tolerance_mm": 0.002}),
+    "machine.high_precision": ({}, {"machine.high_precision": None}),
     "optics.light.kind": ({}, {"optics.light": {"kind": "sun"}}),
     "optics.light.size_deg": ({"optics.light": {"kind": "sun"}}, {"optics.light": {"kind": "sun", "size_deg": 1.0}}),
     "optics.light.distance_mm": (POINT, {"optics.light": {**POINT["optics.light"], "distance_mm": 400.0}}),

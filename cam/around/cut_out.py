@@ -1,0 +1,117 @@
+"""Cutting the lens out: around its outline layer by layer, each entered by a ramp, up and down over the tabs.
+
+Theory of operation: the way of the cutter's axis is a closed line, places on it are lengths along it. The cutter sinks
+along it at the slope of all ramps, goes once around and over the ramp again, and sinks on from where it is. Wherever a
+tab stands its height is the larger of the layer's and the tab's: a plateau as wide as the tab and the cutter, with
+flanks. The larger of two straight pieces is convex, so chords between the places asked never go under it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+from math import ceil
+
+import numpy as np
+
+from cam.around.specs import FLANK_SLOPE, CutOut
+from cam.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
+from cam.errors import PassValueError, SafeHeightError
+from cam.moves import Array, Path, cut, rapid
+from cam.passes import Stock
+from cam.stock_grid import StockGrid
+
+_ROOM_SHARE = 0.9  # of the way between two tabs that their feet may take
+
+
+def cut_out_paths(cut_out: CutOut, stock: Stock, loop_mm: Array, *, top_mm: float, safe_z_mm: float) -> Iterator[Path]:
+    """Moves of the tip from safe height back to safe height.
+
+    loop_mm (n, 2) : closed way of the axis, as `outline.offset_loop` gives it; top_mm: of the stock along it
+    """
+    over_mm = max(top_mm, 0.0) + RAPID_CLEARANCE_MM
+    if safe_z_mm < over_mm:
+        raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=over_mm)
+    way = _ClosedWay(loop_mm, cut_out, stock.thickness_mm)
+    depth_mm = top_mm + stock.thickness_mm + cut_out.through_mm
+    count = ceil(depth_mm / cut_out.step_down_mm - 1e-9)
+    levels = [top_mm + CLEARANCE_MM, *(top_mm - depth_mm * k / count for k in range(1, count + 1))]
+    x, y = loop_mm[0]
+    yield rapid((x, y, safe_z_mm), (x, y, over_mm))
+    yield cut([(x, y, levels[0])], cut_out.plunge_mm_per_min)
+    at_mm = 0.0
+    for above_mm, level_mm in pairwise(levels):
+        ramp_mm = (above_mm - level_mm) / RAMP_SLOPE
+        points = way.points(at_mm, at_mm + ramp_mm + way.length_mm, ramp_mm=ramp_mm, from_mm=above_mm, to_mm=level_mm)
+        yield from _with_feeds(points, cut_out)
+        at_mm = (at_mm + ramp_mm) % way.length_mm
+        x, y = points[-1, :2]
+    yield leave(x, y, safe_z_mm=safe_z_mm)
+
+
+def highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> float:
+    """The highest stock that a cutter may meet on its way."""
+    highest = [
+        top.highest_mm(
+            *(min(a[0], b[0]) - radius_mm, max(a[0], b[0]) + radius_mm),
+            *(min(a[1], b[1]) - radius_mm, max(a[1], b[1]) + radius_mm),
+        )
+        for a, b in pairwise(loop_mm)
+    ]
+    return max(height for height in highest if height is not None)
+
+
+class _ClosedWay:
+    """Places along a closed way by their length from its begin, and the tabs on it."""
+
+    def __init__(self, loop_mm: Array, cut_out: CutOut, thickness_mm: float) -> None:
+        self._run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(loop_mm, axis=0).T))])
+        self._loop = loop_mm
+        self.length_mm = float(self._run[-1])
+        self._centres = np.array(cut_out.tab_centres_mm(self.length_mm))
+        self._half_mm = cut_out.tab_width_mm / 2 + cut_out.radius_mm
+        self._tab_mm = cut_out.tab_height_mm - thickness_mm
+        room_mm = _ROOM_SHARE * self.length_mm / max(1, cut_out.tabs)
+        if cut_out.tabs and 2 * cut_out.tab_foot_mm() > room_mm:
+            most = int(_ROOM_SHARE * self.length_mm / (2 * cut_out.tab_foot_mm()))
+            raise PassValueError(
+                name="tabs",
+                value=cut_out.tabs,
+                allowed=f"at most {most}: with its flanks and the cutter each takes {2 * cut_out.tab_foot_mm():.1f} mm "
+                f"of the {self.length_mm:.1f} mm around the lens",
+            )
+
+    def points(self, begin_mm: float, end_mm: float, *, ramp_mm: float, from_mm: float, to_mm: float) -> Array:
+        """(n, 3) from one length to another, the begin left out: sinking first, then level, never into a tab."""
+        turns = np.arange(int(end_mm // self.length_mm) + 1) * self.length_mm
+        corners = (self._run[:-1] + turns[:, None]).ravel()
+        tabs = (self._tab_places(to_mm) + turns[:, None]).ravel()
+        places = np.unique(np.concatenate([corners, tabs, [begin_mm, begin_mm + ramp_mm, end_mm]]))
+        places = places[(places >= begin_mm) & (places <= end_mm)]
+        level = np.maximum(from_mm - (from_mm - to_mm) * (places - begin_mm) / ramp_mm, to_mm)
+        around = places % self.length_mm
+        xy = [np.interp(around, self._run, self._loop[:, axis]) for axis in (0, 1)]
+        points = np.column_stack([*xy, np.maximum(level, self._tab_heights(around))])
+        return points[1:]
+
+    def _tab_places(self, level_mm: float) -> Array:
+        """Where the height bends: ends of plateaus, and feet of flanks on a level."""
+        foot_mm = max(0.0, self._tab_mm - level_mm) / FLANK_SLOPE
+        beside = [-self._half_mm - foot_mm, -self._half_mm, self._half_mm, self._half_mm + foot_mm]
+        return np.asarray((self._centres[:, None] + beside).ravel() % self.length_mm)
+
+    def _tab_heights(self, around_mm: Array) -> Array:
+        heights = np.full(around_mm.shape, -np.inf)
+        for centre in self._centres:
+            away = np.abs((around_mm - centre + self.length_mm / 2) % self.length_mm - self.length_mm / 2)
+            flank = self._tab_mm - FLANK_SLOPE * np.maximum(0.0, away - self._half_mm)
+            heights = np.maximum(heights, flank)
+        return heights
+
+
+def _with_feeds(points: Array, cut_out: CutOut) -> Iterator[Path]:
+    """Level pieces at the feed, the others at the plunge feed. The first piece is a ramp."""
+    slanted = np.concatenate([[True], np.abs(np.diff(points[:, 2])) > 1e-9])
+    begins = np.flatnonzero(np.concatenate([[True], slanted[1:] != slanted[:-1]]))
+    for begin, end in pairwise([*begins, len(points)]):
+        yield cut(points[begin:end], cut_out.plunge_mm_per_min if slanted[begin] else cut_out.feed_mm_per_min)

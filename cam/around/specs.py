@@ -1,0 +1,97 @@
+"""Facing and cutting out as data: which cutter takes what off around the passes of the lens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil, radians, tan
+from typing import Literal
+
+from cam.errors import PassValueError
+
+CutterShape = Literal["flat", "ball"]
+
+FLANK_SLOPE = tan(radians(30.0))
+"""Of the ways up onto a tab and down from it."""
+
+BESIDE_MM = 1.0
+"""Between the block and a cutter that comes down beside it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Facing:
+    """The stock's raw top taken down to Z0, in rows along X over the whole block.
+
+    above_mm : the most that the raw top stands above Z0
+    pitch_mm : distance of rows
+    """
+
+    above_mm: float
+    shape: CutterShape
+    radius_mm: float
+    pitch_mm: float
+    step_down_mm: float
+    feed_mm_per_min: float
+    plunge_mm_per_min: float
+    spindle_rpm: float
+
+    def __post_init__(self) -> None:
+        _require_positive(
+            self, "above_mm", "radius_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"
+        )
+        most_mm = (2.0 if self.shape == "flat" else 1.0) * self.radius_mm
+        if not 0.01 <= self.pitch_mm <= most_mm:
+            raise PassValueError(name="pitch_mm", value=self.pitch_mm, allowed=f"0.01 to {most_mm:g} mm")
+
+    @property
+    def cusp_mm(self) -> float:
+        """What stays above Z0 between two rows."""
+        return 0.0 if self.shape == "flat" else self.radius_mm - (self.radius_mm**2 - self.pitch_mm**2 / 4) ** 0.5
+
+    @property
+    def levels_mm(self) -> tuple[float, ...]:
+        """Heights of the tip from the first layer down to Z0."""
+        count = ceil(self.above_mm / self.step_down_mm - 1e-9)
+        return tuple(self.above_mm * (count - k) / count for k in range(1, count + 1))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CutOut:
+    """The lens cut out of the block along its outline by a flat end mill, but for tabs that hold it.
+
+    tab_height_mm : of the tabs, from the block's bottom; tab_width_mm: along the outline, at their tops
+    through_mm    : deeper than the block is thick
+    """
+
+    radius_mm: float
+    tabs: int
+    tab_width_mm: float
+    tab_height_mm: float
+    through_mm: float
+    step_down_mm: float
+    feed_mm_per_min: float
+    plunge_mm_per_min: float
+    spindle_rpm: float
+
+    def __post_init__(self) -> None:
+        _require_positive(
+            self, "radius_mm", "tab_width_mm", "tab_height_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min",
+            "spindle_rpm",
+        )  # fmt: skip
+        if self.tabs < 0:
+            raise PassValueError(name="tabs", value=self.tabs, allowed="0 or more")
+        if not self.through_mm >= 0:
+            raise PassValueError(name="through_mm", value=self.through_mm, allowed="0 or more")
+
+    def tab_centres_mm(self, length_mm: float) -> tuple[float, ...]:
+        """Where along a closed way of this length the tabs stand: evenly, none at its begin."""
+        return tuple(length_mm * (k + 0.5) / self.tabs for k in range(self.tabs))
+
+    def tab_foot_mm(self) -> float:
+        """Along the way of the cutter's axis, from the middle of a tab to where it is down again."""
+        return self.tab_width_mm / 2 + self.radius_mm + (self.tab_height_mm + self.through_mm) / FLANK_SLOPE
+
+
+def _require_positive(spec: object, *names: str) -> None:
+    for name in names:
+        if not 0 < (value := getattr(spec, name)) < float("inf"):
+            raise PassValueError(name=name, value=value, allowed="above 0")

@@ -1,0 +1,106 @@
+"""What is milled around the passes of the lens: the stock's top faced, the lens cut out. Lengths in mm.
+
+Rows of `passes` make the lens: presets and plans choose them, and what the light will be follows from them. These two
+make the block, whatever the passes are, so they are keys of [stock].
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from math import dist
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from service.spec_section import Section
+
+Radius = Annotated[float, Field(gt=0, le=25)]
+Pitch = Annotated[float, Field(ge=0.01, le=50)]
+StepDown = Annotated[float, Field(ge=0.01, le=50)]
+Rate = Annotated[float, Field(gt=0, le=50_000)]
+Speed = Annotated[float, Field(gt=0, le=200_000)]
+
+FRAME_MM = 1.0
+"""Of the block that must stay around the slot: without it the tabs hold nothing."""
+
+
+class FaceSpec(Section):
+    """The raw top taken down to Z0 before the first pass. Speeds, feeds and steps left out follow from the cutter.
+
+    above_mm : the most that the raw top stands above Z0
+    """
+
+    above_mm: Annotated[float, Field(gt=0, le=20)] = 1.0
+    tool: Literal["flat", "ball"] = "flat"
+    radius_mm: Radius = 3.0
+    pitch_mm: Pitch | None = None
+    step_down_mm: StepDown | None = None
+    feed_mm_per_min: Rate | None = None
+    plunge_mm_per_min: Rate | None = None
+    spindle_rpm: Speed | None = None
+
+    @model_validator(mode="after")
+    def _rows_overlap(self) -> Self:
+        most_mm = self.radius_mm * (2 if self.tool == "flat" else 1)
+        if self.pitch_mm is not None and self.pitch_mm > most_mm:
+            raise ValueError(
+                f"pitch_mm = {self.pitch_mm:g} leaves stock between the rows; allowed: 0.01 to {most_mm:g}"
+            )
+        return self
+
+
+class CutOutSpec(Section):
+    """The lens cut out along its outline after the last pass, by a flat end mill; tabs hold it in the block.
+
+    tab_height_mm : from the block's bottom; tab_width_mm: along the outline, at their tops
+    through_mm    : how far the cutter goes below the block
+    """
+
+    radius_mm: Radius = 1.5
+    tabs: Annotated[int, Field(ge=0, le=50)] = 4
+    tab_width_mm: Annotated[float, Field(gt=0, le=100)] = 4.0
+    tab_height_mm: Annotated[float, Field(gt=0, le=100)] = 1.5
+    through_mm: Annotated[float, Field(ge=0, le=5)] = 0.0
+    step_down_mm: StepDown | None = None
+    feed_mm_per_min: Rate | None = None
+    plunge_mm_per_min: Rate | None = None
+    spindle_rpm: Speed | None = None
+
+
+def cut_out_fault(
+    cut_out: CutOutSpec,
+    corners: Sequence[Sequence[float]],
+    *,
+    size_mm: tuple[float, float],
+    margin_mm: float,
+    thickness_mm: float,
+) -> str | None:
+    """Why the lens cannot be cut out so, with the numbers; None where it can.
+
+    corners : of the lens in the work frame; size_mm: width and height of the aperture
+    """
+    room_mm = margin_mm + min(
+        min(min(x, size_mm[0] - x) for x, _ in corners), min(min(y, size_mm[1] - y) for _, y in corners)
+    )
+    need_mm = 2 * cut_out.radius_mm + FRAME_MM
+    if room_mm < need_mm:
+        thinner = (room_mm - FRAME_MM) / 2
+        other = f", or stock.cut_out.radius_mm up to {thinner:.4g}" if thinner > 0 else ""
+        return (
+            f"stock.margin_mm = {margin_mm:g} leaves {room_mm:.4g} mm beside the lens, and the cutter of radius "
+            f"{cut_out.radius_mm:g} mm needs {need_mm:g} mm: its slot and {FRAME_MM:g} mm of frame; "
+            f"allowed: a margin of at least {margin_mm + need_mm - room_mm:.4g}{other}"
+        )
+    if cut_out.tabs and cut_out.tab_height_mm > thickness_mm / 2:
+        return (
+            f"stock.cut_out.tab_height_mm = {cut_out.tab_height_mm:g} is more than half the block; "
+            f"allowed: at most {thickness_mm / 2:g}"
+        )
+    around_mm = sum(dist(a, b) for a, b in pairwise([*corners, corners[0]]))
+    if cut_out.tabs * (cut_out.tab_width_mm + 2 * cut_out.radius_mm) > around_mm:
+        return (
+            f"stock.cut_out.tabs = {cut_out.tabs} of {cut_out.tab_width_mm:g} mm do not fit around {around_mm:.0f} mm "
+            f"of outline; allowed: at most {int(around_mm / (cut_out.tab_width_mm + 2 * cut_out.radius_mm))}"
+        )
+    return None

@@ -1,0 +1,180 @@
+"""Stages around the passes of the lens: the stock's top faced before them, the lens cut out after them.
+
+Written, read back and simulated as every pass; the stock goes on from one to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
+from cam.around.cut_out import cut_out_paths, highest_along
+from cam.around.facing import facing_paths
+from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
+from cam.around.specs import CutOut, Facing
+from cam.moves import Array
+from cam.moves import Path as ToolPath
+from cam.parts import PassFrame, programs
+from cam.passes import Stock
+from cam.posts.dialects import POSTS
+from cam.reading.gcode import LANGUAGES, ProgramError
+from cam.stock_grid import StockGrid
+from service.errors import FailedError
+from service.job_files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
+from service.passes import cam_stock_of, cut_out_of, facing_of, machine_of, setup_of
+from service.spec import JobSpec
+from service.stages import arrays
+from service.stages import programs as pass_programs
+from service.stages.workshop import Workshop
+
+
+def face(shop: Workshop) -> None:
+    """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
+    facing, stock, machine = facing_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
+    assert facing is not None and shop.spec.stock.face is not None  # by the plan of stages
+    paths = facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
+    written = _write(shop, 0, FACE, paths, facing, trace=pass_programs.trace_of(shop.spec, machine))
+    verdict = _check(shop, written, facing, raw_stock(shop.spec))
+    shop.report["around"] = {FACE: _row(written, verdict, {"name": FACE, **shop.spec.stock.face.model_dump()})}
+    shop.hand_over(FACED_STOCK, verdict.stock_top, arrays.stock_bytes)
+
+
+def cut_out(shop: Workshop) -> None:
+    """The program that cuts the lens out; its row of report `around`."""
+    task, stock, machine = cut_out_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
+    assert task is not None and shop.spec.stock.cut_out is not None  # by the plan of stages
+    top = shop.receive(LAST_STOCK, arrays.load_stock)
+    loop = _ways(shop.spec, task)[1]
+    top_mm = highest_along(loop, task.radius_mm, top)
+    paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
+    written = _write(shop, len(shop.spec.passes) + 1, CUT_OUT, paths, task)
+    verdict = _check(shop, written, task, top)
+    settings = {"name": CUT_OUT, "tool": "flat", **shop.spec.stock.cut_out.model_dump()}
+    shop.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
+
+
+def simulate(paths: Sequence[Path], task: Facing | CutOut, spec: JobSpec, stock_top: StockGrid) -> AroundCheck:
+    """Read the programs back, one after the other, and simulate what they remove from stock_top."""
+    machine, stock = machine_of(spec), cam_stock_of(spec)
+    texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
+    mill = CheckedMill(
+        kinematics=pass_programs.kinematics_of(machine),
+        travel_mm=machine.travel_mm,
+        safe_z_mm=machine.safe_z_mm,
+        language=LANGUAGES[machine.dialect],
+        digit_mm=digits.z_mm,
+        xy_digit_mm=digits.xy_mm,
+    )
+    if isinstance(task, Facing):
+        return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
+    corners, loop = _ways(spec, task)
+    return check_cut_out(texts, task, stock=stock, stock_top=stock_top, mill=mill, corners_mm=corners, loop_mm=loop)
+
+
+def raw_stock(spec: JobSpec) -> StockGrid:
+    """The block before the first program, with what is to be faced on its top."""
+    block = pass_programs.first_stock(cam_stock_of(spec))
+    if spec.stock.face is None:
+        return block
+    top_mm = np.full(block.top_mm.shape, spec.stock.face.above_mm)
+    return StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=block.cell_mm, top_mm=top_mm)
+
+
+def paths_around(spec: JobSpec) -> Iterator[tuple[str, float, list[ToolPath]]]:
+    """(name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
+    stock, machine = cam_stock_of(spec), machine_of(spec)
+    if (facing := facing_of(spec)) is not None:
+        yield FACE, facing.radius_mm, list(facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
+    if (task := cut_out_of(spec)) is not None:
+        loop = _ways(spec, task)[1]
+        paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
+        yield CUT_OUT, task.radius_mm, list(paths)
+
+
+def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
+    """Time of paths by their lengths and feeds alone."""
+    seconds, place = 0.0, None
+    for path in paths:
+        points = path.points_mm if place is None else np.vstack([place, path.points_mm])
+        length_mm = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        seconds += 60 * length_mm / (path.feed_mm_per_min or rapid_mm_per_min)
+        place = points[-1]
+    return seconds
+
+
+def _ways(spec: JobSpec, task: CutOut) -> tuple[Array, Array]:
+    """Corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
+    outline = spec.optics.outline_mm
+    corners = aperture_corners(cam_stock_of(spec)) if outline is None else np.array(outline, dtype=np.float64)
+    digit_mm = POSTS[machine_of(spec).dialect].digits.xy_mm
+    return corners, offset_loop(corners, task.radius_mm, allowance_mm=ALLOWANCE_MM + digit_mm)
+
+
+def _write(
+    shop: Workshop,
+    number: int,
+    name: str,
+    paths: Iterable[ToolPath],
+    task: Facing | CutOut,
+    *,
+    trace: tuple[ToolPath, ...] = (),
+) -> list[WrittenProgram]:
+    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    post, setup = POSTS[machine.dialect], setup_of(machine)
+    frame = PassFrame(
+        remarks=tuple(_remarks(task, stock)),
+        rpm=task.spindle_rpm,
+        plunge_mm_per_min=task.plunge_mm_per_min,
+        safe_z_mm=machine.safe_z_mm,
+        aperture_mm=(stock.width_mm, stock.height_mm),
+        number=number,
+        setup=setup if isinstance(task, Facing) else setup.without_warm_up(),
+        trace=trace,
+    )
+    with shop.watch.stage(f"write {name}"):
+        parts = programs(paths, post, frame, pass_programs.part_limits_of(machine))
+        return pass_programs.write_parts(shop.folder, partial(program_name, number, name, post.suffix), parts)
+
+
+def _remarks(task: Facing | CutOut, stock: Stock) -> Iterator[str]:
+    if isinstance(task, Facing):
+        kind = "flat end mill" if task.shape == "flat" else "ball end mill"
+        yield f"face: {kind} radius {task.radius_mm:g} mm, from Z{task.above_mm:g} down to Z0"
+        yield "X0 Y0: lower left corner of the lens aperture, Z0: top of the faced block, mm"
+        return
+    yield f"cut-out: flat end mill radius {task.radius_mm:g} mm, {task.tabs} tabs {task.tab_height_mm:g} mm high"
+    yield f"down to Z{-stock.thickness_mm - task.through_mm:g}, step-down {task.step_down_mm:g} mm"
+    yield "X0 Y0: lower left corner of the lens aperture, Z0: top of the block, mm"
+
+
+def _check(shop: Workshop, written: list[WrittenProgram], task: Facing | CutOut, top: StockGrid) -> AroundCheck:
+    called = written[0].file
+    with shop.watch.stage(f"check {called}"):
+        try:
+            verdict = simulate([shop.folder / part.file for part in written], task, shop.spec, top)
+        except ProgramError as error:
+            raise FailedError(f"{called}: {error}") from error
+    if not verdict.ok:
+        raise FailedError(*(f"{called}: {fault}" for fault in verdict.faults))
+    return verdict
+
+
+def _row(written: list[WrittenProgram], verdict: AroundCheck, settings: dict[str, Any]) -> dict[str, Any]:
+    figures = ("moves", "path_length_mm", "time_s", "entries", "max_engagement_mm", "gouge_um", "left_um", "bounds")
+    return {
+        "file": written[0].file,
+        "ok": verdict.ok,
+        "faults": list(verdict.faults),
+        **{name: getattr(verdict, name) for name in figures},
+        **({} if verdict.clear_um is None else {"clear_um": verdict.clear_um}),
+        **({"tabs": [asdict(tab) for tab in verdict.tabs]} if verdict.tabs else {}),
+        **asdict(written[0]),
+        **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
+        "settings": settings,
+    }
