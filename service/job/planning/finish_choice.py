@@ -31,7 +31,7 @@ class FinishedPlan:
 
 
 def list_finishings(spec: FinishSpec, *, area_mm2: float) -> list[Finishing]:
-    """What the job allows: one where its transfer function is given, else one for each number of minutes worth trying."""
+    """What the job allows: one where its transfer function is given, else one for each time of work worth trying."""
     if not spec.finishes:
         return []
     processes = load_processes()

@@ -89,12 +89,12 @@ class FinishedLight(PictureLight):
         return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
 
     def picture(self, marks: Marks) -> Array:
-        """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, and stripes along the rows by lot."""
+        """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by lot."""
         smooth = np.maximum(self._shown(marks), 0.0)
         ny, nx = smooth.shape
         along_x = marks.spec.direction == "x"
-        lot = np.random.default_rng(ny).standard_normal(ny if along_x else nx)
-        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * (lot[:, None] if along_x else lot), 0.0))
+        lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
+        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot, 0.0))
 
     def calibrate(self, marks: Marks) -> None:
         """Correct both guesses by a coarse lens that is designed, milled in rows, finished and lit."""
@@ -137,7 +137,7 @@ class FinishedLight(PictureLight):
 
 
 def kept_of_picture(finish: Finish, shape: tuple[int, ...], bench: Bench) -> Array:
-    """(ny, nx) part of each wave of the picture that a lens keeps which foresees the finish, on lens and screen alike."""
+    """(ny, nx) part of each wave of the picture that is kept by a lens that foresees the finish."""
     sides = (bench.height_mm, bench.width_mm)
     down, across = (math.pi * np.arange(n) / side for n, side in zip(shape, sides, strict=True))
     square = np.square(finish.kept(np.hypot(down[:, None], across[None, :])))
@@ -171,7 +171,7 @@ def _long(places: Array) -> float:
 
 
 def _levelled(heights: Array, spacing_mm: float, finish: Finish) -> Array:
-    k = 2.0 * np.pi * np.fft.rfftfreq(heights.size, spacing_mm)
+    k: Array = 2.0 * np.pi * np.asarray(np.fft.rfftfreq(heights.size, spacing_mm), dtype=np.float64)
     return np.fft.irfft(np.fft.rfft(heights) * finish.kept(k), heights.size)
 
 
@@ -179,7 +179,7 @@ def _levelled(heights: Array, spacing_mm: float, finish: Finish) -> Array:
 def _bend_left(radius_mm: float, pitch_mm: float, off_mm: float, finish: Finish, pixel_mm: float) -> float:
     """Root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
     heights, spacing_mm = row_profile(radius_mm, pitch_mm, off_mm)
-    k = 2.0 * np.pi * np.fft.rfftfreq(heights.size, spacing_mm)
+    k: Array = 2.0 * np.pi * np.asarray(np.fft.rfftfreq(heights.size, spacing_mm), dtype=np.float64)
     seen = np.sinc(k * pixel_mm / (2.0 * np.pi))
     power = np.square(np.abs(np.fft.rfft(heights)) / heights.size * finish.kept(k) * k**2 * seen)
     return float(math.sqrt(2.0 * power[1:].sum()))
