@@ -27,7 +27,7 @@ from service.plan_light import PictureLight, picture_of_waves, waves_of
 _EDGES = 1.8  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
 _STRIPES = 2.0  # bright places, whose stripes are stronger than their share
-_TUBES, _BEAMS = 2, 7
+_TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 4, 7
 
 Design = Callable[[Finish, float], tuple[Heightfield, Array]]
 """A coarse lens for a finish and a ball's radius, and the target (ny, nx) that it was made for."""
@@ -100,25 +100,25 @@ class FinishedLight(PictureLight):
         """Correct both guesses by a coarse lens that is designed, milled in rows, finished and lit."""
         lens, target = self._design(self.finish, marks.radius_mm)
         finished = finish_surface(lens, self.finish)
-        free = self._light_of(finished, target)
-        striped = self._light_of(add_rows(finished, marks, self.finish), target)
-        off_free, off_striped = (float(np.square(one - target).mean()) for one in (free, striped))
+        off_free = float(np.square(self._light_of(finished, target.shape) - target).mean())
+        stripes = self._light_of(add_rows(finished, marks, self.finish), self.target.shape)
+        stripes -= self._light_of(finished, self.target.shape)  # at full size: half of them are finer than a coarse pixel
         fine = waves_of(self.target) ** 2
         ny, nx = target.shape
         fine[:ny, :nx] = 0.0  # waves that the coarse lens has no part in
         off_fine = float((fine * np.square(1.0 - self._kept_waves)).mean())
         self._lens_scale *= (off_free + off_fine) / self._lens_error(marks)
-        stripes = max(off_striped - off_free, 0.0)
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
-            self._stripe_scale *= min(max(stripes / guessed, 0.1), 10.0)
+            self._stripe_scale *= float(np.square(stripes).mean()) / guessed
 
     def trust(self, calibrated: FinishedLight) -> None:
         """Take over how far the guesses of another finish were off."""
         self._lens_scale, self._stripe_scale = calibrated._lens_scale, calibrated._stripe_scale
 
-    def _light_of(self, lens: Heightfield, target: Array) -> Array:
-        shape = (target.shape[0], target.shape[1])
-        return simulate_caustic(lens, self.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS).irradiance
+    def _light_of(self, lens: Heightfield, shape: tuple[int, ...]) -> Array:
+        pixels = (shape[0], shape[1])
+        tubes = max(_TUBES, math.ceil(_TUBES_PER_PIXEL * pixels[1] / (lens.x_mm.size - 1)))
+        return simulate_caustic(lens, self.bench, pixels=pixels, tubes_per_cell=tubes, beams=_BEAMS).irradiance
 
     def _lens_error(self, marks: Marks) -> float:
         return self._lens_scale * self._error_of(self.lenses[marks.radius_mm].waves)
