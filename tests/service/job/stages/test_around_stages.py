@@ -104,6 +104,7 @@ def test_the_setup_sheet_says_what_happens_around_the_passes(job: StagedJob) -> 
         "up to 0.5 mm on its top", "touch the raw top and set Z to 0.5", "goes once around the block", "warms up",
         "air blast on by M8", "2 tabs 0.3 mm high", "pass-0-face.nc", "pass-3-cut-out.nc", "measure from the back",
         "All 4 programs passed", "before pass 1 and pass 3",
+        "0.5 mm diameter has to reach 4 mm deep in a slot, 8 times its diameter",
     ):  # fmt: skip
         assert words in page, words
     assert "cut the block along the outline" not in page
