@@ -70,7 +70,10 @@ class Tracks:
 
 
 def _cuts_of(batch: MoveBatch, open_end: bool) -> tuple[Array, NDArray[np.bool_], bool]:
-    """Tips of the moves of a batch that cut, which a trace in the air with the spindle off does not; open_end: the last tip of the batch before is the first of this one."""
+    """Tips of the cutting moves of a batch; open_end: the last tip of the batch before is the first of this one.
+
+    With the spindle off nothing is cut: that is a trace in the air.
+    """
     points = batch.points_mm
     along = np.hypot(*(points[1:, :2] - points[:-1, :2]).T) > _STILL_MM
     cuts = ~batch.is_rapid & (batch.pause_s < 0) & along & batch.spindle_on

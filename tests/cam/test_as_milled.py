@@ -127,6 +127,16 @@ def test_only_cuts_leave_a_surface_and_a_lift_parts_two_chains():
     assert (tracks.tips_mm[:, 2] == -1.0).all()
 
 
+def test_a_trace_in_the_air_leaves_no_track():
+    """The same tracks, and so the same noise, as without it."""
+    trace, cuts = b"G0X-2Y-2Z5\nG1X4F900\nY4\nX-2\nY-2\n", b"M3S1000\nG0X0Y0Z5\nZ0\nG1Z-1F90\nX1\nY1Z-1.1\nG0Z5\nM2\n"
+    with_it, without = (
+        Tracks.of_program(read_program([text]), radius_mm=1.0) for text in (trace + cuts, b"G0X-2Y-2Z5\n" + cuts)
+    )
+    np.testing.assert_array_equal(with_it.tips_mm, without.tips_mm)
+    np.testing.assert_array_equal(with_it.joined, without.joined)
+
+
 @given(parting=st.integers(1, 4))
 @settings(max_examples=4, deadline=None)
 def test_a_program_that_is_read_in_batches_leaves_the_same_tracks(parting):

@@ -33,6 +33,8 @@ from service.stages import arrays
 from service.stages import programs as pass_programs
 from service.stages.workshop import Workshop
 
+_SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
+
 
 def face(shop: Workshop) -> None:
     """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
@@ -55,6 +57,14 @@ def cut_out(shop: Workshop) -> None:
     paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
     written = _write(shop, len(shop.spec.passes) + 1, CUT_OUT, paths, task)
     verdict = _check(shop, written, task, top)
+    depth_mm, diameter_mm = stock.thickness_mm + task.through_mm, 2 * task.radius_mm
+    if depth_mm > _SLENDER * diameter_mm:
+        shop.note(
+            "passes",
+            f"{written[0].file}: a flat end mill of {diameter_mm:g} mm diameter has to reach {depth_mm:g} mm deep in a "
+            f"slot, {depth_mm / diameter_mm:.0f} times its diameter; a thicker one (stock.cut_out.radius_mm, with its "
+            "margin) or a thinner block bends and breaks less",
+        )
     settings = {"name": CUT_OUT, "tool": "flat", **shop.spec.stock.cut_out.model_dump()}
     shop.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
 

@@ -80,6 +80,15 @@ def test_the_lens_is_what_it_is_without_them(job: StagedJob, tmp_path: Path) -> 
         assert plain.bytes(name) == job.bytes(name)
 
 
+def test_the_first_pass_begins_at_what_the_facing_has_left(job: StagedJob, tmp_path: Path) -> None:
+    """Under the cusps of a ball it finds another block than under a flat cutter, and goes another way."""
+    coarse = staged_job(tmp_path, *AROUND, 'stock.face={above_mm=0.5,radius_mm=1,tool="ball",pitch_mm=1.0}')
+    for stage in plan(coarse.spec)[: plan(coarse.spec).index("pass-2")]:
+        coarse.run(stage)
+    assert coarse.report["around"]["face"]["left_um"] == pytest.approx(1000 * (1 - 0.75**0.5), rel=0.1)
+    assert coarse.bytes("pass-1-rough.nc") != job.bytes("pass-1-rough.nc")
+
+
 def test_every_program_s_moves_are_above_or_beside_the_lens_as_they_should_be(job: StagedJob) -> None:
     face, cut_out = job.report["around"]["face"], job.report["around"]["cut-out"]
     assert face["bounds"]["z"][0] == 0 and face["gouge_um"] == 0 and face["left_um"] == 0
@@ -95,6 +104,7 @@ def test_the_setup_sheet_says_what_happens_around_the_passes(job: StagedJob) -> 
         "up to 0.5 mm on its top", "touch the raw top and set Z to 0.5", "goes once around the block", "warms up",
         "air blast on by M8", "2 tabs 0.3 mm high", "pass-0-face.nc", "pass-3-cut-out.nc", "measure from the back",
         "All 4 programs passed", "before pass 1 and pass 3",
+        "0.5 mm diameter has to reach 4 mm deep in a slot, 8 times its diameter",
     ):  # fmt: skip
         assert words in page, words
     assert "cut the block along the outline" not in page
