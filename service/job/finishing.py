@@ -20,6 +20,7 @@ from service.tools import own_file, read_library
 BUILT_IN = Path(__file__).with_name("finishing.toml")
 _NAME = BUILT_IN.name
 _LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
+_LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
 AREA_MM2 = 10_000.0  # the minutes of a process that goes over the lens piece by piece are for so much of it
 
 
@@ -96,19 +97,21 @@ def instruct_finishing(
 ) -> dict[str, Any] | None:
     """Return what a person has to be told of a job's finish, as plain values; None where it has none.
 
-    finish   : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes where they are given
+    finish   : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes, pad_mm where they are
+               given
     area_mm2 : of the lens
     returns  : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
                wavelengths that are levelled (a tenth is left) and kept (nine tenths are), the run-out that rims need,
-               and the sentences of the process; a process that is in no library has figures only
+               and the sentences of the process; figures without a process of the library have none
     """
     name = str(finish.get("process") or "none")
-    process = (load_processes() if processes is None else processes).get(name)
-    if name == "none":
+    process = (load_processes() if processes is None else processes).get(name) if name != "none" else None
+    k0, order, depth_um, pad_mm = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um", "pad_mm"))
+    if name == "none" and k0 is None:
         return None
-    told: dict[str, Any] = {"process": name, "title": name, "minutes": finish.get("minutes")}
+    title = "a finish of your own" if name == "none" else name
+    told: dict[str, Any] = {"process": name, "title": title, "minutes": finish.get("minutes")}
     told |= {"needs": [], "steps": [], "donts": []}
-    k0, order, depth_um = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um"))
     if process is not None:
         minutes = process.minutes(area_mm2) if told["minutes"] is None else told["minutes"]
         low, high = process.least_and_most_minutes(area_mm2)
@@ -117,14 +120,16 @@ def instruct_finishing(
             "title": process.title,
             "least_minutes": low,
             "most_minutes": high,
-            "pad_mm": process.pad_mm if math.isfinite(process.pad_mm) else None,
             **{key: list(getattr(process, key)) for key in ("needs", "steps", "donts")},
             **{key: getattr(process, key) for key in ("removal", "when_to_stop", "law")},
         }
         k0 = process.k0_rad_per_mm(minutes, area_mm2) if k0 is None else k0
         order = process.order if order is None else order
         depth_um = process.depth_after_um(minutes, area_mm2) if depth_um is None else depth_um
+        pad_mm = process.pad_mm if pad_mm is None else pad_mm
     told |= {"k0_rad_per_mm": k0, "order": order, "depth_um": depth_um}
+    if pad_mm is not None and pad_mm <= _LONGEST_PAD_MM:
+        told["pad_mm"] = pad_mm
     if k0 is not None and order is not None and math.isfinite(k0):
         told |= {
             "levelled_mm": wavelength_mm(_LEVELLED, k0, order),
@@ -245,7 +250,7 @@ _VALUES = Rules(
         "by_area": _YES_OR_NO,
         "depth_um": number(-500, 500, "um"),
         "depth_grows": _YES_OR_NO,
-        "pad_mm": number(0.5, 500, "mm"),
+        "pad_mm": number(0.5, _LONGEST_PAD_MM, "mm"),
         "needs": _TEXTS,
         "steps": _TEXTS,
         "removal": _TEXT,

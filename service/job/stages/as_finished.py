@@ -12,6 +12,7 @@ from optics.finish import Finish, finish_surface
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
+from service.job.picture.preparing import scores_against_original
 from service.job_files import AS_FINISHED, HEIGHTFIELD, MAP
 from service.passes import machine_of
 from service.stages import arrays
@@ -82,6 +83,7 @@ def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm
     shop.report["as_finished"] = plain(
         {
             **score,
+            **scores_against_original(shop.folder / MAP, seen.irradiance),
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,

@@ -16,6 +16,8 @@ from service.job import finishing
 from service.job.finishing import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
 from service.job.finishing_words import finishing_card
 from service.report import render_report
+from service.spec_files import resolve_spec
+from service.stages.plan import facts_of
 
 SHIPPED = load_processes(finishing.BUILT_IN)
 BY_HAND = [process for name, process in SHIPPED.items() if name != "none"]
@@ -162,12 +164,15 @@ def test_instructions_take_the_job_s_own_figures_and_the_rest_from_the_library()
     assert own["steps"] == list(SHIPPED["felt"].steps)
     assert instruct_finishing({"process": "none"}, area_mm2=1.0, processes=SHIPPED) is None
     assert instruct_finishing({}, area_mm2=1.0, processes=SHIPPED) is None
+    assert (usual["pad_mm"], told(pad_mm=8.0)["pad_mm"]) == (10.0, 8.0)
+    assert "pad_mm" not in told("lacquer") and "pad_mm" not in told("lacquer", pad_mm=5000.0)
     for name in SHIPPED:
         json.dumps(instruct_finishing({"process": name}, area_mm2=900.0, processes=SHIPPED), allow_nan=False)
 
 
-def test_a_process_of_no_library_has_its_figures_and_says_that_nobody_knows_how() -> None:
-    found = told("magic", k0_rad_per_mm=4.0, order=2.0, minutes=5.0, depth_um=3.0)
+@pytest.mark.parametrize("name", ["none", "magic"])
+def test_figures_without_a_process_are_told_and_that_nobody_knows_how(name: str) -> None:
+    found = told(name, k0_rad_per_mm=4.0, order=2.0, minutes=5.0, depth_um=3.0)
     card = finishing_card({"finishing": found})
     assert card is not None
     assert card["steps"] == []
@@ -197,6 +202,19 @@ def test_the_sheet_leads_through_the_finish_with_both_pictures() -> None:
         assert page.count(f'src="{name}"') == 2  # at the top, and beside each other
     assert "makes the picture worse" not in page
     assert "Finishing by hand" not in render_report(SEEN, files=PICTURES[:1])
+
+
+def test_what_the_sheet_says_is_made_anew_when_the_library_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A job's own finish is in its spec by name; other words under that name make another sheet."""
+    monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path))
+    facts = []
+    for title in ("Buffing", "Buffing by night"):
+        library(tmp_path, GOOD.replace("Buffing", title))
+        facts.append(facts_of(resolve_spec(overrides=["finish.process=buffing"]))["finish_process"])
+    assert facts[0] != facts[1]
+    assert facts_of(resolve_spec())["finish_process"] is None
 
 
 def test_a_finish_that_makes_it_worse_is_said_first() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import io
+import json
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,7 @@ from optics.black import valley_leak
 from optics.irradiance import target_irradiance
 from service import job_files
 from service.errors import SpecError
+from service.estimate import estimate
 from service.job.finishing_words import finishing_card
 from service.job.picture.preparing import (
     aim_at_picture,
@@ -20,12 +23,13 @@ from service.job.picture.preparing import (
     score_against,
     scores_against_original,
 )
+from service.picture_limits import PictureLimits
 from service.report import render_report
 from service.report_optics import prepared_sentences
 from service.spec_files import resolve_spec
 from service.stages.arrays import load_original, load_target
 from service.stages.optical_task import bench_of
-from tests.service.stages.jobs import staged_job, tiny_spec
+from tests.service.stages.jobs import save_picture, staged_job, tiny_spec
 
 DETAIL = "image.prepare=detail"
 
@@ -98,20 +102,33 @@ def test_a_detail_without_a_preparation_is_one_line() -> None:
 
 
 def test_a_job_keeps_both_pictures_and_scores_against_both(tmp_path: Path) -> None:
-    job = staged_job(tmp_path, spec=tiny_spec(DETAIL, "image.prepare_detail_mm=0.5"))
-    for stage in ("image", "irradiance", "map", "heightfield", "caustic"):
-        job.run(stage)
+    """To its end: lens, as milled, as finished; and its sheet leads through the finish."""
+    keys = (DETAIL, "image.prepare_detail_mm=0.5", "finish.process=felt")
+    job = staged_job(tmp_path, spec=tiny_spec(*keys)).run_all()
     (tmp_path / "map.npz").write_bytes(job.bytes("map.npz"))
     original, target = load_original(tmp_path / "map.npz"), load_target(tmp_path / "map.npz")
     assert original is not None
-    optics, image = job.report["optics"], job.report["image"]
-    assert image["against_original"] == score_against(target, original)
-    assert optics["against_original"]["psnr_db"] < optics["psnr_db"]
-    assert scores_against_original(tmp_path / "map.npz", target)["against_original"] == image["against_original"]
-    (tmp_path / "prepared.png").write_bytes(job.bytes("prepared.png"))
-    with Image.open(tmp_path / "prepared.png") as drawn:
+    assert job.report["image"]["against_original"] == score_against(target, original)
+    assert scores_against_original(tmp_path / "map.npz", target) == {
+        "against_original": score_against(target, original)
+    }
+    for part in ("optics", "as_milled", "as_finished"):
+        assert job.report[part]["against_original"]["psnr_db"] != job.report[part]["psnr_db"]
+    report = json.loads(job.bytes("report.json"))
+    assert report["finishing"]["process"] == "felt"
+    page = job.bytes("report.html").decode()
+    assert "Finishing by hand: Polishing with felt" in page and "The lens aims at a prepared picture" in page
+    with Image.open(io.BytesIO(job.bytes("prepared.png"))) as drawn:
         assert drawn.width > 1.6 * drawn.height
     assert job_files.is_known("prepared.png")
+
+
+def test_estimates_and_plans_aim_at_the_prepared_picture_too(tmp_path: Path) -> None:
+    picture = save_picture(tmp_path / "blob.png")
+    keys = ([], [DETAIL, "image.prepare_detail_mm=0.5"])
+    found = [estimate(tiny_spec(*own), picture, limits=PictureLimits(), name="blob") for own in keys]
+    assert found[0]["psnr_db"] != found[1]["psnr_db"]
+    assert found[0]["relief_mm"] != found[1]["relief_mm"]
 
 
 def test_a_job_that_prepares_nothing_has_nothing_of_it(tmp_path: Path) -> None:
