@@ -20,7 +20,7 @@ def heightfield_bytes(heightfield: Heightfield) -> bytes:
 
 def load_heightfield(path: Path) -> Heightfield:
     """A heightfield from its .npz; InputError where the file is none."""
-    arrays = _load(path, ("x_mm", "y_mm", "z_mm"))
+    arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"))
     try:
         heightfield = Heightfield(**arrays)
     except ValueError as error:
@@ -37,7 +37,7 @@ def stock_bytes(stock_top: StockGrid) -> bytes:
 
 def load_stock(path: Path) -> StockGrid:
     """The stock an earlier pass has left."""
-    arrays = _load(path, ("place_mm", "top_mm"))
+    arrays = load_arrays(path, ("place_mm", "top_mm"))
     x0_mm, y0_mm, cell_mm = (float(value) for value in arrays["place_mm"])
     return StockGrid(x0_mm=x0_mm, y0_mm=y0_mm, cell_mm=cell_mm, top_mm=arrays["top_mm"])
 
@@ -48,7 +48,7 @@ def picture_bytes(linear: Array) -> bytes:
 
 def load_picture(path: Path) -> Array:
     """The picture (ny, nx) in linear light, row 0 on top."""
-    return _load(path, ("linear",))["linear"]
+    return load_arrays(path, ("linear",))["linear"]
 
 
 def target_bytes(target: Array) -> bytes:
@@ -57,7 +57,7 @@ def target_bytes(target: Array) -> bytes:
 
 def load_target(path: Path) -> Array:
     """The exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again later."""
-    return _load(path, ("target",))["target"]
+    return load_arrays(path, ("target",))["target"]
 
 
 def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
@@ -66,7 +66,8 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
     return buffer.getvalue()
 
 
-def _load(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
+def load_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
+    """Those arrays of an .npz file; InputError where it holds others, or is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             return {name: np.asarray(stored[name], dtype=np.float64) for name in names}
