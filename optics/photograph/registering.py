@@ -1,0 +1,186 @@
+"""A photograph of light on a wall, registered with the light that was predicted there.
+
+Theory of operation: the photograph is linear light, cut off at the camera's white. It is taken for
+min(gain * (prediction, blurred)^tone + offset, 1), seen in perspective. First guesses come from the lit area of the
+photograph: its moments, which leave a rotation open, and the quadrilateral around it, whose corners may be any four in
+turn. All of them are tried on a picture of some 30 pixels, the best are followed by Gauss-Newton steps on finer and
+finer pictures, with weights that let strange things in the photograph count little, and the one that fits best stays.
+Mirrored guesses are tried, too: where one fits clearly better, the photograph is that of a mirrored picture.
+
+Nothing here knows of lenses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame, picture_from_irradiance
+from optics.photograph.following import Fit, blurred, correlation_of, follow, likeness_of, promise_of
+from optics.photograph.guesses import first_guesses
+from optics.photograph.homography import jacobian_at, normalise_homography, rotation_rad
+from optics.photograph.views import Mask, Photograph, View, pixel_noise
+from optics.spline import Array
+
+_COARSEST, _FINEST = 28, 320  # pixels along the longer side
+_KEPT, _KEPT_FINER = 8, 3
+_STRANGE, _ALIKE = 0.5, 0.75  # likeness of a photograph of another picture at most, and of one of this at least
+_MIRRORED = 0.6  # of what the upright fit leaves open: what a mirrored one may leave to be believed
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Registration:
+    """Where the prediction lies in the photograph, and what the photograph shows there.
+
+    homography (3, 3)   : (x, y, 1) in pixels of the predicted *picture* (as the viewer sees it, row 0 on top; from its
+                          upper left corner, pixel centres at halves) -> pixels of the photograph, counted likewise
+    rectified (ny, nx)  : the photograph in the prediction's place and units, work frame; NaN beyond the photograph
+    usable (ny, nx)     : where that is light and neither clipped nor beyond the photograph
+    fitted (ny, nx)     : the prediction, blurred as the photograph is, work frame
+    gain, offset, tone  : photograph = gain * irradiance^tone + offset
+    blur_px             : standard deviation of the Gaussian, in pixels of the prediction, that the photograph is softer
+                          by; negative: sharper
+    residual            : rms of rectified - fitted over usable pixels, over the prediction's standard deviation
+    correlation         : of the photograph with what is fitted to it, inside the picture
+    likeness            : geometric mean of that and of the correlation of the picture's details
+    confidence          : 0 to 1: that this is a photograph of the prediction; under 0.5 do not believe the rest
+    overlap             : share of the prediction inside the photograph
+    clipped_share       : of the prediction's pixels that lie inside the photograph: too bright for it
+    noise               : standard deviation from pixel to pixel, in units of the camera's white
+    pixels_per_pixel    : pixels of the photograph along one of the prediction
+    rotation_rad        : of the picture in the photograph, clockwise, if the camera was level
+    mirrored            : the photograph shows the prediction with left and right exchanged
+    converged           : the last steps moved nothing any more
+    """
+
+    homography: Array
+    rectified: Array
+    usable: Mask
+    fitted: Array
+    gain: float
+    offset: float
+    tone: float
+    blur_px: float
+    residual: float
+    correlation: float
+    likeness: float
+    confidence: float
+    overlap: float
+    clipped_share: float
+    noise: float
+    pixels_per_pixel: float
+    rotation_rad: float
+    mirrored: bool
+    converged: bool
+
+
+def register(
+    photo: Array,
+    predicted: Array,
+    *,
+    viewed_from: ViewedFrom = "lens",
+    fit_tone: bool = False,
+    dark_surround: bool = True,
+) -> Registration:
+    """Find the predicted light in a photograph.
+
+    photo (h, w)       : linear light, 1 = the camera's white, row 0 on top
+    predicted (ny, nx) : irradiance in the work frame (row 0 at the lowest y), any units
+    viewed_from        : from which side the photograph was taken
+    fit_tone           : the camera's tones are not known for sure: fit an exponent, too
+    dark_surround      : no light is predicted around the prediction, so that its rim can be seen
+
+    ValueError for a photograph or a prediction without light.
+    """
+    picture = picture_from_irradiance(np.asarray(predicted, dtype=np.float64), viewed_from=viewed_from)
+    photograph = Photograph.of(photo)
+    scale = float(picture.mean())
+    if not (np.isfinite(scale) and scale > 0):
+        raise ValueError("the prediction holds no light")
+    picture = picture / scale
+    views = [View.of(picture, side, dark_surround) for side in _sides(max(picture.shape))]
+    upright = _best_fit(photograph, views, first_guesses(photograph.small(), picture, turned_over=False))
+    mirrored = _best_fit(photograph, views[:2], first_guesses(photograph.small(), picture, turned_over=True))
+    level = min(1, len(views) - 1)
+    rivals = [likeness_of(photograph, views[level], one) for one in (upright, mirrored)]
+    is_mirrored = rivals[1] > (_STRANGE + _ALIKE) / 2 and 1.0 - rivals[1] < _MIRRORED * (1.0 - rivals[0])
+    found = mirrored if is_mirrored else upright
+    for view in views[2:] if is_mirrored else ():
+        found = follow(photograph, view, found)
+    found = follow(photograph, views[-1], found, fit_tone=fit_tone, fit_blur=True)
+    return _registration(photograph, picture, scale, views[-1], found, viewed_from, is_mirrored)
+
+
+def _sides(longest: int) -> list[int]:
+    """Of the views, coarse to fine."""
+    sides, last = [min(_COARSEST, longest)], min(longest, _FINEST)
+    while sides[-1] * 2 <= last:
+        sides.append(sides[-1] * 2)
+    return sides if sides[-1] > 0.8 * last else [*sides, last]
+
+
+def _best_fit(photograph: Photograph, views: list[View], starts: list[Array]) -> Fit:
+    """The start that leads furthest, followed through all the views but not yet its blur and tone."""
+    high, wide = photograph.shape
+    to_photo = np.diag([wide, high, 1.0])
+    fits = [Fit(homography=normalise_homography(to_photo @ one)) for one in starts if abs(one[2, 2]) > 1e-12]
+    ranked = sorted(fits, key=lambda one: -promise_of(photograph, views[0], one))[:_KEPT]
+    tried = [follow(photograph, views[0], one) for one in ranked]
+    for view in views[1:2]:
+        tried = sorted(tried, key=lambda one: -correlation_of(photograph, views[0], one))[:_KEPT_FINER]
+        tried = [follow(photograph, view, one) for one in tried]
+    best = max(tried, key=lambda one: correlation_of(photograph, views[min(1, len(views) - 1)], one))
+    for view in views[2:]:
+        best = follow(photograph, view, best)
+    return best
+
+
+def _registration(
+    photograph: Photograph,
+    picture: Array,
+    scale: float,
+    view: View,
+    fit: Fit,
+    viewed_from: ViewedFrom,
+    mirrored: bool,
+) -> Registration:
+    """The fit in the prediction's own pixels, units and frame."""
+    ny, nx = picture.shape
+    whole = View.of(picture, max(ny, nx), dark_surround=False)
+    light, clipped, inside = whole.seen(photograph, fit.homography)
+    finer = max(picture.shape) / max(view.picture[view.inner].shape)
+    spread = (fit.spread_px2 - photograph.sampling_blur_px2(fit.homography, view.step)) * finer**2
+    fitted = blurred(picture, replace(fit, spread_px2=spread))
+    rectified = np.clip((light - fit.offset) / fit.gain, 0.0, None) ** (1 / fit.tone)
+    usable = inside & (clipped < 0.02)
+    off = (rectified - fitted)[usable]
+    likeness = likeness_of(photograph, view, fit)
+    believed = float(np.clip((likeness - _STRANGE) / (_ALIKE - _STRANGE), 0.0, 1.0))
+    to_own = np.array([[2 / nx, 0, -1], [0, 2 / ny, -1], [0, 0, 1.0]])
+    overlap = float(inside.mean())
+
+    def own(seen: Array) -> Array:
+        return flip_between_picture_and_work_frame(seen, viewed_from)
+
+    return Registration(
+        homography=normalise_homography(fit.homography @ to_own),
+        rectified=own(np.where(inside, rectified, np.nan) * scale),
+        usable=own(usable.astype(np.float64)) > 0,
+        fitted=own(fitted * scale),
+        gain=fit.gain / scale**fit.tone,
+        offset=fit.offset,
+        tone=fit.tone,
+        blur_px=float(np.sign(spread) * np.sqrt(abs(spread))),
+        residual=float(np.sqrt(np.mean(off**2)) / max(picture.std(), 1e-12)) if off.size else np.inf,
+        correlation=correlation_of(photograph, view, fit),
+        likeness=likeness,
+        confidence=believed * min(1.0, overlap / 0.8),
+        overlap=overlap,
+        clipped_share=float(clipped[inside].mean()) if inside.any() else 0.0,
+        noise=pixel_noise(photograph.light[0]),
+        pixels_per_pixel=float(np.sqrt(abs(np.linalg.det(jacobian_at(fit.homography))) * 4 / (nx * ny))),
+        rotation_rad=rotation_rad(fit.homography, (photograph.shape[1] / 2, photograph.shape[0] / 2)),
+        mirrored=mirrored,
+        converged=fit.settled,
+    )
