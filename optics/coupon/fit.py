@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -34,7 +34,9 @@ _BLUR_RANGE_MM = (0.004, 0.4)
 _SHIFT_MM = 0.03  # how well a photograph is laid over the piece
 _LEVER_SPREAD = 0.05  # how well the wall's distance is known beforehand
 _CHOICES = 200
-_LEFT = np.linspace(0.0, 1.2, 121)  # shares of an amplitude that are tried
+_LEAST_LEFT = 0.02
+_LEFT = np.linspace(0.0, 1.2, 81)  # shares of an amplitude that are tried
+_ASIDE = np.linspace(-0.045, 0.045, 7)  # mm by which a ripple may lie beside its place
 _SEED = 5
 _PRIORS = np.array([1.5, 0.7])  # of ln k0 and ln order, about what was found: for ripples that leave one of them open
 
@@ -118,14 +120,16 @@ class _Model:
         strip = Finished.of(profile, lambda k: transfer_of(setting.k0, setting.order, k))
         return lambda scale: strip.light(scale * setting.lever * self.nominal_mm)
 
-    def residuals(self, profile: Profile, fold: Fold, harmonics: Complex, setting: _Setting, finished: bool) -> Array:
+    def residuals(
+        self, profile: Profile, fold: Fold, harmonics: Complex, setting: _Setting, finished: bool, aside_mm: float = 0.0
+    ) -> Array:
         """(bins,) of one strip, in units of what is expected; 0 where nothing is known.
 
         The strip's brightness is free. As milled the rows' marks carry light of the neighbours into a strip: there
         fringes may be paler, too, down to a third.
         """
         strip = profile.strip
-        shift = setting.shift_mm(strip.middle_mm, finished=finished)
+        shift = setting.shift_mm(strip.middle_mm, finished=finished) + aside_mm
         light = light_profile(harmonics, strip.k_rad_per_mm, fold.phase, blur_mm=setting.blur_mm, shift_mm=shift)
         fringe = light - 1.0
         expected = np.sqrt(fold.error**2 + _FLOOR**2 + (_SLOPE_FLOOR * fringe) ** 2)
@@ -195,6 +199,19 @@ def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold
     )
 
 
+def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], half: Half) -> float:
+    """How badly a half fits what the programs mill: rms over what is expected, of the better half of its strips.
+
+    Some 1 for a half as milled, several for one that was finished; inf where nothing can be used.
+    """
+    model = _Model(coupon, profiles, folds, "left" if half == "right" else "right")
+    if not model.milled:
+        return math.inf
+    setting = _as_milled(model)
+    misses = [float(np.sqrt(np.mean(part[part != 0.0] ** 2))) for part in model.of_half(setting, finished=False)]
+    return float(np.median(misses))
+
+
 def _bounds() -> tuple[Array, Array]:
     low = [math.log(K0_RANGE[0]), math.log(ORDER_RANGE[0]), math.log(0.7), math.log(_BLUR_RANGE_MM[0])] + [-0.15] * 4
     high = [math.log(K0_RANGE[1]), math.log(ORDER_RANGE[1]), math.log(1.4), math.log(_BLUR_RANGE_MM[1])] + [0.15] * 4
@@ -208,6 +225,19 @@ def _cost(parts: Sequence[Array]) -> float:
 
 def _first_look(model: _Model) -> _Setting:
     """The best of many settings: the milled half alone, then the finish. Fringes that cross have other minima."""
+    first = _as_milled(model)
+    best, least = first, math.inf
+    for k0 in np.geomspace(1.0, 60.0, 22):
+        for order in (1.0, 2.0, 4.0):
+            setting = replace(first, k0=float(k0), order=order)
+            cost = _cost(model.of_half(setting, finished=True))
+            if cost < least:
+                best, least = setting, cost
+    return best
+
+
+def _as_milled(model: _Model) -> _Setting:
+    """The setting with which the milled half fits best, of a grid."""
     best, least = _Setting(5.0, 2.0, 1.0, 0.05, (0.0, 0.0, 0.0, 0.0)), math.inf
     for lever in (0.9, 0.95, 1.0, 1.05, 1.1):
         for blur in (0.02, 0.04, 0.08, 0.16):
@@ -216,14 +246,6 @@ def _first_look(model: _Model) -> _Setting:
                 cost = _cost(model.of_half(setting, finished=False))
                 if cost < least:
                     best, least = setting, cost
-    least = math.inf
-    first = best
-    for k0 in np.geomspace(1.0, 60.0, 22):
-        for order in (1.0, 2.0, 4.0):
-            setting = _Setting(float(k0), order, first.lever, first.blur_mm, first.shifts)
-            cost = _cost(model.of_half(setting, finished=True))
-            if cost < least:
-                best, least = setting, cost
     return best
 
 
@@ -234,14 +256,22 @@ def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[R
         strip = profile.strip
         if strip.kind != "ripple":
             continue
-        nominal = float(transfer_of(setting.k0, setting.order, np.array(strip.k_rad_per_mm))) if finished else 1.0
-        nominal = max(nominal, 1e-6)
-
-        light = model.harmonics(profile, setting, finished=finished)
+        nominal, curve = 1.0, setting
+        if finished:
+            nominal = float(transfer_of(setting.k0, setting.order, np.array(strip.k_rad_per_mm)))
+        if nominal < _LEAST_LEFT:  # of a ripple that is gone nothing can be scaled up: as if so much were left
+            nominal = _LEAST_LEFT
+            k0 = strip.k_rad_per_mm / (-math.log(_LEAST_LEFT)) ** (1 / setting.order)
+            curve = replace(setting, k0=k0)
+        light = model.harmonics(profile, curve, finished=finished)
 
         def cost(share: float, pair: tuple[Profile, Fold] = (profile, fold), full: float = nominal,
                  light: Callable[[float], Complex] = light) -> float:  # fmt: skip
-            return _cost([model.residuals(*pair, light(share / full), setting, finished)])
+            seen = light(share / full)
+            return min(
+                _cost([model.residuals(*pair, seen, setting, finished, aside_mm=float(aside))]) + (aside / _SHIFT_MM) ** 2
+                for aside in _ASIDE
+            )
 
         costs = np.array([cost(share) for share in _LEFT])
         share, error = _minimum(costs, max(1.0, 2.0 * costs.min() / max(fold.usable_bins - 3, 1)))
@@ -291,8 +321,9 @@ def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
         power = (k / math.exp(at[0])) ** math.exp(at[1])
         made = np.exp(-np.minimum(power, 50.0))
         steep = np.where(power < 50.0, made * power * math.exp(at[1]), 0.0)
-        rows = np.stack([steep, -steep * np.log(k / math.exp(at[0]))], axis=1) / error[:, None]
-        miss = np.append((share - made) / error, (start - at) / _PRIORS)
+        error_now = error * np.hypot(1.0, (share - made) / (3.0 * error))  # a ripple that was misread counts little
+        rows = np.stack([steep, -steep * np.log(k / math.exp(at[0]))], axis=1) / error_now[:, None]
+        miss = np.append((share - made) / error_now, (start - at) / _PRIORS)
         step = np.linalg.lstsq(np.vstack([rows, np.diag(1 / _PRIORS)]), miss, rcond=None)[0]
         at = at + np.clip(step, -0.3, 0.3)
         at = np.clip(at, np.log([K0_RANGE[0], ORDER_RANGE[0]]), np.log([K0_RANGE[1], ORDER_RANGE[1]]))
@@ -307,7 +338,7 @@ def _lever_by_ramp(model: _Model, setting: _Setting) -> tuple[float, float]:
         levers = np.linspace(0.7, 1.4, 141)
         costs = np.empty(levers.size)
         for number, lever in enumerate(levers):
-            tried = _Setting(setting.k0, setting.order, float(lever), setting.blur_mm, setting.shifts)
+            tried = replace(setting, lever=float(lever))
             harmonics = model.harmonics(profile, tried, finished=False)(1.0)
             costs[number] = _cost([model.residuals(profile, fold, harmonics, tried, False)])
         best = int(costs.argmin())

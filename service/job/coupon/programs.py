@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,8 @@ from cam.passes import PassSpec
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.stock_grid import StockGrid
 from optics.coupon.fringes import Complex, Profile, Transfer, milled_profiles
-from optics.coupon.halves import AROUND_MM, finish_heights, light_of_facets, light_of_heights
-from optics.coupon.layout import HEIGHT_MM, WIDTH_MM, Coupon
+from optics.coupon.halves import AROUND_MM, finish_heights, light_of_facets, light_of_heights, screen_axes_mm
+from optics.coupon.layout import HEIGHT_MM, WIDTH_MM, Coupon, window_mm
 from optics.heightfield import Array
 from optics.irradiance import picture_from_irradiance
 from service import job_files
@@ -42,8 +42,12 @@ from service.stages.picture_queue import PictureQueue
 from service.stages.workshop import peak_rss_mb, versions
 
 PIXELS_PER_MM = 20
+TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
+"""k0 of finishes, of order 2, for which the light is foretold: photographs are found by that which is most like."""
+
 CELL_MM, FINE_CELL_MM = 0.02, 0.01
 _BEYOND_MM = 0.9  # of the heights around the piece: all of it lies where the ball has been
+_SEEDS = (2, 1)  # of the mill's errors: for what photographs are compared with, and for the pictures
 _ABOVE_MM = 0.03  # of the stock before the finish, over the highest point
 
 
@@ -93,25 +97,45 @@ def make_coupon(
 
 
 def _foretell(folder: Path, spec: JobSpec, transfer: Transfer, watch: Stopwatch) -> None:
-    """Both pictures; and coupon.npz: profiles of the strips by the programs alone, and the light as finished."""
+    """Both pictures; and coupon.npz, what photographs are compared with."""
     with watch.stage("heights as milled") as reached:
-        profiles = milled_profiles_of(milled_piece(folder, spec, seed=None, cell_mm=FINE_CELL_MM))
+        profiles = milled_profiles_of(milled_piece(folder, spec, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
         reached(0.5)
-        made = milled_piece(folder, spec)
+        made, clean = milled_piece(folder, spec, seed=_SEEDS[1]), milled_piece(folder, spec, seed=None)
     with watch.stage("photograph foretold") as reached:
-        light = predict_light(spec, made, (None, transfer), on_progress=reached)
-    for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=True):
+        finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
+        light = predict_light(spec, made, (None, transfer, *finishes), on_progress=reached)
+        without_errors = predict_light(spec, clean, (finishes[0],))[0]
+    for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):
         _draw(folder / name, one, spec)
     values = {f"strip_{n}": _as_reals(profile.harmonics_mm) for n, profile in enumerate(profiles)}
     values |= {f"milled_{n}": _as_reals(profile.milled) for n, profile in enumerate(profiles)}
-    job_files.write_bytes(folder / PROFILES, arrays.npz_bytes({**values, "light": light[1]}))
+    values |= {f"light_{n}": _halved(one) for n, one in enumerate(light[2:])}
+    x, y = screen_axes_mm(_pixels(PIXELS_PER_MM))
+    begin, end = window_mm("right")
+    values["across"] = np.array([y, without_errors[:, (x >= begin) & (x < end)].mean(axis=1)])
+    job_files.write_bytes(folder / PROFILES, arrays.npz_bytes(values))
 
 
-def load_profiles(path: Path, coupon: Coupon) -> tuple[tuple[Profile, ...], Array]:
-    """The profiles that the programs make, and the light (ny, nx) foretold, from coupon.npz."""
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Foretold:
+    """What a photograph is compared with.
+
+    templates  : light (ny, nx) on the screen behind finishes of TEMPLATES_RAD_PER_MM, by which it is found
+    across     : (2, ny) y, and the mean light of the half as milled there, without errors of rows
+    """
+
+    profiles: tuple[Profile, ...]
+    templates: tuple[Array, ...]
+    across: Array
+
+
+def load_foretold(path: Path, coupon: Coupon) -> Foretold:
+    """From coupon.npz; InputError where it is none."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
-    stored = arrays.load_arrays(path, (*names, "light"))
+    lights = [f"light_{number}" for number in range(len(TEMPLATES_RAD_PER_MM))]
+    stored = arrays.load_arrays(path, (*names, *lights, "across"))
     profiles = tuple(
         Profile(
             strip=strip,
@@ -120,7 +144,17 @@ def load_profiles(path: Path, coupon: Coupon) -> tuple[tuple[Profile, ...], Arra
         )
         for number, strip in enumerate(strips)
     )
-    return profiles, stored["light"]
+    return Foretold(profiles=profiles, templates=tuple(stored[name] for name in lights), across=stored["across"])
+
+
+def _usual(k0_rad_per_mm: float) -> Transfer:
+    return lambda k: np.asarray(np.exp(-((k / k0_rad_per_mm) ** 2)))
+
+
+def _halved(light: Array) -> Array:
+    """At half as many pixels either way."""
+    ny, nx = light.shape
+    return np.asarray(light.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
 
 
 def milled_piece(folder: Path, spec: JobSpec, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
@@ -149,7 +183,7 @@ def milled_profiles_of(milled: Milled) -> tuple[Profile, ...]:
 def predict_light(
     spec: JobSpec,
     milled: Milled,
-    finishes: tuple[Transfer | None, ...],
+    finishes: Sequence[Transfer | None],
     *,
     throw_mm: float | None = None,
     pixels_per_mm: float = PIXELS_PER_MM,
@@ -159,11 +193,10 @@ def predict_light(
 
     throw_mm : of the wall, where it is not that of the spec
     """
-    pixels = (round((HEIGHT_MM + 2 * AROUND_MM) * pixels_per_mm), round((WIDTH_MM + 2 * AROUND_MM) * pixels_per_mm))
     bench: dict[str, Any] = {
         "throw_mm": spec.optics.throw_mm if throw_mm is None else throw_mm,
         "refractive_index": spec.optics.refractive_index,
-        "pixels": pixels,
+        "pixels": _pixels(pixels_per_mm),
     }
     machine = machine_of(spec)
     facets = MilledSurface.of_tracks(
@@ -182,6 +215,10 @@ def predict_light(
             left = light_of_heights(milled.x_mm, milled.y_mm, heights, "left", **bench)
         out.append(left + right)
     return out
+
+
+def _pixels(per_mm: float) -> tuple[int, int]:
+    return round((HEIGHT_MM + 2 * AROUND_MM) * per_mm), round((WIDTH_MM + 2 * AROUND_MM) * per_mm)
 
 
 def _draw(path: Path, light: Array, spec: JobSpec) -> None:
