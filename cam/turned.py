@@ -16,7 +16,7 @@ from optics.heightfield import Heightfield
 
 
 def turned_lens(heightfield: Heightfield) -> Heightfield:
-    return Heightfield(x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
+    return replace(heightfield, x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
 
 
 def turned_block(stock: Stock) -> Stock:

@@ -18,11 +18,14 @@ class Heightfield:
 
     x_mm (nx,), y_mm (ny,) : ascending, evenly spaced vertex positions from one rim of the aperture to the other
     z_mm (ny, nx)          : heights, row j at y_mm[j]; never above 0
+    rim_mm                 : so far around the aperture the run-out goes on as the surface does, for a finish that looks
+                             beyond the rim
     """
 
     x_mm: Array
     y_mm: Array
     z_mm: Array
+    rim_mm: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("x_mm", "y_mm", "z_mm"):
@@ -67,7 +70,7 @@ class Heightfield:
 
     def spline_with_run_out(self, by_mm: float) -> BicubicSpline:
         """The spline and, around the aperture, the surface on which all passes run out: the one definition of both."""
-        return self.spline().extended(by_mm)
+        return self.spline().extended(by_mm, rim_mm=self.rim_mm)
 
     def spline(self) -> BicubicSpline:
         """The not-a-knot bicubic spline through the vertices."""

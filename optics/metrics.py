@@ -44,3 +44,26 @@ def score_caustic(irradiance: Array, target: Array) -> CausticScore:
         misplaced_light=float(np.abs(irradiance - target).sum() / (2 * target.sum())),
         dark_leak=float(irradiance[target < 0.02 * peak].sum() / target.sum()),
     )
+
+
+_BANDS = 48  # of spatial frequency, from one period across the picture to one in two pixels
+_CONTRAST = 0.5
+
+
+def smallest_detail_mm(irradiance: Array, target: Array, pixel_mm: float) -> float:
+    """Half the period of the finest pattern of the target (ny, nx) that keeps half of its contrast; one pixel at best.
+
+    Contrast by frequency is the part of the picture that follows the target, sum I T* / sum |T|^2 over a ring of the
+    spectrum (Hann window), so that grain which has nothing to do with the target counts neither way.
+    """
+    window = np.outer(*(np.hanning(n + 2)[1:-1] for n in target.shape))
+    ours, wanted = (np.fft.rfft2((one - one.mean()) * window) for one in (irradiance, target))
+    down, across = np.fft.fftfreq(target.shape[0])[:, None], np.fft.rfftfreq(target.shape[1])[None, :]
+    per_pixel = np.hypot(down, across).ravel()
+    edges = np.geomspace(1.0 / max(target.shape), 0.5, _BANDS + 1)
+    follows = np.histogram(per_pixel, edges, weights=(ours * wanted.conj()).real.ravel())[0]
+    power = np.histogram(per_pixel, edges, weights=(np.abs(wanted) ** 2).ravel())[0]
+    contrast = np.divide(follows, power, out=np.ones(_BANDS), where=power > 0)
+    lost = np.flatnonzero(contrast < _CONTRAST)
+    finest = edges[lost[0]] if lost.size else 0.5
+    return float(pixel_mm / (2.0 * finest))

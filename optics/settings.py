@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from optics.bench import Bench
+from optics.finish import Finish
 
 Method = Literal["transport", "paper"]
 
@@ -19,6 +20,7 @@ class LensSettings:
     min_radius_mm      : valleys tighter than a ball of this radius are filled; 0 leaves them
     vertices_per_pixel : heightfield vertices along the side of a pixel
     polish_steps       : steps of the descent on the picture's own error, after the corrections; 0 is none
+    finish             : what is done to the lens after milling, which it foresees; None: nothing
     creases            : concave creases as sharp as the grid shows, on vertices twice as close: for black areas, and
                          for a lens that no ball has to cut. min_radius_mm then does not apply
     """
@@ -30,6 +32,7 @@ class LensSettings:
     min_radius_mm: float = 0.0
     vertices_per_pixel: int = 2
     polish_steps: int = 0
+    finish: Finish | None = None
     creases: bool = False
 
     def on_bench(self, **changes: Any) -> LensSettings:

@@ -177,17 +177,17 @@ class BicubicSpline:
         over_rows(_concave_curvatures, y_mm.size, *self.kernel_arguments, x_mm, y_mm, out)
         return out
 
-    def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3) -> BicubicSpline:
+    def extended(self, by_mm: float, *, fade_mm: float = 6.0, droop: float = 0.3, rim_mm: float = 0.0) -> BicubicSpline:
         """The same surface, exactly, on its own grid, and a C2 run-out of at least by_mm around it.
 
         New coefficients continue the slope across the rim, which dies out as exp(-d / fade_mm) instead of running up or
         down without bound; what the rim's curvature adds to it dies out within a few cells, or a crease that runs out
-        of the lens would go on as a ridge. Within 1 mm the run-out also turns down by `droop`, so that it does not lift
-        a ball that touches the rim: a dark frame makes half a valley of the rim.
+        of the lens would go on as a ridge. Within 1 mm, from rim_mm on, the run-out also turns down by `droop`, so that
+        it does not lift a ball that touches the rim: a dark frame makes half a valley of the rim.
         """
         pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
-        coefs = _continued(self.coefs, pad_y, self.dy_mm, fade_mm, droop)
-        coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, self.dx_mm, fade_mm, droop).T)
+        coefs = _continued(self.coefs, pad_y, self.dy_mm, fade_mm, droop, rim_mm)
+        coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, self.dx_mm, fade_mm, droop, rim_mm).T)
         _level_corners(coefs, pad_y, pad_x)
         coefs.setflags(write=False)
         return BicubicSpline(
@@ -199,7 +199,7 @@ class BicubicSpline:
         )
 
 
-def _continued(coefs: Array, rows: int, spacing: float, fade: float, droop: float) -> Array:
+def _continued(coefs: Array, rows: int, spacing: float, fade: float, droop: float, rim: float) -> Array:
     """`rows` more rows before the first and after the last; C2 whatever they are.
 
     The k-th new difference is s exp(-k spacing / fade) + (e - s) / 3^k, less the droop: e the outermost difference,
@@ -208,11 +208,11 @@ def _continued(coefs: Array, rows: int, spacing: float, fade: float, droop: floa
     k = np.arange(1, rows + 1)
     slow = np.cumsum(np.exp(-k * spacing / fade))[:, None]
     quick = np.cumsum((1 / 3) ** k)[:, None]
-    sag = np.cumsum(droop * spacing * np.minimum(k * spacing, 1.0))[:, None]
+    sag = np.cumsum(droop * spacing * np.clip(k * spacing - rim, 0.0, 1.0))[:, None]
 
-    def beyond(outer: Array, rim: Array, inner: Array) -> Array:
+    def beyond(outer: Array, at_rim: Array, inner: Array) -> Array:
         slope = (outer - inner) / 2
-        return np.asarray(outer + slow * slope + quick * (outer - rim - slope) - sag)
+        return np.asarray(outer + slow * slope + quick * (outer - at_rim - slope) - sag)
 
     before = beyond(coefs[0], coefs[1], coefs[2])[::-1]
     return np.concatenate([before, coefs, beyond(coefs[-1], coefs[-2], coefs[-3])])

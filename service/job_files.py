@@ -29,7 +29,10 @@ SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
 TARGET_PICTURE = "target.png"
 LENS_FILES = (TARGET_PICTURE, HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
-LIGHT_FILES = ("caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png")
+AS_FINISHED = "caustic-as-finished.png"
+LIGHT_FILES = (
+    "caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png", AS_FINISHED,
+)  # fmt: skip
 TOOLPATH = "toolpath.png"
 PLAN = "plan.png"
 SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"

@@ -11,6 +11,7 @@ from cam.materials import PMMA, Material
 from cam.passes import PassSpec, Stock
 from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
 from service.errors import SpecError
+from service.job.finish_spec import resolve_finish
 from service.spec import JobSpec, PassRow
 
 LoadProfile = Callable[[str], MachineProfile]
@@ -64,6 +65,9 @@ def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
         rows.append(_filled(row, machine, _MATERIALS[spec.stock.material]))
     if problems:
         raise SpecError(problems)
+    area_mm2 = spec.optics.width_mm * spec.optics.height_mm
+    finish = resolve_finish(spec.finish, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
+    spec = spec.model_copy(update={"finish": finish})
     if spec.to_be_planned:
         return spec
     optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})

@@ -9,11 +9,13 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
+from service.job.finish_spec import FinishSpec
 from service.spec_light import LightSpec
 from service.spec_optics import OpticsSpec
 from service.spec_section import Section
 
 __all__ = [
+    "FinishSpec",
     "ImageSpec",
     "JobSpec",
     "LightSpec",
@@ -155,6 +157,7 @@ class JobSpec(Section):
     passes: Annotated[
         tuple[PassRow, ...], Field(max_length=MOST_PASSES, strict=False, json_schema_extra={"minItems": 1})
     ]
+    finish: FinishSpec = FinishSpec()
     machine: MachineSpec = MachineSpec()
 
     @field_validator("passes")

@@ -27,7 +27,7 @@ _SPARE = 0.01  # rad: added to the tilts at which a ball may show at all
 
 
 @njit(cache=True, nogil=True)
-def _slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no-untyped-def]
+def slopes_at_contact(surface, x, y, radius, px, py, steps):  # type: ignore[no-untyped-def]
     """(px, py, zx, zy): where a ball with its centre above (x, y) touches the lens, about, from the guess p."""
     zx = zy = 0.0
     for _ in range(steps):
@@ -95,7 +95,7 @@ def facets_of(c, first, last, surface, reach, longest, crossed):  # type: ignore
             px, py = x, y
         else:
             px, py = px + c.tips[k, 0] - c.tips[k - 1, 0], py + c.tips[k, 1] - c.tips[k - 1, 1]
-        px, py, zx, zy = _slopes_at_contact(surface, x, y, radius, px, py, steps)
+        px, py, zx, zy = slopes_at_contact(surface, x, y, radius, px, py, steps)
         steps = 2
         set_frame(c.tips, k, -zx, -zy, 1.0, frame)
         way = _rise(c, k, frame, reach)

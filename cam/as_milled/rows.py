@@ -14,6 +14,7 @@ from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
 from cam.raster import Rows, continuous_rows, ordered
 from cam.tool_surface import ToolSurface
+from cam.turned import turned_lens
 from cam.vertices import VertexRule, finish_rule
 from optics.heightfield import Heightfield
 
@@ -33,7 +34,7 @@ def row_tracks(
     slope_error_rad: float = SLOPE_ERROR_RAD,
 ) -> Tracks:
     """Rows of one ball all over the lens, joined by turns on the surface, z rounded as a program rounds it."""
-    lens = heightfield if direction == "x" else _turned(heightfield)
+    lens = heightfield if direction == "x" else turned_lens(heightfield)
     stock = Stock(width_mm=lens.width_mm, height_mm=lens.height_mm, thickness_mm=1.0, margin_mm=0.0)
     spec = ball_pass("rows", radius_mm=radius_mm, pitch_mm=pitch_mm, stock_to_leave_mm=0.0, step_down_mm=radius_mm)
     surface, rule = ToolSurface.over(lens, radius_mm=radius_mm), _rule(lens, radius_mm, slope_error_rad)
@@ -54,14 +55,9 @@ def _tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: Direc
     return Tracks(radius_mm=surface.radius_mm, tips_mm=tips, joined=joined)
 
 
-def _turned(heightfield: Heightfield) -> Heightfield:
-    """The lens with x and y exchanged."""
-    return Heightfield(x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
-
-
 def touched_surface(heightfield: Heightfield, radius_mm: float, direction: Direction) -> ToolSurface:
     """Of a ball over the lens, as rows in that direction see it: x and y exchanged for rows along y."""
-    return ToolSurface.over(heightfield if direction == "x" else _turned(heightfield), radius_mm=radius_mm)
+    return ToolSurface.over(heightfield if direction == "x" else turned_lens(heightfield), radius_mm=radius_mm)
 
 
 def sample_facets(
@@ -80,7 +76,7 @@ def sample_facets(
 
     surface : `touched_surface` of this ball, if the caller has it already
     """
-    lens = heightfield if direction == "x" else _turned(heightfield)
+    lens = heightfield if direction == "x" else turned_lens(heightfield)
     touched = touched_surface(heightfield, radius_mm, direction) if surface is None else surface
     rule = _rule(lens, radius_mm, slope_error_rad)
     error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)

@@ -21,6 +21,14 @@ _SIGMAS = 3.0
 _CROSSED = 1 / 6  # of the pitch: parts of a strip that other tracks cross
 
 
+def reach_of(radius_mm: float, *, pitch_mm: float, error_mm: float) -> float:
+    """How far from its contact a ball cuts anything that no neighbour cuts deeper.
+
+    error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around.
+    """
+    return 1.5 * pitch_mm + 1.5 * math.sqrt(2.0 * radius_mm * _SIGMAS * error_mm)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MilledSurface:
     """What finishing programs leave, as facets: `part(0)` .. `part(parts - 1)`.
@@ -46,10 +54,10 @@ class MilledSurface:
         """Of one program or several: a point belongs to the ball that went deepest there.
 
         pitch_mm : the widest distance between neighbouring tracks
-        error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around.
+        error_mm : standard deviation of the tips' heights
         """
         radius = max(one.radius_mm for one in tracks)
-        reach = 1.5 * pitch_mm + 1.5 * math.sqrt(2.0 * radius * _SIGMAS * error_mm)
+        reach = reach_of(radius, pitch_mm=pitch_mm, error_mm=error_mm)
         return cls(
             chords=sorted_chords([one.divided(_LONGEST_MM) for one in tracks], side_mm=max(0.5 * reach, _BOX_MM)),
             lens=heightfield.spline_with_run_out(radius + 1.0).kernel_arguments,

@@ -26,6 +26,7 @@ from optics.coupon.fringes import (
 )
 from optics.coupon.layout import Coupon, Half
 from optics.coupon.reading import Fold
+from optics.finish import Finish
 from optics.heightfield import Array
 
 K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.4, 8.0)
@@ -75,11 +76,6 @@ class FinishFit:
     milled_ripples: tuple[RippleLeft, ...]
 
 
-def transfer_of(k0_rad_per_mm: float, order: float, k_rad_per_mm: Array) -> Array:
-    """exp(-(k / k0)^order)."""
-    return np.asarray(np.exp(-np.minimum((k_rad_per_mm / k0_rad_per_mm) ** order, 700.0)))
-
-
 @dataclass(frozen=True, slots=True)
 class _Setting:
     """The parameters of the model."""
@@ -94,6 +90,10 @@ class _Setting:
     def of(cls, vector: Array) -> _Setting:
         a, b, c, d, *shifts = (float(value) for value in vector)
         return cls(math.exp(a), math.exp(b), math.exp(c), math.exp(d), (shifts[0], shifts[1], shifts[2], shifts[3]))
+
+    @property
+    def finish(self) -> Finish:
+        return Finish(k0_rad_per_mm=self.k0, order=self.order)
 
     def vector(self) -> Array:
         return np.array([math.log(v) for v in (self.k0, self.order, self.lever, self.blur_mm)] + list(self.shifts))
@@ -117,7 +117,7 @@ class _Model:
         """A strip's light c_0 ... c_m when all its heights are that many times higher."""
         if not finished:
             return lambda scale: milled_light(profile, scale * setting.lever)
-        strip = Finished.of(profile, lambda k: transfer_of(setting.k0, setting.order, k))
+        strip = Finished.of(profile, setting.finish.transfer)
         return lambda scale: strip.light(scale * setting.lever * self.nominal_mm)
 
     def residuals(
@@ -258,7 +258,7 @@ def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[R
             continue
         nominal, curve = 1.0, setting
         if finished:
-            nominal = float(transfer_of(setting.k0, setting.order, np.array(strip.k_rad_per_mm)))
+            nominal = float(setting.finish.transfer(np.array(strip.k_rad_per_mm)))
         if nominal < _LEAST_LEFT:  # of a ripple that is gone nothing can be scaled up: as if so much were left
             nominal = _LEAST_LEFT
             k0 = strip.k_rad_per_mm / (-math.log(_LEAST_LEFT)) ** (1 / setting.order)

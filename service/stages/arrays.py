@@ -15,14 +15,16 @@ from service.errors import InputError, sentence_of_os_error
 
 
 def heightfield_bytes(heightfield: Heightfield) -> bytes:
-    return npz_bytes({"z_mm": heightfield.z_mm, "x_mm": heightfield.x_mm, "y_mm": heightfield.y_mm})
+    rim = {"rim_mm": np.array(heightfield.rim_mm)} if heightfield.rim_mm else {}
+    return npz_bytes({"z_mm": heightfield.z_mm, "x_mm": heightfield.x_mm, "y_mm": heightfield.y_mm, **rim})
 
 
 def load_heightfield(path: Path) -> Heightfield:
     """A heightfield from its .npz; InputError where the file is none."""
-    arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"))
+    arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
+    rim_mm = float(arrays.pop("rim_mm", np.zeros(())))
     try:
-        heightfield = Heightfield(**arrays)
+        heightfield = Heightfield(**arrays, rim_mm=rim_mm)
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     if (highest_mm := float(heightfield.z_mm.max())) > 0:
@@ -66,11 +68,12 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
     return buffer.getvalue()
 
 
-def load_arrays(path: Path, names: tuple[str, ...]) -> dict[str, Array]:
-    """Those arrays of an .npz file; InputError where it holds others, or is none."""
+def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
+    """Those arrays of an .npz file; InputError where one is missing, or the file is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
-            return {name: np.asarray(stored[name], dtype=np.float64) for name in names}
+            there = (*names, *(name for name in optional if name in stored))
+            return {name: np.asarray(stored[name], dtype=np.float64) for name in there}
     except FileNotFoundError:
         raise InputError(f"{path}: there is no such file; `causticmill design` makes it") from None
     except OSError as error:

@@ -18,6 +18,7 @@ from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.profiles import MachineProfile
 from optics.caustic import Caustic, simulate_caustic
+from optics.finish import finish_surface
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import psnr_db, score_caustic
@@ -27,7 +28,7 @@ from service.job_files import HEIGHTFIELD, MAP, names_of_pass, read_chunks
 from service.passes import cam_passes_of, machine_of
 from service.report_milled import CAUSES, detail_lost
 from service.stages import arrays
-from service.stages.optical_task import bench_of
+from service.stages.optical_task import bench_of, finish_of
 from service.stages.plain import plain
 from service.stages.workshop import Workshop
 
@@ -41,26 +42,37 @@ def as_milled(shop: Workshop) -> None:
     """
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = shop.receive(MAP, arrays.load_target)
-    passes = [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
+    passes = finishing_passes(shop)
     if not passes:
         return
     bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
     with shop.watch.stage("as milled: surface") as reached:
-        surface = _surface(shop, passes, heightfield, reached)
+        surface = MilledSurface.of_tracks(
+            read_tracks(shop, passes, reached),
+            heightfield,
+            pitch_mm=max(spec.pitch_mm for _, spec in passes),
+            error_mm=error_of_tips_mm(machine_of(shop.spec)),
+        )
     with shop.watch.stage("as milled: light") as reached:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
         found = deviations(_sampled(surface), heightfield, bench, shape)
     del surface
     with shop.watch.stage("as milled: causes") as reached:
-        designed = simulate_caustic(heightfield, bench, pixels=shape)
+        finish = finish_of(shop.spec)
+        perfect = heightfield if finish is None else finish_surface(heightfield, finish)
+        designed = simulate_caustic(perfect, bench, pixels=shape)
         gains = _gains(shop, passes[0][1], heightfield, target, designed, reached)
     _tell(shop, target, seen, designed, found, gains)
     _draw(shop, target, designed.irradiance, seen.irradiance)
 
 
-def _surface(
-    shop: Workshop, passes: list[tuple[int, PassSpec]], heightfield: Heightfield, reached: Callable[[float], None]
-) -> MilledSurface:
+def finishing_passes(shop: Workshop) -> list[tuple[int, PassSpec]]:
+    """Those that make the optical surface, with their numbers from 0."""
+    return [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
+
+
+def read_tracks(shop: Workshop, passes: list[tuple[int, PassSpec]], reached: Callable[[float], None]) -> list[Tracks]:
+    """The written programs of these passes as the mill runs them, with its steps and errors."""
     machine, rows = machine_of(shop.spec), shop.so_far["passes"]
     tracks = []
     for done, (number, spec) in enumerate(passes, 1):
@@ -69,12 +81,12 @@ def _surface(
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
         tracks.append(Tracks.of_program(batches, radius_mm=spec.radius_mm, step_mm=machine.step_mm, noise=noise))
         reached(0.8 * done / len(passes))
-    return MilledSurface.of_tracks(
-        tracks,
-        heightfield,
-        pitch_mm=max(spec.pitch_mm for _, spec in passes),
-        error_mm=tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm, decimals=_decimals(machine)),
-    )
+    return tracks
+
+
+def error_of_tips_mm(machine: MachineProfile) -> float:
+    """Standard deviation of the tips' heights on a mill: its steps, its noise, the decimals of its dialect."""
+    return tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm, decimals=_decimals(machine))
 
 
 def _decimals(machine: MachineProfile) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
+from optics.finish import finish_surface
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.light import SUN_DEG
@@ -24,7 +25,7 @@ from optics.tolerance import (
 from service.job_files import FOCUS, HEIGHTFIELD, MAP
 from service.spec import JobSpec
 from service.stages import arrays
-from service.stages.optical_task import bench_of
+from service.stages.optical_task import bench_of, finish_of
 from service.stages.plain import plain
 from service.stages.workshop import Workshop
 
@@ -33,10 +34,12 @@ THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 
 def caustic(shop: Workshop) -> None:
-    """Simulated light: scores and tolerances into report `optics`; caustic.png, comparison.png, through-focus.png, and
-    focus.bin for the operator page.
+    """Simulated light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
+    caustic.png, comparison.png, through-focus.png, and focus.bin for the operator page.
     """
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
+    if (finish := finish_of(shop.spec)) is not None:
+        heightfield = finish_surface(heightfield, finish)
     target = shop.receive(MAP, arrays.load_target)
     bench = bench_of(shop.spec)
     with shop.watch.stage("caustic") as reached:

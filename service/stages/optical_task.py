@@ -9,6 +9,7 @@ import numpy as np
 
 from optics.bench import Bench, Branch
 from optics.black import suited_branch
+from optics.finish import PAD_MM, Finish
 from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
 from optics.light import SUN_DEG, Light
@@ -72,8 +73,18 @@ def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
         min_radius_mm=spec.lens_radius_mm,
         vertices_per_pixel=optics.vertices_per_pixel,
         polish_steps=POLISH_STEPS if optics.polish else 0,
+        finish=finish_of(spec),
         creases=optics.creases,
     )
+
+
+def finish_of(spec: JobSpec) -> Finish | None:
+    """The finish after milling; None where nothing is levelled, or where it is still to be planned."""
+    given = spec.finish
+    if given.k0_rad_per_mm is None or given.order is None:
+        return None
+    pad_mm = PAD_MM if given.pad_mm is None else given.pad_mm
+    return Finish(k0_rad_per_mm=given.k0_rad_per_mm, order=given.order, pad_mm=pad_mm)
 
 
 def _profile(optics: OpticsSpec) -> Array | None:

@@ -45,6 +45,7 @@ POLISH_S = 20.0  # of 512 x 512 pixels
 REST_SHARE = 0.1  # of the lens, at a guess, that a rest pass goes over
 PLAN_S = 12.0
 AS_MILLED_S_PER_M = 0.06
+AS_FINISHED_S_PER_M = 0.02
 _LIBRARIES = (
     "numpy", "scipy", "numba", "pyamg", "pillow", "scikit-image", "trimesh", "manifold3d", "matplotlib", "jinja2",
 )  # fmt: skip
@@ -95,14 +96,14 @@ _BEFORE = (
         name="passes",
         function="service.stages.planning:choose_passes",
         reads=(".target.npz",),
-        spec=("optics", "stock", "plan", "machine", "tools"),
+        spec=("optics", "stock", "plan", "machine", "tools", "finish"),
         parts=(("plan", 1.0),),
     ),
     Stage(
         name="map",
         function=f"{_LENS}:transport_map",
         reads=(".target.npz",),
-        spec=("optics", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
+        spec=("optics", "finish", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),
     Stage(
@@ -116,7 +117,7 @@ _BEFORE = (
         name="caustic",
         function=f"{_LIGHT}:caustic",
         reads=("heightfield.npz", "map.npz"),
-        spec=(*_BENCH, "optics.viewed_from"),
+        spec=(*_BENCH, "optics.viewed_from", "finish"),
         parts=(("caustic", 0.5), ("tolerances", 0.5)),
     ),
 )
@@ -145,9 +146,25 @@ _AFTER = (
             "machine.dialect",
             "machine.step_mm",
             "machine.z_noise_mm",
+            "finish",
             *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
         ),
         parts=(("as milled: surface", 0.15), ("as milled: light", 0.7), ("as milled: causes", 0.15)),
+    ),
+    Stage(
+        name="as-finished",
+        function="service.job.stages.as_finished:as_finished",
+        reads=("heightfield.npz", "map.npz", "pass-*-*"),
+        spec=(
+            *_BENCH,
+            "optics.viewed_from",
+            "machine.dialect",
+            "machine.step_mm",
+            "machine.z_noise_mm",
+            "finish",
+            *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
+        ),
+        parts=(("as finished: surface", 0.8), ("as finished: light", 0.2)),
     ),
     Stage(name="report", function="service.stages.sheet:sheet", spec=("",), sheet=True),
 )
@@ -160,7 +177,8 @@ def plan(spec: JobSpec) -> tuple[str, ...]:
     """
     passes = (f"pass-{number}" for number in range(1, len(_rows(spec)) + 1))
     before = (stage.name for stage in _BEFORE if stage.name != "passes" or spec.preset == "recommended")
-    return (*before, *passes, *(stage.name for stage in _AFTER))
+    after = (stage.name for stage in _AFTER if stage.name != "as-finished" or spec.finish.finishes)
+    return (*before, *passes, *after)
 
 
 def _rows(spec: JobSpec) -> tuple[PassRow, ...]:
@@ -217,6 +235,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
         "caustic": 1.0 + 4.0 * beams * pixels,
         "check": 0.7,
         "as-milled": 1.0,
+        "as-finished": 2.0 + 4.0 * pixels,
         "report": 0.1,
     }
     block = spec.optics.width_mm * spec.optics.height_mm / 100**2
@@ -228,6 +247,7 @@ def usual_seconds(spec: JobSpec) -> dict[str, float]:
         seconds["check"] += 0.012 * path_m if finishes else 0.0
         seconds["as-milled"] += MILLED_S_PER_M * beams * path_m if finishes else 0.0
         seconds["as-milled"] += min(20.0, 0.6 * path_m) + AS_MILLED_S_PER_M * path_m if finishes else 0.0
+        seconds["as-finished"] += AS_FINISHED_S_PER_M * path_m if finishes else 0.0
     return {name: seconds[name] for name in plan(spec)}
 
 

@@ -1,0 +1,102 @@
+"""The table `[finish]` of the job spec: how the lens is finished by hand after milling, and its transfer function.
+
+A process of the library fills in what is left out; figures of one's own, as the coupon measures them, come before it.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from pydantic import Field
+
+from service.errors import SpecError
+from service.job.finishing import Process, load_processes
+from service.spec_section import Section
+
+NONE, BEST = "none", "best"
+
+
+class FinishSpec(Section):
+    """process: "none", a name of the finish library, or "best": the planner of preset "recommended" chooses.
+
+    k0_rad_per_mm, order : what is left of a wave of k rad/mm is exp(-(k / k0)^order)
+    depth_um             : what comes off
+    minutes              : of work on the whole lens; the planner of "recommended" chooses them where they are left out
+    pad_mm               : size of the tool, which follows whatever is longer
+    """
+
+    process: Annotated[str, Field(pattern=r"^[a-z][a-z0-9-]{0,39}$")] = NONE
+    k0_rad_per_mm: Annotated[float, Field(ge=0.05, le=1000)] | None = None
+    order: Annotated[float, Field(ge=0.5, le=8)] | None = None
+    depth_um: Annotated[float, Field(ge=-500, le=500)] | None = None
+    minutes: Annotated[float, Field(gt=0, le=100_000)] | None = None
+    pad_mm: Annotated[float, Field(ge=0.5, le=5000)] | None = None
+
+    @property
+    def finishes(self) -> bool:
+        """Whether anything is levelled, as far as it is known yet."""
+        return self.process != NONE or self.k0_rad_per_mm is not None
+
+
+def resolve_finish(finish: FinishSpec, *, area_mm2: float, to_be_planned: bool) -> FinishSpec:
+    """Fill in what the library knows of the process; minutes and what follows stay open where they are planned.
+
+    SpecError names the key, its value and what is allowed.
+    """
+    if finish.process == BEST:
+        if not to_be_planned:
+            allowed = "preset = 'recommended', or the name of a process"
+            raise SpecError([("finish.process", f"'{BEST}' is chosen by the planner only; allowed: {allowed}")])
+        return finish
+    process = _find_process(finish.process)
+    if finish.process == NONE:
+        _require_own_figures(finish)
+        return finish
+    if finish.minutes is None and finish.k0_rad_per_mm is None:
+        if to_be_planned:
+            return finish
+        finish = finish.model_copy(update={"minutes": round(process.minutes(area_mm2), 1)})
+    return fill_figures(finish, process, area_mm2=area_mm2)
+
+
+def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> FinishSpec:
+    """The transfer function, depth and tool after the minutes, or the minutes after which the transfer is reached."""
+    minutes, k0 = finish.minutes, finish.k0_rad_per_mm
+    if minutes is None:
+        assert k0 is not None
+        minutes = round(process.minutes_to(k0, area_mm2), 1)
+    if k0 is None:
+        k0 = round(process.k0_rad_per_mm(minutes, area_mm2), 4)
+    filled = {
+        "k0_rad_per_mm": k0,
+        "order": process.order if finish.order is None else finish.order,
+        "minutes": minutes,
+        "depth_um": round(process.depth_after_um(minutes, area_mm2), 2) if finish.depth_um is None else finish.depth_um,
+        "pad_mm": min(process.pad_mm, 5000.0) if finish.pad_mm is None else finish.pad_mm,
+    }
+    return finish.model_copy(update=filled)
+
+
+def _find_process(name: str) -> Process:
+    processes = load_processes()
+    if name not in processes:
+        allowed = ", ".join(f"'{one}'" for one in (*processes, BEST))
+        raise SpecError([("finish.process", f"'{name}' is not known; allowed: {allowed}")])
+    return processes[name]
+
+
+def _require_own_figures(finish: FinishSpec) -> None:
+    """Without a process k0 and order go together, and nothing else says anything alone."""
+    if (finish.k0_rad_per_mm is None) != (finish.order is None):
+        missing = "order" if finish.order is None else "k0_rad_per_mm"
+        raise SpecError([(f"finish.{missing}", "is missing; allowed: k0_rad_per_mm and order together, or a process")])
+    if finish.k0_rad_per_mm is None and (finish.minutes is not None or finish.depth_um is not None):
+        given = "minutes" if finish.minutes is not None else "depth_um"
+        raise SpecError(
+            [
+                (
+                    f"finish.{given}",
+                    "says nothing without a process; allowed: with finish.process, or k0_rad_per_mm and order",
+                )
+            ]
+        )

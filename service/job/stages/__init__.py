@@ -1,0 +1,1 @@
+"""Stages of a job, each between the files of earlier ones and its own."""

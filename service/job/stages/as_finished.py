@@ -1,0 +1,98 @@
+"""The stage that levels the milled surface as the finish will, and shines light through it: the picture of the job."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+
+from cam.as_milled.height_map import DepartureMap, map_departure
+from optics.bench import Bench
+from optics.caustic import Caustic, simulate_caustic
+from optics.finish import Finish, finish_surface
+from optics.heightfield import Array, Heightfield
+from optics.irradiance import picture_from_irradiance
+from optics.metrics import score_caustic, smallest_detail_mm
+from service.job_files import AS_FINISHED, HEIGHTFIELD, MAP
+from service.passes import machine_of
+from service.stages import arrays
+from service.stages.as_milled import error_of_tips_mm, finishing_passes, read_tracks
+from service.stages.optical_task import bench_of, finish_of
+from service.stages.plain import plain
+from service.stages.workshop import Workshop
+
+_COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
+_TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
+
+
+def as_finished(shop: Workshop) -> None:
+    """Light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png.
+    Nothing where nothing is finished by hand, or no pass finishes.
+    """
+    finish, passes = finish_of(shop.spec), finishing_passes(shop)
+    if finish is None or not passes:
+        return
+    lens = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
+    target = shop.receive(MAP, arrays.load_target)
+    bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
+    with shop.watch.stage("as finished: surface") as reached:
+        tracks = read_tracks(shop, passes, reached)
+        departure = map_departure(
+            tracks,
+            lens,
+            pitch_mm=max(spec.pitch_mm for _, spec in passes),
+            error_mm=error_of_tips_mm(machine_of(shop.spec)),
+            finer=cells_per_vertex(lens, finish),
+            beyond_mm=max(spec.radius_mm for _, spec in passes),
+        )
+        del tracks
+        finished = finish_departure(lens, finish, departure)
+    with shop.watch.stage("as finished: light"):
+        seen = light_through(finished, bench, shape)
+    _tell(shop, finish, target, seen, bench.screen.width_mm / shape[1])
+    _draw(shop, target, seen.irradiance)
+
+
+def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
+    """How many times as fine as the lens's vertices the surface must be known for that finish."""
+    cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
+    return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
+
+
+def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap) -> Heightfield:
+    """The lens as milled and finished."""
+    return finish_surface(
+        lens,
+        finish,
+        departure_mm=departure.departure_mm,
+        finer=departure.finer,
+        beyond_cells=departure.beyond_cells,
+    )
+
+
+def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
+    """Light (ny, nx) by way of a surface that is known more finely than the picture."""
+    pixel_mm = min(bench.screen.width_mm / shape[1], bench.screen.height_mm / shape[0])
+    tubes = max(2, math.ceil(_TUBES_PER_PIXEL * finished.dx_mm / pixel_mm))
+    return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)
+
+
+def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm: float) -> None:
+    score = asdict(score_caustic(seen.irradiance, target))
+    milled = shop.so_far.get("as_milled", {})
+    shop.report["as_finished"] = plain(
+        {
+            **score,
+            "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
+            "outside_share": seen.outside_share,
+            "reflected_share": seen.reflected_share,
+            "psnr_db_milled": milled.get("psnr_db"),
+            "finish": {**shop.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
+        }
+    )
+
+
+def _draw(shop: Workshop, target: Array, finished: Array) -> None:
+    from service import figures  # what it stands on is slow to import
+
+    white, view = float(target.max()), picture_from_irradiance(finished, viewed_from=shop.spec.optics.viewed_from)
+    shop.draw(AS_FINISHED, lambda: figures.picture_png(view, white=white))
