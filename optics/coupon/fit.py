@@ -269,7 +269,8 @@ def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[R
                  light: Callable[[float], Complex] = light) -> float:  # fmt: skip
             seen = light(share / full)
             return min(
-                _cost([model.residuals(*pair, seen, setting, finished, aside_mm=float(aside))]) + (aside / _SHIFT_MM) ** 2
+                _cost([model.residuals(*pair, seen, setting, finished, aside_mm=float(aside))])
+                + (aside / _SHIFT_MM) ** 2
                 for aside in _ASIDE
             )
 
@@ -331,7 +332,7 @@ def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
 
 
 def _lever_by_ramp(model: _Model, setting: _Setting) -> tuple[float, float]:
-    """The way to the wall over its nominal one, from the ramp as milled: where its slopes throw light; and its error."""
+    """The way to the wall over its nominal one, by the ramp as milled, and its error."""
     for profile, fold in model.milled:
         if profile.strip.kind != "ramp":
             continue

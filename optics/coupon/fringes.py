@@ -94,7 +94,7 @@ def milled_profiles(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -> tu
             return np.asarray(_sum_waves(phase, _window(strip, middle_y + lever * slope_y), _harmonics_of(strip) + 1))
 
         with ThreadPoolExecutor(max_workers=thread_count()) as pool:
-            table = scale * np.array(list(pool.map(light, LEVERS * lever_mm)))
+            table: Complex = scale * np.stack(list(pool.map(light, LEVERS * lever_mm)))
         found.append(Profile(strip=strip, harmonics_mm=harmonics, milled=table))
     return tuple(found)
 
@@ -126,7 +126,7 @@ class Finished:
     def of(cls, profile: Profile, transfer: Transfer) -> Finished:
         strip = profile.strip
         number = np.arange(1, profile.harmonics_mm.size + 1)
-        y = strip.middle_mm + _Y_STEP_MM * np.arange(-_Y_HALF, _Y_HALF)
+        y: Array = strip.middle_mm + _Y_STEP_MM * np.arange(-_Y_HALF, _Y_HALF, dtype=np.float64)
         spectrum = np.fft.rfft(share_of_strip(strip, y))
         ky = 2 * np.pi * np.fft.rfftfreq(y.size, _Y_STEP_MM)
         left = spectrum * transfer(np.hypot(ky, number[:, None] * strip.k_rad_per_mm))
@@ -144,7 +144,7 @@ class Finished:
         )
 
     def light(self, lever_mm: float) -> Complex:
-        """(m + 1,) c_0 ... c_m at that lever; what leaves the strip is taken to come back from its neighbours, evenly."""
+        """(m + 1,) c_0 ... c_m at that lever; neighbours are taken to give back, evenly, what leaves the strip."""
         strip = self.strip
         phase = 2 * np.pi * (np.arange(_SAMPLES) + 0.5) / _SAMPLES + strip.k_rad_per_mm * lever_mm * self.slope_x
         weight = _window(strip, self.y_mm[:, None] + lever_mm * self.slope_y)

@@ -29,7 +29,7 @@ _SEED = 11
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowErrors:
-    """z_noise_mm: standard deviation of a row's height, with the range of 68 %; None: more grain than any size gives."""
+    """z_noise_mm: standard deviation of a row's height, and the range of 68 %; grain: variance of the light."""
 
     z_noise_mm: float
     low_mm: float

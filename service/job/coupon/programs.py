@@ -37,6 +37,7 @@ from service.pipeline import Job
 from service.progress import Reporter, Stopwatch
 from service.spec import JobSpec
 from service.stages import arrays
+from service.stages.optical_task import finish_of
 from service.stages.order import merge_notes, merge_reports
 from service.stages.picture_queue import PictureQueue
 from service.stages.workshop import peak_rss_mb, versions
@@ -63,13 +64,8 @@ class Milled:
     z_mm: Array
 
 
-def make_coupon(
-    output: Path, spec: JobSpec, *, transfer: Transfer, reporter: Reporter, force: bool = False
-) -> dict[str, Any]:
-    """Write the folder of a test piece; what report.json holds is returned.
-
-    transfer : of the finish with which coupon-as-finished.png is foretold
-    """
+def make_coupon(output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
+    """Write the folder of a test piece; what report.json holds is returned."""
     job_files.require_usable_output(output, force=force)
     coupon = coupon_of(spec)
     with job_files.staging_folder(output) as folder, PictureQueue() as queue:
@@ -81,7 +77,7 @@ def make_coupon(
         job.run("check")
         watch = Stopwatch(reporter)
         job_files.write_json(folder / job_files.REPORT, job.report)  # names the programs
-        _foretell(folder, spec, transfer, watch)
+        _foretell(folder, spec, watch)
         told = {
             "warnings": [sentence for sentences in merge_notes((job.notes,)).values() for sentence in sentences],
             "timings_s": watch.timings_s,
@@ -96,15 +92,18 @@ def make_coupon(
     return report
 
 
-def _foretell(folder: Path, spec: JobSpec, transfer: Transfer, watch: Stopwatch) -> None:
+def _foretell(folder: Path, spec: JobSpec, watch: Stopwatch) -> None:
     """Both pictures; and coupon.npz, what photographs are compared with."""
     with watch.stage("heights as milled") as reached:
         profiles = milled_profiles_of(milled_piece(folder, spec, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
         reached(0.5)
         made, clean = milled_piece(folder, spec, seed=_SEEDS[1]), milled_piece(folder, spec, seed=None)
     with watch.stage("photograph foretold") as reached:
+        finish = finish_of(spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
-        light = predict_light(spec, made, (None, transfer, *finishes), on_progress=reached)
+        light = predict_light(
+            spec, made, (None, None if finish is None else finish.kept, *finishes), on_progress=reached
+        )
         without_errors = predict_light(spec, clean, (finishes[0],))[0]
     for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):
         _draw(folder / name, one, spec)
