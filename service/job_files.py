@@ -39,7 +39,12 @@ PLAN = "plan.png"
 SURFACE, FOCUS, THUMBNAIL = "surface.bin", "focus.bin", "thumbnail.png"
 STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
-_KNOWN = {SPEC, REPORT, REPORT_PAGE, *LENS_FILES, *LIGHT_FILES, TOOLPATH, PLAN}
+COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.npz")
+COUPON_FIT_FILES = ("coupon-fit.json", "coupon-fit.png", "coupon-fit.toml")
+_KNOWN = {
+    *(SPEC, REPORT, REPORT_PAGE, TOOLPATH, PLAN),
+    *LENS_FILES, *LIGHT_FILES, *COUPON_FILES, *COUPON_FIT_FILES,
+}  # fmt: skip
 _PATH = re.compile(r"pass-\d+\.path")
 _STAGING = ".part"
 _REPORT_TABLES = ("source", "image", "optics", "timings_s", "warnings_by_part", "versions")

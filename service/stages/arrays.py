@@ -21,7 +21,7 @@ def heightfield_bytes(heightfield: Heightfield) -> bytes:
 
 def load_heightfield(path: Path) -> Heightfield:
     """A heightfield from its .npz; InputError where the file is none."""
-    arrays = _load(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
+    arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
     rim_mm = float(arrays.pop("rim_mm", np.zeros(())))
     try:
         heightfield = Heightfield(**arrays, rim_mm=rim_mm)
@@ -39,7 +39,7 @@ def stock_bytes(stock_top: StockGrid) -> bytes:
 
 def load_stock(path: Path) -> StockGrid:
     """The stock an earlier pass has left."""
-    arrays = _load(path, ("place_mm", "top_mm"))
+    arrays = load_arrays(path, ("place_mm", "top_mm"))
     x0_mm, y0_mm, cell_mm = (float(value) for value in arrays["place_mm"])
     return StockGrid(x0_mm=x0_mm, y0_mm=y0_mm, cell_mm=cell_mm, top_mm=arrays["top_mm"])
 
@@ -50,7 +50,7 @@ def picture_bytes(linear: Array) -> bytes:
 
 def load_picture(path: Path) -> Array:
     """The picture (ny, nx) in linear light, row 0 on top."""
-    return _load(path, ("linear",))["linear"]
+    return load_arrays(path, ("linear",))["linear"]
 
 
 def target_bytes(target: Array) -> bytes:
@@ -59,7 +59,7 @@ def target_bytes(target: Array) -> bytes:
 
 def load_target(path: Path) -> Array:
     """The exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again later."""
-    return _load(path, ("target",))["target"]
+    return load_arrays(path, ("target",))["target"]
 
 
 def load_original(path: Path) -> Array | None:
@@ -79,7 +79,8 @@ def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
     return buffer.getvalue()
 
 
-def _load(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
+def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
+    """Those arrays of an .npz file; InputError where one is missing, or the file is none."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             there = (*names, *(name for name in optional if name in stored))

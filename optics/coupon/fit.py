@@ -1,0 +1,352 @@
+"""From the fringes of both halves to the finish: k0 and order, with what they may be off by, and the wall's distance.
+
+Theory of operation. The half as milled says how strongly the wall, the mill and the light show the ripples (the lever
+and the blur); with those, the finished half says what is left of each ripple. All strips are fitted at once by the
+model of `fringes`; then each ripple by itself, with the rest as found, gives the points through which the curve goes
+and their errors. Errors of k0 and order come from the curve drawn again and again through ripples chosen anew, which
+counts what the model misses as well as the photograph's noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from optics.coupon.fringes import (
+    Complex,
+    Finished,
+    Profile,
+    light_profile,
+    milled_light,
+    nominal_lever_mm,
+)
+from optics.coupon.layout import Coupon, Half
+from optics.coupon.reading import Fold
+from optics.finish import Finish
+from optics.heightfield import Array
+
+K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.4, 8.0)
+_FLOOR, _SLOPE_FLOOR = 0.012, 0.05  # what the model misses: of the mean light, and of what fringes differ from it
+_BLUR_RANGE_MM = (0.004, 0.4)
+_SHIFT_MM = 0.03  # how well a photograph is laid over the piece
+_LEVER_SPREAD = 0.05  # how well the wall's distance is known beforehand
+_CHOICES = 200
+_LEAST_LEFT = 0.02
+_LEFT = np.linspace(0.0, 1.2, 81)  # shares of an amplitude that are tried
+_ASIDE = np.linspace(-0.045, 0.045, 7)  # mm by which a ripple may lie beside its place
+_SEED = 5
+_PRIORS = np.array([1.5, 0.7])  # of ln k0 and ln order, about what was found: for ripples that leave one of them open
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RippleLeft:
+    """What a finish has left of one ripple: share of its amplitude, and its standard error."""
+
+    period_mm: float
+    k_rad_per_mm: float
+    share: float
+    error: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FinishFit:
+    """What the photograph says.
+
+    k0_range, order_range : of 68 % of the trials
+    throw_mm     : of the wall from Z0, by the ramp
+    blur_mm      : of the photograph on the wall, standard deviation, lamp and camera together
+    mill_gain    : amplitude of ripples as milled over that of the programs
+    misfit       : rms of what is left over what was expected; about 1 where the model holds
+    """
+
+    k0_rad_per_mm: float
+    order: float
+    k0_range: tuple[float, float]
+    order_range: tuple[float, float]
+    throw_mm: float
+    throw_error_mm: float
+    mill_gain: float
+    blur_mm: float
+    misfit: float
+    ripples: tuple[RippleLeft, ...]
+    milled_ripples: tuple[RippleLeft, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Setting:
+    """The parameters of the model."""
+
+    k0: float
+    order: float
+    lever: float  # over its nominal value
+    blur_mm: float
+    shifts: tuple[float, float, float, float]  # at the middle, and over 10 mm of y; milled half, then finished half
+
+    @classmethod
+    def of(cls, vector: Array) -> _Setting:
+        a, b, c, d, *shifts = (float(value) for value in vector)
+        return cls(math.exp(a), math.exp(b), math.exp(c), math.exp(d), (shifts[0], shifts[1], shifts[2], shifts[3]))
+
+    @property
+    def finish(self) -> Finish:
+        return Finish(k0_rad_per_mm=self.k0, order=self.order)
+
+    def vector(self) -> Array:
+        return np.array([math.log(v) for v in (self.k0, self.order, self.lever, self.blur_mm)] + list(self.shifts))
+
+    def shift_mm(self, y_mm: float, *, finished: bool) -> float:
+        middle, tilt = self.shifts[2:] if finished else self.shifts[:2]
+        return middle + tilt * (y_mm - 10.0) / 10.0
+
+
+class _Model:
+    """Folded light of one photograph against the programs' profiles."""
+
+    def __init__(self, coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], finished: Half) -> None:
+        self.nominal_mm = nominal_lever_mm(coupon)
+        of_strip = {profile.strip: profile for profile in profiles}
+        fit = [fold for fold in folds if fold.usable_bins >= fold.phase.size // 3]
+        self.milled = [(of_strip[fold.strip], fold) for fold in fit if fold.half != finished]
+        self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
+
+    def harmonics(self, profile: Profile, setting: _Setting, *, finished: bool) -> Callable[[float], Complex]:
+        """A strip's light c_0 ... c_m when all its heights are that many times higher."""
+        if not finished:
+            return lambda scale: milled_light(profile, scale * setting.lever)
+        strip = Finished.of(profile, setting.finish.transfer)
+        return lambda scale: strip.light(scale * setting.lever * self.nominal_mm)
+
+    def residuals(
+        self, profile: Profile, fold: Fold, harmonics: Complex, setting: _Setting, finished: bool, aside_mm: float = 0.0
+    ) -> Array:
+        """(bins,) of one strip, in units of what is expected; 0 where nothing is known.
+
+        The strip's brightness is free. As milled the rows' marks carry light of the neighbours into a strip: there
+        fringes may be paler, too, down to a third.
+        """
+        strip = profile.strip
+        shift = setting.shift_mm(strip.middle_mm, finished=finished) + aside_mm
+        light = light_profile(harmonics, strip.k_rad_per_mm, fold.phase, blur_mm=setting.blur_mm, shift_mm=shift)
+        fringe = light - 1.0
+        expected = np.sqrt(fold.error**2 + _FLOOR**2 + (_SLOPE_FLOOR * fringe) ** 2)
+        weight = np.where(np.isfinite(expected), 1.0 / expected, 0.0)
+        seen = np.where(weight > 0, fold.light, 0.0)
+        if finished:
+            level = float((weight**2 * seen * light).sum() / max((weight**2 * light**2).sum(), 1e-12))
+            made = light * max(level, 1e-9)
+        else:
+            w2 = weight**2
+            ones, cross, both = w2.sum(), (w2 * fringe).sum(), (w2 * fringe**2).sum()
+            determinant = ones * both - cross**2
+            level = float((both * (w2 * seen).sum() - cross * (w2 * seen * fringe).sum()) / max(determinant, 1e-12))
+            part = float((ones * (w2 * seen * fringe).sum() - cross * (w2 * seen).sum()) / max(determinant, 1e-12))
+            level = max(level, 1e-9)
+            share = min(max(part / level, 1 / 3), 1.0)
+            made = 1.0 + share * fringe
+            level = float((w2 * seen * made).sum() / max((w2 * made**2).sum(), 1e-12))
+            made = made * max(level, 1e-9)
+        return np.asarray(weight * (seen - made))
+
+    def of_half(self, setting: _Setting, *, finished: bool) -> list[Array]:
+        pairs = self.finished if finished else self.milled
+        return [
+            self.residuals(profile, fold, self.harmonics(profile, setting, finished=finished)(1.0), setting, finished)
+            for profile, fold in pairs
+        ]
+
+    def all(self, vector: Array) -> Array:
+        setting = _Setting.of(vector)
+        priors = [math.log(setting.lever) / _LEVER_SPREAD, *(shift / _SHIFT_MM for shift in setting.shifts)]
+        parts = self.of_half(setting, finished=False) + self.of_half(setting, finished=True)
+        return np.concatenate([*parts, 3.0 * np.array(priors)])
+
+
+def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], *, finished: Half) -> FinishFit:
+    """The finish of that half. Raises ValueError where no strip of either half can be used.
+
+    profiles : of all strips as the programs make them; folds : of all strips in both halves
+    """
+    model = _Model(coupon, profiles, folds, finished)
+    if not model.milled or not model.finished:
+        raise ValueError("no strip of the photograph can be used")
+    start = _first_look(model)
+    low, high = _bounds()
+    inside = np.clip(start.vector(), low + 1e-6, high - 1e-6)
+    found = least_squares(model.all, inside, bounds=(low, high), loss="soft_l1", x_scale=0.1, max_nfev=60)
+    setting = _Setting.of(found.x)
+    left = tuple(_ripples_left(model, setting, finished=True))
+    milled = tuple(_ripples_left(model, setting, finished=False))
+    k0_range, order_range = _ranges(setting, left)
+    lever, lever_error = _lever_by_ramp(model, setting)
+    throw = lever * model.nominal_mm / (coupon.refractive_index - 1) + coupon.flat_mm
+    residual = np.concatenate(model.of_half(setting, finished=False) + model.of_half(setting, finished=True))
+    return FinishFit(
+        k0_rad_per_mm=setting.k0,
+        order=setting.order,
+        k0_range=k0_range,
+        order_range=order_range,
+        throw_mm=throw,
+        throw_error_mm=lever_error * throw,
+        mill_gain=setting.lever / lever,
+        blur_mm=setting.blur_mm,
+        misfit=float(np.sqrt(np.mean(residual[residual != 0.0] ** 2))) if (residual != 0.0).any() else 0.0,
+        ripples=left,
+        milled_ripples=milled,
+    )
+
+
+def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], half: Half) -> float:
+    """How badly a half fits what the programs mill: rms over what is expected, of the better half of its strips.
+
+    Some 1 for a half as milled, several for one that was finished; inf where nothing can be used.
+    """
+    model = _Model(coupon, profiles, folds, "left" if half == "right" else "right")
+    if not model.milled:
+        return math.inf
+    setting = _as_milled(model)
+    misses = [float(np.sqrt(np.mean(part[part != 0.0] ** 2))) for part in model.of_half(setting, finished=False)]
+    return float(np.median(misses))
+
+
+def _bounds() -> tuple[Array, Array]:
+    low = [math.log(K0_RANGE[0]), math.log(ORDER_RANGE[0]), math.log(0.7), math.log(_BLUR_RANGE_MM[0])] + [-0.15] * 4
+    high = [math.log(K0_RANGE[1]), math.log(ORDER_RANGE[1]), math.log(1.4), math.log(_BLUR_RANGE_MM[1])] + [0.15] * 4
+    return np.array(low), np.array(high)
+
+
+def _cost(parts: Sequence[Array]) -> float:
+    """Of residuals, with what is far off counted less."""
+    return float(sum((np.sqrt(1.0 + part**2) - 1.0).sum() for part in parts))
+
+
+def _first_look(model: _Model) -> _Setting:
+    """The best of many settings: the milled half alone, then the finish. Fringes that cross have other minima."""
+    first = _as_milled(model)
+    best, least = first, math.inf
+    for k0 in np.geomspace(1.0, 60.0, 22):
+        for order in (1.0, 2.0, 4.0):
+            setting = replace(first, k0=float(k0), order=order)
+            cost = _cost(model.of_half(setting, finished=True))
+            if cost < least:
+                best, least = setting, cost
+    return best
+
+
+def _as_milled(model: _Model) -> _Setting:
+    """The setting with which the milled half fits best, of a grid."""
+    best, least = _Setting(5.0, 2.0, 1.0, 0.05, (0.0, 0.0, 0.0, 0.0)), math.inf
+    for lever in (0.9, 0.95, 1.0, 1.05, 1.1):
+        for blur in (0.02, 0.04, 0.08, 0.16):
+            for shift in (-0.04, 0.0, 0.04):
+                setting = _Setting(5.0, 2.0, lever, blur, (shift, 0.0, shift, 0.0))
+                cost = _cost(model.of_half(setting, finished=False))
+                if cost < least:
+                    best, least = setting, cost
+    return best
+
+
+def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[RippleLeft]:
+    """Each ripple by itself: the share of its amplitude that fits best, the others as found."""
+    out = []
+    for profile, fold in model.finished if finished else model.milled:
+        strip = profile.strip
+        if strip.kind != "ripple":
+            continue
+        nominal, curve = 1.0, setting
+        if finished:
+            nominal = float(setting.finish.transfer(np.array(strip.k_rad_per_mm)))
+        if nominal < _LEAST_LEFT:  # of a ripple that is gone nothing can be scaled up: as if so much were left
+            nominal = _LEAST_LEFT
+            k0 = strip.k_rad_per_mm / (-math.log(_LEAST_LEFT)) ** (1 / setting.order)
+            curve = replace(setting, k0=k0)
+        light = model.harmonics(profile, curve, finished=finished)
+
+        def cost(share: float, pair: tuple[Profile, Fold] = (profile, fold), full: float = nominal,
+                 light: Callable[[float], Complex] = light) -> float:  # fmt: skip
+            seen = light(share / full)
+            return min(
+                _cost([model.residuals(*pair, seen, setting, finished, aside_mm=float(aside))])
+                + (aside / _SHIFT_MM) ** 2
+                for aside in _ASIDE
+            )
+
+        costs = np.array([cost(share) for share in _LEFT])
+        share, error = _minimum(costs, max(1.0, 2.0 * costs.min() / max(fold.usable_bins - 3, 1)))
+        out.append(RippleLeft(period_mm=strip.period_mm, k_rad_per_mm=strip.k_rad_per_mm, share=share, error=error))
+    return out
+
+
+def _minimum(costs: Array, scale: float) -> tuple[float, float]:
+    """Where half a sum of squares is least, and how far from there it has grown by a standard deviation's worth."""
+    best = int(costs.argmin())
+    near = costs - costs[best] <= 2.0 * scale
+    below, above = best, best
+    while below > 0 and near[below - 1]:
+        below -= 1
+    while above < costs.size - 1 and near[above + 1]:
+        above += 1
+    step = float(_LEFT[1] - _LEFT[0])
+    share = float(_LEFT[best])
+    if 0 < best < costs.size - 1:
+        bend = costs[best - 1] - 2 * costs[best] + costs[best + 1]
+        share += 0.5 * step * float((costs[best - 1] - costs[best + 1]) / bend) if bend > 0 else 0.0
+    return share, max(0.005, 0.25 * step * (above - below + 1))  # two deviations to either side
+
+
+def _ranges(setting: _Setting, left: Sequence[RippleLeft]) -> tuple[tuple[float, float], tuple[float, float]]:
+    """68 % of curves through ripples chosen anew with errors of their own, around what was found."""
+    k = np.array([one.k_rad_per_mm for one in left])
+    share = np.array([one.share for one in left])
+    error = np.hypot([one.error for one in left], 0.02)
+    rng = np.random.default_rng(_SEED)
+    found = np.array([math.log(setting.k0), math.log(setting.order)])
+    trials = []
+    for _ in range(_CHOICES):
+        chosen = rng.integers(0, k.size, k.size)
+        noisy = share[chosen] + error[chosen] * rng.standard_normal(k.size)
+        trials.append(_curve_through(k[chosen], noisy, error[chosen], found))
+    around = np.exp(np.array(trials))
+    spread = np.quantile(around, (0.16, 0.84), axis=0)
+    k0, order = ((min(spread[0, i], math.exp(found[i])), max(spread[1, i], math.exp(found[i]))) for i in range(2))
+    return (float(k0[0]), float(k0[1])), (float(order[0]), float(order[1]))
+
+
+def _curve_through(k: Array, share: Array, error: Array, start: Array) -> Array:
+    """ln k0 and ln order of the curve that goes nearest to the shares, kept by weak priors where they say little."""
+    at = start.copy()
+    for _ in range(12):
+        power = (k / math.exp(at[0])) ** math.exp(at[1])
+        made = np.exp(-np.minimum(power, 50.0))
+        steep = np.where(power < 50.0, made * power * math.exp(at[1]), 0.0)
+        error_now = error * np.hypot(1.0, (share - made) / (3.0 * error))  # a ripple that was misread counts little
+        rows = np.stack([steep, -steep * np.log(k / math.exp(at[0]))], axis=1) / error_now[:, None]
+        miss = np.append((share - made) / error_now, (start - at) / _PRIORS)
+        step = np.linalg.lstsq(np.vstack([rows, np.diag(1 / _PRIORS)]), miss, rcond=None)[0]
+        at = at + np.clip(step, -0.3, 0.3)
+        at = np.clip(at, np.log([K0_RANGE[0], ORDER_RANGE[0]]), np.log([K0_RANGE[1], ORDER_RANGE[1]]))
+    return np.asarray(at)
+
+
+def _lever_by_ramp(model: _Model, setting: _Setting) -> tuple[float, float]:
+    """The way to the wall over its nominal one, by the ramp as milled, and its error."""
+    for profile, fold in model.milled:
+        if profile.strip.kind != "ramp":
+            continue
+        levers = np.linspace(0.7, 1.4, 141)
+        costs = np.empty(levers.size)
+        for number, lever in enumerate(levers):
+            tried = replace(setting, lever=float(lever))
+            harmonics = model.harmonics(profile, tried, finished=False)(1.0)
+            costs[number] = _cost([model.residuals(profile, fold, harmonics, tried, False)])
+        best = int(costs.argmin())
+        near = np.flatnonzero(costs - costs[best] <= 2.0 * max(1.0, 2.0 * costs[best] / max(fold.usable_bins - 3, 1)))
+        lever = float(levers[best])
+        if 0 < best < levers.size - 1:
+            bend = costs[best - 1] - 2 * costs[best] + costs[best + 1]
+            lever += 0.0025 * float((costs[best - 1] - costs[best + 1]) / bend) if bend > 0 else 0.0
+        return lever, max(0.002, float(np.ptp(levers[near])) / 4)
+    return setting.lever, _LEVER_SPREAD

@@ -1,0 +1,249 @@
+"""What a photograph of the test piece says: figures, or why it says nothing; and all sentences, in one table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optics.coupon.fit import K0_RANGE, FinishFit, fit_finish, misfit_as_milled
+from optics.coupon.fringes import nominal_lever_mm
+from optics.coupon.grain import RowErrors, fit_row_errors, measured_grain
+from optics.coupon.layout import Half
+from optics.coupon.reading import Fold, fold_all
+from optics.finish import Finish
+from service.errors import InputError
+from service.job.coupon.photograph import Photo, Placed, place_photo
+from service.job.coupon.piece import PROFILES, coupon_of
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold, load_foretold
+from service.passes import cam_passes_of
+from service.spec import JobSpec
+
+HALVES: tuple[Half, Half] = ("left", "right")
+_SURE = 0.5  # of the registration's confidence
+_LEAST_PIXELS_PER_MM, _LEAST_LEVEL = 14.0, 0.015
+_LEAST_RIPPLES = 3
+_AS_MILLED = 2.2  # misfit up to which a half is as the programs mill it
+_NOTHING_LEFT_OFF = 0.93  # of all ripples: such a half was not finished
+_MOST_BLUR_MM = 0.2
+_WALL_OFF = 0.06
+
+SENTENCES = {
+    "not_a_coupon": "no test piece is found in the photograph (likeness {confidence:.2f}); allowed: the light of this "
+    "test piece on its screen, all of it, in a dark room",
+    "too_small": "the piece is {pixels_per_mm:.0f} pixels per mm in the photograph; allowed: at least {least:.0f}, "
+    "{across:.0f} pixels from its left rim to its right one",
+    "too_dark": "the light of the piece is {level:.3f} of the camera's white; allowed: from {least:g}: expose longer",
+    "clipped": "{share:.0%} of the fringes are white in the photograph, so that {ripples} of 8 ripples are left to "
+    "measure; allowed: an exposure one or two stops shorter",
+    "no_fringes": "neither half shows the ripples as they were milled (misfit {misfit:.1f}); allowed: one half left as "
+    "milled, a lamp without lens or reflector at least 2 m away, the wall at {throw_mm:g} mm",
+    "blurred": "the photograph is blurred by {blur_mm:.2f} mm; allowed: up to {most_mm:g} mm: focus on the paper, "
+    "take a smaller or farther lamp",
+    "not_finished": "both halves are as they were milled: all ripples are there; allowed: one half finished",
+    "right_finished": "the right half was finished, not the left one: taken as such",
+    "mirrored": "the photograph was taken from the other side of the paper, or is mirrored: taken as such",
+    "wall_off": "the wall stood {off_mm:+.1f} mm off: at {throw_mm:.1f} mm, where {nominal_mm:g} mm were foretold; the "
+    "finish is measured all the same",
+    "too_light": "the finish takes hardly anything off even the shortest ripple: k0 is above {least:.0f} rad/mm, its "
+    "figure uncertain",
+    "too_strong": "the finish takes most off even the longest ripple: k0 is below {most:.1f} rad/mm, its figure "
+    "uncertain",
+    "poor_fit": "fringes and model differ {misfit:.1f} times as much as the photograph explains: the figures may be "
+    "off by more than they say",
+    "short_lost": "{count} of 8 ripples cannot be seen in this photograph (too white, or too fine for its blur)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """A code of SENTENCES and the values in its sentence."""
+
+    code: str
+    values: dict[str, float]
+
+    def sentence(self) -> str:
+        return SENTENCES[self.code].format(**self.values)
+
+
+class PhotoRefused(InputError):
+    """A photograph that says nothing, and why."""
+
+    def __init__(self, name: str, finding: Finding) -> None:
+        super().__init__(f"{name}: {finding.sentence()}")
+        self.finding = finding
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class CouponResult:
+    """All that one photograph says."""
+
+    fit: FinishFit
+    rows: RowErrors
+    finished: Half
+    placed: Placed
+    notes: tuple[Finding, ...]
+
+    def report(self) -> dict[str, Any]:
+        """As coupon-fit.json holds it."""
+        fit, found = self.fit, self.placed.registration
+        return {
+            "finish": {
+                "k0_rad_per_mm": fit.k0_rad_per_mm,
+                "k0_range_rad_per_mm": list(fit.k0_range),
+                "order": fit.order,
+                "order_range": list(fit.order_range),
+                "finished_half": self.finished,
+                "ripples": [asdict(one) for one in fit.ripples],
+            },
+            "mill": {
+                "z_noise_mm": self.rows.z_noise_mm,
+                "z_noise_range_mm": [self.rows.low_mm, self.rows.high_mm],
+                "amplitude_over_programs": fit.mill_gain,
+                "ripples": [asdict(one) for one in fit.milled_ripples],
+            },
+            "wall": {"throw_mm": fit.throw_mm, "error_mm": fit.throw_error_mm},
+            "photograph": {
+                "blur_mm": fit.blur_mm,
+                "pixels_per_mm": self.placed.pixels_per_mm,
+                "straight_light": self.placed.level,
+                "confidence": found.confidence,
+                "mirrored": found.mirrored,
+                "misfit": fit.misfit,
+            },
+            "notes": [{"code": one.code, "values": one.values, "sentence": one.sentence()} for one in self.notes],
+        }
+
+
+def measure_photo(
+    name: str, photo: Photo, folder: Path, spec: JobSpec, *, on_progress: Callable[[float], None] | None = None
+) -> CouponResult:
+    """What the photograph says of the test piece in that folder. PhotoRefused where it says nothing."""
+    reached = on_progress or (lambda share: None)
+    coupon, foretold = coupon_of(spec), load_foretold(folder / PROFILES, coupon_of(spec))
+    template = 0
+    placed = _place(name, photo, foretold, template, spec)
+    reached(0.4)
+    finished, folds = _finished_half(name, placed, foretold, spec)
+    fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
+    reached(0.6)
+    if finished == "left" and (nearest := _nearest_template(fit)) != template:
+        placed = _place(name, photo, foretold, nearest, spec)
+        folds = fold_all(placed.picture, coupon)
+        fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
+    reached(0.9)
+    if fit.blur_mm > _MOST_BLUR_MM:
+        raise PhotoRefused(name, Finding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
+    if all(one.share >= _NOTHING_LEFT_OFF for one in fit.ripples):
+        raise PhotoRefused(name, Finding("not_finished", {}))
+    rows = _row_errors(placed, foretold, spec, fit, finished)
+    reached(1.0)
+    notes = tuple(_notes(fit, placed, finished, spec))
+    return CouponResult(fit=fit, rows=rows, finished=finished, placed=placed, notes=notes)
+
+
+def _place(name: str, photo: Photo, foretold: Foretold, template: int, spec: JobSpec) -> Placed:
+    try:
+        placed = place_photo(photo, foretold.templates[template], viewed_from=spec.optics.viewed_from)
+    except ValueError:  # no light in it
+        raise PhotoRefused(name, Finding("not_a_coupon", {"confidence": 0.0})) from None
+    found = placed.registration
+    if found.confidence < _SURE:
+        raise PhotoRefused(name, Finding("not_a_coupon", {"confidence": found.confidence}))
+    if placed.pixels_per_mm < _LEAST_PIXELS_PER_MM:
+        values = {"pixels_per_mm": placed.pixels_per_mm, "least": _LEAST_PIXELS_PER_MM}
+        raise PhotoRefused(name, Finding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
+    if placed.level < _LEAST_LEVEL:
+        raise PhotoRefused(name, Finding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
+    return placed
+
+
+def _finished_half(name: str, placed: Placed, foretold: Foretold, spec: JobSpec) -> tuple[Half, tuple[Fold, ...]]:
+    """Which half is not as milled: the left one where both or none is."""
+    coupon = coupon_of(spec)
+    folds = fold_all(placed.picture, coupon)
+    for half in HALVES:
+        own = [fold for fold in folds if fold.half == half and fold.strip.kind == "ripple"]
+        ripples = sum(fold.usable_bins >= fold.phase.size // 3 for fold in own)
+        if ripples < _LEAST_RIPPLES:
+            share = float(np.mean([fold.clipped for fold in own]))
+            raise PhotoRefused(name, Finding("clipped", {"share": share, "ripples": ripples}))
+    misfits = {half: misfit_as_milled(coupon, foretold.profiles, folds, half) for half in HALVES}
+    if min(misfits.values()) > _AS_MILLED:
+        values = {"misfit": min(misfits.values()), "throw_mm": spec.optics.throw_mm}
+        raise PhotoRefused(name, Finding("no_fringes", values))
+    return ("right" if misfits["right"] > _AS_MILLED >= misfits["left"] else "left"), folds
+
+
+def _nearest_template(fit: FinishFit) -> int:
+    """The finish foretold that leaves half of about the same ripple."""
+    half = fit.k0_rad_per_mm * math.log(2.0) ** (1 / fit.order - 0.5)
+    return min(range(len(TEMPLATES_RAD_PER_MM)), key=lambda n: abs(math.log(TEMPLATES_RAD_PER_MM[n] / half)))
+
+
+def _row_errors(placed: Placed, foretold: Foretold, spec: JobSpec, fit: FinishFit, finished: Half) -> RowErrors:
+    y, across = foretold.across
+    clean = np.interp(placed.picture.y_mm, y, across)
+    passed, coupon = cam_passes_of(spec)[-1], coupon_of(spec)
+    return fit_row_errors(
+        measured_grain(placed.picture, clean, "right" if finished == "left" else "left"),
+        radius_mm=passed.radius_mm,
+        pitch_mm=passed.pitch_mm,
+        lever_mm=nominal_lever_mm(coupon) * fit.throw_mm / coupon.throw_mm,
+        blur_mm=fit.blur_mm,
+    )
+
+
+def _notes(fit: FinishFit, placed: Placed, finished: Half, spec: JobSpec) -> Iterator[Finding]:
+    if finished == "right":
+        yield Finding("right_finished", {})
+    if placed.registration.mirrored:
+        yield Finding("mirrored", {})
+    nominal = spec.optics.throw_mm
+    off = fit.throw_mm - nominal
+    if abs(off) > max(_WALL_OFF * nominal, 2 * fit.throw_error_mm):
+        yield Finding("wall_off", {"off_mm": off, "throw_mm": fit.throw_mm, "nominal_mm": nominal})
+    finish = Finish(k0_rad_per_mm=fit.k0_rad_per_mm, order=fit.order)
+    waves = [one.k_rad_per_mm for one in fit.ripples]
+    if float(finish.transfer(np.array(max(waves)))) > 0.7 or fit.k0_rad_per_mm > 0.9 * K0_RANGE[1]:
+        yield Finding("too_light", {"least": 2 * max(waves)})
+    if float(finish.transfer(np.array(min(waves)))) < 0.3:
+        yield Finding("too_strong", {"most": min(waves)})
+    if lost := 8 - len(fit.ripples):
+        yield Finding("short_lost", {"count": lost})
+    if fit.misfit > 2.5:
+        yield Finding("poor_fit", {"misfit": fit.misfit})
+
+
+def snippet(result: CouponResult) -> str:
+    """Figures ready for a job's spec."""
+    fit = result.fit
+    return (
+        f"# measured on a test piece\n[finish]\nk0_rad_per_mm = {fit.k0_rad_per_mm:.3g}\norder = {fit.order:.2g}\n\n"
+        f"[machine]\nz_noise_mm = {result.rows.z_noise_mm:.2g}\n"
+    )
+
+
+def finding_lines(result: CouponResult) -> Iterator[str]:
+    """What the command prints."""
+    fit, rows = result.fit, result.rows
+    yield (
+        f"finish: k0 {fit.k0_rad_per_mm:.2f} rad/mm ({fit.k0_range[0]:.2f} to {fit.k0_range[1]:.2f}), "
+        f"order {fit.order:.2f} ({fit.order_range[0]:.2f} to {fit.order_range[1]:.2f})"
+    )
+    half = 2 * math.pi / (fit.k0_rad_per_mm * math.log(2.0) ** (1 / fit.order))
+    yield f"        half of a wave of {half:.2g} mm is left"
+    yield (
+        f"mill: rows off by {1000 * rows.z_noise_mm:.2g} um ({1000 * rows.low_mm:.2g} to {1000 * rows.high_mm:.2g}), "
+        f"ripples {fit.mill_gain:.2f} times as high as programmed"
+    )
+    yield f"wall: {fit.throw_mm:.1f} mm from Z0 (+-{fit.throw_error_mm:.1f}); blur {fit.blur_mm:.3f} mm"
+    yield "left of each ripple, by period:"
+    for one in fit.ripples:
+        yield f"  {one.period_mm:5.2f} mm: {100 * one.share:5.1f} % (+-{100 * one.error:.1f})"
+    for note in result.notes:
+        yield f"note: {note.sentence()}"

@@ -1,0 +1,49 @@
+"""From a photograph and the folder of a test piece to the files of the fit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from optics.irradiance import picture_from_irradiance
+from service import job_files
+from service.job.coupon.findings import CouponResult, measure_photo, snippet
+from service.job.coupon.photograph import read_photo
+from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, require_coupon
+from service.progress import Reporter, Stopwatch
+from service.stages.plain import plain
+
+
+def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponResult:
+    """Fit the photograph; coupon-fit.json, .png and .toml go into the folder. InputError where it says nothing."""
+    spec = require_coupon(folder)
+    watch = Stopwatch(reporter)
+    with watch.stage("photograph"):
+        shot = read_photo(photo)
+    with watch.stage("fit") as reached:
+        result = measure_photo(str(photo), shot, folder, spec, on_progress=reached)
+    with watch.stage("figure"):
+        picture = fit_picture(result, viewed_from_lens=spec.optics.viewed_from == "lens")
+    job_files.write_bytes(folder / FIT_PICTURE, picture)
+    job_files.write_bytes(folder / FIT_SNIPPET, snippet(result).encode())
+    job_files.write_json(folder / FIT, plain({"photo": photo.name, **result.report()}))
+    return result
+
+
+def fit_picture(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
+    """coupon-fit.png."""
+    from service.figures_coupon import coupon_fit_png  # what it stands on is slow to import
+
+    picture, level = result.placed.picture, result.placed.level
+    small = picture.light[: picture.light.shape[0] // 2 * 2, : picture.light.shape[1] // 2 * 2]
+    small = small.reshape(small.shape[0] // 2, 2, small.shape[1] // 2, 2).mean(axis=(1, 3))
+    seen = picture_from_irradiance(small, viewed_from="lens" if viewed_from_lens else "behind")
+    x, y = picture.x_mm, picture.y_mm
+    across = (x[-1], x[0]) if viewed_from_lens else (x[0], x[-1])
+    return coupon_fit_png(
+        np.asarray(seen / level),
+        result.fit,
+        extent_mm=(*across, y[0], y[-1]),
+        notes=[note.code.replace("_", " ") for note in result.notes],
+    )

@@ -1,0 +1,98 @@
+"""A photograph of the test piece's light, laid over the piece."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
+
+from optics.coupon.halves import AROUND_MM, screen_axes_mm
+from optics.coupon.layout import HEIGHT_MM, WIDTH_MM
+from optics.coupon.reading import Rectified
+from optics.heightfield import Array
+from optics.irradiance import ViewedFrom
+from optics.photograph import Registration, register
+from optics.photograph.homography import apply_homography
+from service.decoding import decoded, one_line
+from service.errors import PictureError
+from service.picture_limits import OWN_PICTURE, PictureLimits
+from service.tone import linear_strip, value_scale
+
+PIXELS_PER_MM = 40
+_CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above
+_DARK = 2.0  # mm beyond the piece, from where on nothing but the room's light is expected
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Photo:
+    """light (h, w): linear, 1 is the camera's white, row 0 on top; clipped (h, w): where any colour is."""
+
+    light: Array
+    clipped: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Placed:
+    """A photograph in its place.
+
+    level         : light that goes straight, in units of the camera's white
+    pixels_per_mm : of the photograph, on the wall
+    """
+
+    registration: Registration
+    picture: Rectified
+    level: float
+    pixels_per_mm: float
+
+
+def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE) -> Photo:
+    """A photograph from a file; PictureError where it cannot be read."""
+    name = str(path)
+    image = decoded(path, limits, name)
+    try:
+        light = linear_strip(image, image.info, tone="srgb", scale=value_scale(image))
+        colours = np.asarray(image.convert("RGB"))
+    except ValueError as error:
+        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+    except MemoryError:
+        raise PictureError(f"{name}: {image.width} x {image.height} pixels do not fit in memory") from None
+    if not np.ptp(light) > 0:
+        raise PictureError(f"{name}: the photograph is the same everywhere: it shows no light")
+    return Photo(light=light, clipped=colours.max(axis=2) >= 250)
+
+
+def place_photo(photo: Photo, predicted: Array, *, viewed_from: ViewedFrom) -> Placed:
+    """The photograph over the piece. ValueError where it shows no light.
+
+    predicted (ny, nx) : light of the piece on its screen, work frame
+    """
+    found = register(photo.light, predicted, viewed_from=viewed_from)
+    ny, nx = (round((side + 2 * AROUND_MM) * PIXELS_PER_MM) for side in (HEIGHT_MM, WIDTH_MM))
+    x, y = screen_axes_mm((ny, nx))
+    turned = -1.0 if viewed_from == "lens" else 1.0
+    column = (0.5 + turned * ((np.arange(nx) + 0.5) / nx - 0.5)) * predicted.shape[1]
+    row = (1.0 - (np.arange(ny) + 0.5) / ny) * predicted.shape[0]
+    u, v = apply_homography(found.homography, *np.broadcast_arrays(column, row[:, None]))
+    finer = found.pixels_per_pixel * predicted.shape[1] / nx  # pixels of the photograph in one of the rectified
+    light = gaussian_filter(photo.light, 0.35 * finer) if finer > 1.3 else photo.light
+    spoilt = maximum_filter(photo.clipped | (photo.light >= _CLIPPED), 3).astype(np.float64)
+    high, wide = photo.light.shape
+    inside = (u > 1) & (u < wide - 1) & (v > 1) & (v < high - 1)
+    at = np.nan_to_num(np.stack([v - 0.5, u - 0.5]))
+    seen = map_coordinates(light, at, order=1, mode="nearest")
+    usable = inside & (map_coordinates(spoilt, at, order=1, mode="nearest") < 0.5)
+    around = np.maximum(np.maximum(-x, x - WIDTH_MM), np.maximum(-y, y - HEIGHT_MM)[:, None]) > _DARK
+    black = float(np.median(seen[around & usable])) if (around & usable).any() else found.offset
+    picture = Rectified(x_mm=x, y_mm=y, light=np.maximum(seen - black, 0.0), usable=usable)
+    within = (x > 0) & (x < WIDTH_MM) & ((y > 0) & (y < HEIGHT_MM))[:, None]
+    level = float(np.median(picture.light[within & inside])) if (within & inside).any() else 0.0
+    return Placed(
+        registration=found,
+        picture=picture,
+        level=level,
+        pixels_per_mm=finer * PIXELS_PER_MM if math.isfinite(finer) else 0.0,
+    )

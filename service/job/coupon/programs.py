@@ -1,0 +1,235 @@
+"""From the spec of a test piece to its folder: programs, checked as a job's are, and the photograph foretold."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cam.as_milled.heights import milled_heights
+from cam.as_milled.noise import Noise
+from cam.as_milled.rows import tip_error_mm
+from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Tracks
+from cam.passes import PassSpec
+from cam.reading.gcode import LANGUAGES, read_parts
+from cam.stock_grid import StockGrid
+from optics.coupon.fringes import Complex, Profile, Transfer, milled_profiles
+from optics.coupon.halves import AROUND_MM, finish_heights, light_of_facets, light_of_heights, screen_axes_mm
+from optics.coupon.layout import HEIGHT_MM, WIDTH_MM, Coupon, window_mm
+from optics.heightfield import Array
+from optics.irradiance import picture_from_irradiance
+from service import job_files
+from service.job.coupon.piece import (
+    PREDICTED,
+    PREDICTED_FINISHED,
+    PROFILES,
+    SHEET,
+    coupon_of,
+    finishing_programs,
+    sheet_lines,
+)
+from service.passes import cam_passes_of, machine_of
+from service.pipeline import Job
+from service.progress import Reporter, Stopwatch
+from service.spec import JobSpec
+from service.stages import arrays
+from service.stages.optical_task import finish_of
+from service.stages.order import merge_notes, merge_reports
+from service.stages.picture_queue import PictureQueue
+from service.stages.workshop import peak_rss_mb, versions
+
+PIXELS_PER_MM = 20
+TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
+"""k0 of finishes, of order 2, for which the light is foretold: photographs are found by that which is most like."""
+
+CELL_MM, FINE_CELL_MM = 0.02, 0.01
+_BEYOND_MM = 0.9  # of the heights around the piece: all of it lies where the ball has been
+_SEEDS = (2, 1)  # of the mill's errors: for what photographs are compared with, and for the pictures
+_ABOVE_MM = 0.03  # of the stock before the finish, over the highest point
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Milled:
+    """What the finishing program leaves: tracks of its ball, and heights (ny, nx) on a grid around the piece."""
+
+    coupon: Coupon
+    passed: PassSpec
+    tracks: Tracks
+    x_mm: Array
+    y_mm: Array
+    z_mm: Array
+
+
+def make_coupon(output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
+    """Write the folder of a test piece; what report.json holds is returned."""
+    job_files.require_usable_output(output, force=force)
+    coupon = coupon_of(spec)
+    with job_files.staging_folder(output) as folder, PictureQueue() as queue:
+        job = Job(spec=spec, folder=folder, reporter=reporter, picture_queue=queue)
+        job.desk[job_files.HEIGHTFIELD] = lens = coupon.heightfield()
+        job_files.write_bytes(folder / job_files.HEIGHTFIELD, arrays.heightfield_bytes(lens))
+        job.run(*(f"pass-{number}" for number in range(1, len(spec.passes) + 1)))
+        job.notes.clear()  # on what coarse steps do to a picture: here they are counted in
+        job.run("check")
+        watch = Stopwatch(reporter)
+        job_files.write_json(folder / job_files.REPORT, job.report)  # names the programs
+        _foretell(folder, spec, watch)
+        told = {
+            "warnings": [sentence for sentences in merge_notes((job.notes,)).values() for sentence in sentences],
+            "timings_s": watch.timings_s,
+            "peak_rss_mb": peak_rss_mb(),
+            "versions": versions(),
+        }
+        report = merge_reports((job.report, told))
+        job_files.write_bytes(folder / SHEET, ("\n".join(sheet_lines(spec, report)) + "\n").encode())
+        job_files.write_json(folder / job_files.SPEC, spec.plain())
+        queue.finish()
+        job_files.write_json(folder / job_files.REPORT, report)
+    return report
+
+
+def _foretell(folder: Path, spec: JobSpec, watch: Stopwatch) -> None:
+    """Both pictures; and coupon.npz, what photographs are compared with."""
+    with watch.stage("heights as milled") as reached:
+        profiles = milled_profiles_of(milled_piece(folder, spec, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
+        reached(0.5)
+        made, clean = milled_piece(folder, spec, seed=_SEEDS[1]), milled_piece(folder, spec, seed=None)
+    with watch.stage("photograph foretold") as reached:
+        finish = finish_of(spec)
+        finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
+        light = predict_light(
+            spec, made, (None, None if finish is None else finish.kept, *finishes), on_progress=reached
+        )
+        without_errors = predict_light(spec, clean, (finishes[0],))[0]
+    for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):
+        _draw(folder / name, one, spec)
+    values = {f"strip_{n}": _as_reals(profile.harmonics_mm) for n, profile in enumerate(profiles)}
+    values |= {f"milled_{n}": _as_reals(profile.milled) for n, profile in enumerate(profiles)}
+    values |= {f"light_{n}": _halved(one) for n, one in enumerate(light[2:])}
+    x, y = screen_axes_mm(_pixels(PIXELS_PER_MM))
+    begin, end = window_mm("right")
+    values["across"] = np.array([y, without_errors[:, (x >= begin) & (x < end)].mean(axis=1)])
+    job_files.write_bytes(folder / PROFILES, arrays.npz_bytes(values))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Foretold:
+    """What a photograph is compared with.
+
+    templates  : light (ny, nx) on the screen behind finishes of TEMPLATES_RAD_PER_MM, by which it is found
+    across     : (2, ny) y, and the mean light of the half as milled there, without errors of rows
+    """
+
+    profiles: tuple[Profile, ...]
+    templates: tuple[Array, ...]
+    across: Array
+
+
+def load_foretold(path: Path, coupon: Coupon) -> Foretold:
+    """From coupon.npz; InputError where it is none."""
+    strips = [strip for strip in coupon.strips if strip.cycles]
+    names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
+    lights = [f"light_{number}" for number in range(len(TEMPLATES_RAD_PER_MM))]
+    stored = arrays.load_arrays(path, (*names, *lights, "across"))
+    profiles = tuple(
+        Profile(
+            strip=strip,
+            harmonics_mm=_from_reals(stored[f"strip_{number}"]),
+            milled=_from_reals(stored[f"milled_{number}"]),
+        )
+        for number, strip in enumerate(strips)
+    )
+    return Foretold(profiles=profiles, templates=tuple(stored[name] for name in lights), across=stored["across"])
+
+
+def _usual(k0_rad_per_mm: float) -> Transfer:
+    return lambda k: np.asarray(np.exp(-((k / k0_rad_per_mm) ** 2)))
+
+
+def _halved(light: Array) -> Array:
+    """At half as many pixels either way."""
+    ny, nx = light.shape
+    return np.asarray(light.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
+
+
+def milled_piece(folder: Path, spec: JobSpec, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
+    """The piece as its programs are cut by the mill of the spec; seed None: by one without errors."""
+    machine, passed, coupon = machine_of(spec), cam_passes_of(spec)[-1], coupon_of(spec)
+    noise = None if seed is None else Noise.of_pass(passed, machine.z_noise_mm, seed=seed)
+    paths = finishing_programs(folder, spec)
+    tracks = Tracks.of_program(
+        read_parts(map(job_files.read_chunks, paths), LANGUAGES[machine.dialect]),
+        radius_mm=passed.radius_mm,
+        step_mm=machine.step_mm,
+        noise=noise,
+    )
+    around = round(_BEYOND_MM / cell_mm)
+    nx, ny = (round(side / cell_mm) + 1 + 2 * around for side in (WIDTH_MM, HEIGHT_MM))
+    corner = -around * cell_mm - cell_mm / 2
+    top = np.full((ny, nx), -spec.stock.skim_mm + _ABOVE_MM)
+    left = milled_heights([tracks], StockGrid(x0_mm=corner, y0_mm=corner, cell_mm=cell_mm, top_mm=top))
+    return Milled(coupon=coupon, passed=passed, tracks=tracks, x_mm=left.x_mm, y_mm=left.y_mm, z_mm=left.top_mm)
+
+
+def milled_profiles_of(milled: Milled) -> tuple[Profile, ...]:
+    return milled_profiles(milled.coupon, milled.x_mm, milled.y_mm, milled.z_mm)
+
+
+def predict_light(
+    spec: JobSpec,
+    milled: Milled,
+    finishes: Sequence[Transfer | None],
+    *,
+    throw_mm: float | None = None,
+    pixels_per_mm: float = PIXELS_PER_MM,
+    on_progress: Callable[[float], None] | None = None,
+) -> list[Array]:
+    """Irradiance (ny, nx) on the wall for each finish of the left half (None: as milled); 1 goes straight.
+
+    throw_mm : of the wall, where it is not that of the spec
+    """
+    bench: dict[str, Any] = {
+        "throw_mm": spec.optics.throw_mm if throw_mm is None else throw_mm,
+        "refractive_index": spec.optics.refractive_index,
+        "pixels": _pixels(pixels_per_mm),
+    }
+    machine = machine_of(spec)
+    facets = MilledSurface.of_tracks(
+        [milled.tracks],
+        milled.coupon.heightfield(0.1),
+        pitch_mm=milled.passed.pitch_mm,
+        error_mm=tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm),
+    )
+    right = light_of_facets(facets.part, facets.parts, "right", on_progress=on_progress, **bench)
+    out = []
+    for transfer in finishes:
+        if transfer is None:
+            left = light_of_facets(facets.part, facets.parts, "left", **bench)
+        else:
+            heights = finish_heights(milled.z_mm, milled.x_mm[1] - milled.x_mm[0], transfer)
+            left = light_of_heights(milled.x_mm, milled.y_mm, heights, "left", **bench)
+        out.append(left + right)
+    return out
+
+
+def _pixels(per_mm: float) -> tuple[int, int]:
+    return round((HEIGHT_MM + 2 * AROUND_MM) * per_mm), round((WIDTH_MM + 2 * AROUND_MM) * per_mm)
+
+
+def _draw(path: Path, light: Array, spec: JobSpec) -> None:
+    from service import figures  # what it stands on is slow to import
+
+    seen = picture_from_irradiance(light, viewed_from=spec.optics.viewed_from)
+    job_files.write_bytes(path, figures.picture_png(seen, white=3.0))
+
+
+def _as_reals(values: Complex) -> Array:
+    return np.array([values.real, values.imag])
+
+
+def _from_reals(rows: Array) -> Complex:
+    return np.asarray(rows[0] + 1j * rows[1])
