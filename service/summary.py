@@ -15,6 +15,7 @@ def summary_lines(folder: Path, report: Mapping[str, Any]) -> Iterator[str]:
     if optics:
         yield _optics_line(optics)
         yield from _light_lines(optics)
+    yield from _wall_lines(report)
     rows = programs_in_order(report)
     for row in rows:
         deepest = row["bounds"]["z"][0]
@@ -45,6 +46,15 @@ def duration(seconds: float) -> str:
         return f"{hours} h {minutes} min"
     days, hours = divmod(hours, 24)
     return f"{days} d {hours} h"
+
+
+def _wall_lines(report: Mapping[str, Any]) -> Iterator[str]:
+    """What will be seen: as milled, and as finished where the job has a finish."""
+    for key, words in (("as_milled", "as milled"), ("as_finished", "as finished")):
+        if (seen := report.get(key) or {}).get("psnr_db") is not None:
+            detail_mm = seen.get("smallest_detail_mm")
+            detail = "" if detail_mm is None else f", details from {detail_mm:.2g} mm"
+            yield f"wall, {words}: PSNR {seen['psnr_db']:.1f} dB, SSIM {seen['ssim']:.3f}{detail}"
 
 
 def _light_lines(optics: Mapping[str, Any]) -> Iterator[str]:

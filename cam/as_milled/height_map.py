@@ -27,7 +27,7 @@ from optics.heightfield import Heightfield, spline_jet
 _PER_CELL = 2  # places along a side
 _STRIPS = 8  # of rows of cells; a fixed number
 _THREADS = 2
-_MOST_REACH = 2.0  # in radii of the largest ball
+_LEAST_REACH, _MOST_REACH = 0.1, 2.0  # in radii of the largest ball; where a lens is tight the contact is not sharp
 _LONGEST_MM = 0.5  # of a chord whose contact is looked up once
 
 
@@ -71,7 +71,7 @@ def map_departure(
     corner = (float(heightfield.x_mm[0]) - (beyond + 0.5) * dx, float(heightfield.y_mm[0]) - (beyond + 0.5) * dy)
     places = _Places(*corner, dx / _PER_CELL, dy / _PER_CELL)
     chords = [one.divided(_LONGEST_MM) for one in tracks]
-    reach_mm = reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm)
+    reach_mm = max(reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm), _LEAST_REACH * radius_mm)
     bounds = np.linspace(0, ny, _STRIPS + 1).astype(int)
     departure, is_cut = np.zeros((ny, nx)), np.zeros((ny, nx), dtype=np.bool_)
     inner = slice(beyond * _PER_CELL, (nx - beyond) * _PER_CELL)

@@ -21,7 +21,7 @@ from optics.caustic import Caustic, simulate_caustic
 from optics.finish import finish_surface
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
-from optics.metrics import psnr_db, score_caustic
+from optics.metrics import psnr_db, score_caustic, smallest_detail_mm
 from optics.milled import simulate_milled
 from optics.milled_blur import Deviations, deviations, predicted_light
 from service.job.picture.preparing import scores_against_original
@@ -135,11 +135,12 @@ def _gains(
 def _tell(
     shop: Workshop, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
 ) -> None:
-    machine = machine_of(shop.spec)
+    machine, pixel_mm = machine_of(shop.spec), shop.spec.optics.screen_size_mm[0] / target.shape[1]
     shop.report["as_milled"] = plain(
         {
             **asdict(score_caustic(seen.irradiance, target)),
             **scores_against_original(shop.folder / MAP, seen.irradiance),
+            "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "psnr_db_designed": psnr_db(designed.irradiance, target),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
@@ -154,6 +155,8 @@ def _tell(
             "gain_db_without": gains,
         }
     )
+    if shop.spec.finish.finishes:  # which takes the marks off
+        return
     if lost := detail_lost(shop.report["as_milled"], planned=shop.spec.preset == "recommended"):
         shop.note("passes", lost)
 

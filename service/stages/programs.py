@@ -157,7 +157,7 @@ def _of_coarse_steps(job: JobSpec, spec: PassSpec) -> Iterator[str]:
     the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
     """
     digits = _digits(machine_of(job))
-    if digits.z_mm < _COARSE_STEP_MM:
+    if digits.z_mm < _COARSE_STEP_MM or job.finish.finishes:
         return
     slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
     yield (

@@ -1,0 +1,72 @@
+"""A finish is planned with ball and pitch, where it helps and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from optics.irradiance import target_irradiance
+from service.errors import SpecError
+from service.passes import with_plan
+from service.planning import Planned, plan_for_picture
+from service.spec_files import resolve_spec
+
+SIZE = ("optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64")
+ROUGH, FINE = ("machine.z_noise_mm=0.002",), ("machine.z_noise_mm=0.0", "machine.step_mm=0.00001")
+
+
+def planned(*overrides: str) -> Planned:
+    y, x = np.mgrid[0:64, 0:64] / 64
+    picture = 0.3 + 0.4 * (np.hypot(x - 0.4, y - 0.6) < 0.25) + 0.2 * np.sin(2 * np.pi * 4 * x)
+    spec = resolve_spec(preset="recommended", overrides=[*SIZE, *overrides])
+    return plan_for_picture(spec, target_irradiance(np.clip(picture, 0, 1), viewed_from="lens"))
+
+
+@pytest.fixture(scope="module")
+def best_on_a_rough_mill() -> Planned:
+    return planned("finish.process=best", *ROUGH)
+
+
+def test_a_rough_mill_gets_a_finish_that_shows_more(best_on_a_rough_mill: Planned) -> None:
+    """Rows off by 2 um blur what a finish would level."""
+    assert best_on_a_rough_mill.finishing is not None
+    assert best_on_a_rough_mill.unfinished is not None
+    assert best_on_a_rough_mill.chosen.psnr_db > best_on_a_rough_mill.unfinished.chosen.psnr_db + 1.0
+
+
+def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
+    """A mill without errors leaves nothing that is worth levelling."""
+    plan = planned("finish.process=best", *FINE)
+    assert plan.finishing is None
+    assert plan.finish_table() == {"process": "none"}
+
+
+def test_a_finish_of_ones_own_figures_is_kept_whatever_it_does() -> None:
+    plan = planned("finish.k0_rad_per_mm=2.0", "finish.order=1", *FINE)
+    assert plan.finishing is not None
+    assert plan.finishing.finish.k0_rad_per_mm == 2.0
+
+
+def test_the_job_gets_the_finish_of_its_plan(best_on_a_rough_mill: Planned) -> None:
+    """All figures, so that nothing of the library is asked again."""
+    spec = resolve_spec(preset="recommended", overrides=[*SIZE, "finish.process=best", *ROUGH])
+    done = with_plan(spec, {"plan": best_on_a_rough_mill.figures()})
+    assert best_on_a_rough_mill.finishing is not None
+    assert done.finish.process == best_on_a_rough_mill.finishing.process
+    assert done.finish.k0_rad_per_mm == best_on_a_rough_mill.finishing.finish.k0_rad_per_mm
+    assert done.finish.minutes == best_on_a_rough_mill.finishing.minutes
+
+
+@pytest.mark.parametrize(
+    ("overrides", "key"),
+    [
+        (["finish.process=best"], "finish.process"),
+        (["finish.process=sandpaper"], "finish.process"),
+        (["finish.k0_rad_per_mm=3"], "finish.order"),
+        (["finish.minutes=3"], "finish.minutes"),
+    ],
+)
+def test_a_finish_that_says_too_little_or_too_much_is_refused(overrides: list[str], key: str) -> None:
+    with pytest.raises(SpecError) as error:
+        resolve_spec(preset="draft", overrides=overrides)
+    assert [place for place, _ in error.value.problems] == [key]
