@@ -93,7 +93,7 @@ def _place_by_slope(rounding: Rounding, line: Array, start: Array) -> Array:
     out = np.empty((len(line), 4))
     weight = 2.0 / rounding.pitch_mm**2
     lowest = -LOWEST_DIGITS * z_mm - 1e-9
-    count = choose_vertices(line, start, xy_mm, z_mm, weight, lowest, rounding.aside_mm, out)
+    count = choose_vertices(line, np.array(start), xy_mm, z_mm, weight, lowest, rounding.aside_mm, out)
     return out[:count, :3] if count else nearest(line[1:], rounding.digits)
 
 

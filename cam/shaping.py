@@ -34,7 +34,7 @@ from cam.rounding import LOWEST_DIGITS, Rounding, choose_vertices, on_raster
 AIM_DIGITS = 0.5
 """How far the aim may be off the path; with `LOWEST_DIGITS` the most that a vertex is below it."""
 
-ACROSS_MM, ALONG_MM = 0.25, 0.1
+ACROSS_MM, ALONG_MM = 0.25, 0.15
 """Sigma of the Gaussian. Errors alternate within some ACROSS_MM, well under the periods that a finish leaves."""
 
 CELL_MM = 0.1
