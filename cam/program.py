@@ -22,6 +22,7 @@ from cam.posts.writer import Dialect
 from cam.raster import Rows, climbs_rightward, continuous_rows, separate_rows
 from cam.rest import RestAreas, rest_paths
 from cam.rounding import Rounding, on_raster
+from cam.shaping import ShapedRegion, shape_heights
 from cam.stock_grid import StockGrid
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
@@ -81,6 +82,7 @@ def generate_parts(
     slope_error_rad: float = SLOPE_ERROR_RAD,
     limits: PartLimits | None = None,
     step_mm: float = 0.0,
+    shaped: bool = False,
     number: int = 1,
     setup: ProgramSetup | None = None,
     trace: tuple[Path, ...] = (),
@@ -90,6 +92,7 @@ def generate_parts(
 
     step_mm : above 0 where heights are to be written in whole steps of the mill; number: of the pass, from 1
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts
+    shaped  : the lens will be finished by hand, so errors of these steps alternate from track to track (`cam.shaping`)
     """
     paths = pass_paths(
         heightfield,
@@ -112,8 +115,16 @@ def generate_parts(
     )
     rounding = Rounding(digits=post.digits.coarsened(step_mm), pitch_mm=spec.pitch_mm)
     if spec.finishes and rounding.matters:
-        paths = on_raster(paths, rounding)
+        paths = shape_heights(paths, rounding, _region(spec, stock)) if shaped else on_raster(paths, rounding)
     return map(_gathered, programs(paths, post, frame, limits))
+
+
+def _region(spec: PassSpec, stock: Stock) -> ShapedRegion:
+    """The aperture grown by one radius: no track leaves it."""
+    ring = spec.radius_mm
+    return ShapedRegion(
+        low_mm=(-ring, -ring), high_mm=(stock.width_mm + ring, stock.height_mm + ring), radius_mm=spec.radius_mm
+    )
 
 
 def _gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:

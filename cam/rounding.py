@@ -14,8 +14,9 @@ grow with the path.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -26,9 +27,15 @@ from cam.posts.digits import Digits
 COARSE_MM = 0.5e-4
 """Below this a digit of Z is too small to be seen in the light."""
 
+Place = Callable[[Array, Array], Array]
+"""(n, 3) a line, (3,) where its first point stands already -> (m, 3) vertices on the raster after that one."""
+
 _LONGEST_MM = 1.0  # of a straight move that takes the place of several
+LOWEST_DIGITS = 0.5
+"""Nowhere is the tool farther under its path than this."""
+
 _LOOK_BACK = 6  # vertices that one move may take the place of
-_ASIDE_PITCHES, _ASIDE_MM = 0.02, 1e-3  # how far from its track a move may pass by the vertices that it leaves out
+_ASIDE_PITCHES, _ASIDE_MM = 0.02, 1e-3
 _AT_ONCE = 8192
 _CHOICES = 4
 
@@ -44,9 +51,18 @@ class Rounding:
     def matters(self) -> bool:
         return self.digits.z_mm > COARSE_MM
 
+    @property
+    def aside_mm(self) -> float:
+        """How far from its track a move may pass by the vertices that it leaves out."""
+        return min(_ASIDE_PITCHES * self.pitch_mm, _ASIDE_MM)
 
-def on_raster(paths: Iterable[Path], rounding: Rounding) -> Iterator[Path]:
-    """The same cuts with every vertex on the raster; rapids go through the nearest places."""
+
+def on_raster(paths: Iterable[Path], rounding: Rounding, place: Place | None = None) -> Iterator[Path]:
+    """The same cuts with every vertex on the raster; rapids go through the nearest places.
+
+    place : how the vertices of a cut are chosen; as slopes suffer least, unless given
+    """
+    place = place or partial(_place_by_slope, rounding)
     raw = placed = np.full(3, np.nan)
     for path in paths:
         if path.motion is Motion.RAPID or np.isnan(raw[2]):
@@ -56,7 +72,7 @@ def on_raster(paths: Iterable[Path], rounding: Rounding) -> Iterator[Path]:
             continue
         for first in range(0, len(path.points_mm), _AT_ONCE):
             line = np.vstack([raw, path.points_mm[first : first + _AT_ONCE]])
-            points = _placed(line, placed, rounding)
+            points = place(line, placed) if is_level_way(line) else nearest(line[1:], rounding.digits)
             yield Path(motion=path.motion, points_mm=points, feed_mm_per_min=path.feed_mm_per_min)
             raw, placed = line[-1], points[-1]
 
@@ -67,19 +83,18 @@ def nearest(points_mm: Array, digits: Digits) -> Array:
     return np.floor(points_mm / scale + 0.5) * scale
 
 
-def _placed(line: Array, start: Array, rounding: Rounding) -> Array:
-    """The points of a line after its first, which stands at start already."""
-    points = nearest(line[1:], rounding.digits)
-    runs = np.hypot(*np.diff(line[:, :2], axis=0).T)
-    if not (runs > 0).all():  # straight down or up: nothing to choose
-        return points
+def is_level_way(line: Array) -> bool:
+    """Whether every move of a line goes on in plan: straight down or up there is nothing to choose."""
+    return bool((np.hypot(*np.diff(line[:, :2], axis=0).T) > 0).all())
+
+
+def _place_by_slope(rounding: Rounding, line: Array, start: Array) -> Array:
     xy_mm, z_mm = rounding.digits.xy_mm, rounding.digits.z_mm
-    out = np.empty((len(line), 3))
+    out = np.empty((len(line), 4))
     weight = 2.0 / rounding.pitch_mm**2
-    lowest = -0.5 * z_mm - 1e-9
-    aside_mm = min(_ASIDE_PITCHES * rounding.pitch_mm, _ASIDE_MM)
-    count = _choose(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out)
-    return out[:count] if count else points
+    lowest = -LOWEST_DIGITS * z_mm - 1e-9
+    count = choose_vertices(line, np.array(start), xy_mm, z_mm, weight, lowest, rounding.aside_mm, out)
+    return out[:count, :3] if count else nearest(line[1:], rounding.digits)
 
 
 @njit(cache=True, nogil=True)
@@ -95,9 +110,11 @@ def _offer(line, i, part, dx, dy, xy_mm, z_mm, run, rise, found, k):  # type: ig
 
 
 @njit(cache=True, nogil=True)
-def _choose(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out):  # type: ignore[no-untyped-def]
+def choose_vertices(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out):  # type: ignore[no-untyped-def]
     """Vertices on the raster for line (n, 3), whose first point stands at start; returns how many are in out, or 0.
 
+    weight    : of a height's squared error [1 / mm^2], against that of a slope
+    out (n, 4): X, Y, Z and the distance along the line
     choice[v] : X, Y, written Z, distance along the line, height of the path there, integral of its squared slope
     """
     n = line.shape[0]
@@ -199,6 +216,6 @@ def _choose(line, start, xy_mm, z_mm, weight, lowest, aside_mm, out):  # type: i
         v = came[v]
     v = best
     for k in range(kept - 1, -1, -1):
-        out[k, 0], out[k, 1], out[k, 2] = choice[v, 0], choice[v, 1], choice[v, 2]
+        out[k, 0], out[k, 1], out[k, 2], out[k, 3] = choice[v, 0], choice[v, 1], choice[v, 2], choice[v, 3]
         v = came[v]
     return kept

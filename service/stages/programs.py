@@ -191,6 +191,7 @@ def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: 
             safe_z_mm=machine.safe_z_mm,
             limits=part_limits_of(machine),
             step_mm=_step_mm(machine),
+            shaped=shop.spec.finish.finishes,
             number=shop.number,
             setup=setup if is_first else setup.without_warm_up(),
             trace=trace_of(shop.spec, machine) if is_first else (),

@@ -102,7 +102,9 @@ def test_figures_of_a_finish_are_positive(wrong: dict[str, float]) -> None:
 def test_a_lens_that_foresees_its_finish_shows_more_behind_it() -> None:
     """Corrections look at the finished lens's light: 5 dB more than the same lens designed for no finish."""
     y, x = (np.mgrid[0:64, 0:64] + 0.5) / 64
-    target = 1.0 + 0.6 * np.sin(2 * np.pi * 5 * x) * np.sin(2 * np.pi * 4 * y) + 0.8 * (np.hypot(x - 0.5, y - 0.5) < 0.2)
+    target = (
+        1.0 + 0.6 * np.sin(2 * np.pi * 5 * x) * np.sin(2 * np.pi * 4 * y) + 0.8 * (np.hypot(x - 0.5, y - 0.5) < 0.2)
+    )
     target /= target.mean()
     bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=60.0, refractive_index=1.49)
     finish = Finish(k0_rad_per_mm=3.5, order=1.0)
@@ -121,4 +123,6 @@ def test_the_smallest_detail_of_a_blurred_picture_is_that_of_its_blur(sigma_px: 
     target = np.random.default_rng(3).random((256, 256))
     k = 2 * np.pi * np.hypot(np.fft.fftfreq(256)[:, None], np.fft.rfftfreq(256)[None, :])
     seen = np.fft.irfft2(np.fft.rfft2(target) * np.exp(-(k**2) * sigma_px**2 / 2))
-    assert smallest_detail_mm(seen, target, 0.5) == pytest.approx(0.5 * np.pi * sigma_px / np.sqrt(2 * np.log(2)), rel=0.12)
+    assert smallest_detail_mm(seen, target, 0.5) == pytest.approx(
+        0.5 * np.pi * sigma_px / np.sqrt(2 * np.log(2)), rel=0.12
+    )

@@ -102,7 +102,9 @@ class FinishedLight(PictureLight):
         finished = finish_surface(lens, self.finish)
         off_free = float(np.square(self._light_of(finished, target.shape) - target).mean())
         stripes = self._light_of(add_rows(finished, marks, self.finish), self.target.shape)
-        stripes -= self._light_of(finished, self.target.shape)  # at full size: half of them are finer than a coarse pixel
+        stripes -= self._light_of(
+            finished, self.target.shape
+        )  # at full size: half of them are finer than a coarse pixel
         fine = waves_of(self.target) ** 2
         ny, nx = target.shape
         fine[:ny, :nx] = 0.0  # waves that the coarse lens has no part in
