@@ -59,6 +59,8 @@ def machine_of(spec: JobSpec, load: LoadProfile = load_profile) -> MachineProfil
         value = getattr(spec.machine, key)
         if value is not None:
             own[key] = tuple(value) if isinstance(value, list) else value
+    if spec.finish.finishes and spec.machine.whole_steps is None:
+        own["whole_steps"] = True  # a finish takes off errors that alternate from row to row, not those of the control
     machine = replace(profile, **own)
     unsupported = find_unsupported(machine.dialect, setup_of(machine))
     problems = [

@@ -70,7 +70,7 @@ def load_original(path: Path) -> Array | None:
                 return None
     except (OSError, ValueError, EOFError, BadZipFile):
         pass  # said by what reads the array
-    return _load(path, ("original",))["original"]
+    return load_arrays(path, ("original",))["original"]
 
 
 def npz_bytes(arrays: Mapping[str, Array]) -> bytes:

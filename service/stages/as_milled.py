@@ -72,15 +72,26 @@ def finishing_passes(shop: Workshop) -> list[tuple[int, PassSpec]]:
     return [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
 
 
-def read_tracks(shop: Workshop, passes: list[tuple[int, PassSpec]], reached: Callable[[float], None]) -> list[Tracks]:
-    """The written programs of these passes as the mill runs them, with its steps and errors."""
+def read_tracks(
+    shop: Workshop,
+    passes: list[tuple[int, PassSpec]],
+    reached: Callable[[float], None],
+    *,
+    longest_mm: float = math.inf,
+) -> list[Tracks]:
+    """The written programs of these passes as the mill runs them, with its steps and errors.
+
+    longest_mm : an axis stands on a step at least so often, within moves, too
+    """
     machine, rows = machine_of(shop.spec), shop.so_far["passes"]
     tracks = []
     for done, (number, spec) in enumerate(passes, 1):
         paths = [shop.folder / name for name in names_of_pass(rows[number])]
         batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
         noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
-        tracks.append(Tracks.of_program(batches, radius_mm=spec.radius_mm, step_mm=machine.step_mm, noise=noise))
+        one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
+        one = one.divided(longest_mm) if machine.step_mm > 0 and math.isfinite(longest_mm) else one
+        tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise))
         reached(0.8 * done / len(passes))
     return tracks
 

@@ -42,7 +42,7 @@ _KINEMATICS = tuple(
 )  # fmt: skip
 _SETUP = tuple(f"machine.{name}" for name in ("coolant", "blend_tolerance_mm", "high_precision"))
 _LIMITS = ("machine.most_program_mb", "machine.most_program_hours")
-_PROGRAMS = ("machine.step_mm", "machine.whole_steps", *_LIMITS, *_SETUP)
+_PROGRAMS = ("machine.step_mm", "machine.whole_steps", "finishes", *_LIMITS, *_SETUP)
 _ALL_PROGRAMS = ("pass-*-*",)
 MILLED_S_PER_M = 0.025
 POLISH_S = 20.0  # of 512 x 512 pixels
@@ -323,6 +323,7 @@ def facts_of(spec: JobSpec) -> dict[str, Any]:
     facts["preparation"] = [facts["image"], facts["optics"], spec.stock.thickness_mm] if is_prepared else None
     finish = (facts.get("finish") or {}).get("process", "none")
     facts["finish_process"] = None if finish == "none" else repr(load_processes().get(finish))
+    facts["finishes"] = spec.finish.finishes
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(machine_of(spec))
     facts["tools"] = [asdict(tool) for tool in load_tools()] if spec.to_be_planned else None

@@ -91,7 +91,13 @@ def _best(
         FinishedPlan(plan=plan_among(_seen_by(light, candidates), left_out, light, goal), light=light)
         for light in lights
     ]
-    return max(plans, key=lambda one: merit(one.plan, goal))
+    return max(plans, key=lambda one: _liking(one, goal))
+
+
+def _liking(one: FinishedPlan, goal: Goal) -> tuple[bool, float]:
+    met, value = merit(one.plan, goal)
+    by_time = met and (goal.psnr_db is not None or goal.blur_mm is not None)
+    return met, value if by_time else one.light.liking_db(one.plan.chosen.marks)
 
 
 def _seen_by(light: FinishedLight, candidates: list[Candidate]) -> list[Candidate]:

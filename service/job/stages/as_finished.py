@@ -21,6 +21,7 @@ from service.stages.optical_task import bench_of, finish_of
 from service.stages.plain import plain
 from service.stages.workshop import Workshop
 
+_STEPPING_MM = 0.02  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
@@ -36,7 +37,7 @@ def as_finished(shop: Workshop) -> None:
     target = shop.receive(MAP, arrays.load_target)
     bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
     with shop.watch.stage("as finished: surface") as reached:
-        tracks = read_tracks(shop, passes, reached)
+        tracks = read_tracks(shop, passes, reached, longest_mm=_STEPPING_MM)
         departure = map_departure(
             tracks,
             lens,
@@ -55,7 +56,8 @@ def as_finished(shop: Workshop) -> None:
 
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
     """How many times as fine as the lens's vertices the surface must be known for that finish."""
-    cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
+    cell_mm = min(_STEPPING_MM = 0.02  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
+_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
 
