@@ -56,8 +56,7 @@ def as_finished(shop: Workshop) -> None:
 
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
     """How many times as fine as the lens's vertices the surface must be known for that finish."""
-    cell_mm = min(_STEPPING_MM = 0.02  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
-_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
+    cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
 
