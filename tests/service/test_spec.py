@@ -101,7 +101,7 @@ BAD_VALUES = [
     ("machine.travel_mm=[1,2,-3]", "machine.travel_mm", ["-3", "more than 0"]),
     ("machine.travel_mm=[1,'a',3]", "machine.travel_mm.1", ["'a'", "number"]),
     ("machine.spindle_rpm=[5,1]", "machine.spindle_rpm", ["slowest"]),
-    ("colour=red", "colour", ["plan, image, optics, stock, passes, machine"]),
+    ("colour=red", "colour", ["plan, image, optics, stock, passes, finish, machine"]),
     ("optics.width_mm", "--set", ["key=value"]),
     ("optics.width_mm=", "--set", ["key=value"]),
     ("=3", "--set", ["key=value"]),

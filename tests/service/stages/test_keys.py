@@ -107,6 +107,7 @@ def test_what_a_change_reaches(key: str, stages: set[str]) -> None:
         ("plan.hours", set()),  # the passes are given
         ("stock.face", {"pass-1"}),  # its stage is a further one; the first pass begins from another stock
         ("stock.cut_out", {"pass-2", "check"}),  # which hands on what it leaves
+        ("finish.k0_rad_per_mm", {"map", "caustic", "as-milled"}),  # and the stage that only a finish brings
         ("machine.high_precision", set()),  # said to be none, or left so
         *((key, {"map", "caustic", "as-milled"}) for key in ALONE if key.startswith("optics.light")),
     ],

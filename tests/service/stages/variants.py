@@ -39,6 +39,8 @@ BASE: dict[str, Any] = {
         {**_ROW, "name": "finish", "radius_mm": 3.0, "pitch_mm": 0.25, "stock_to_leave_mm": 0.0, "step_down_mm": 0.4,
          "feed_mm_per_min": 1000.0},
     ],
+    "finish": {"process": "none", "k0_rad_per_mm": None, "order": None, "depth_um": None, "minutes": None,
+               "pad_mm": None},
     "machine": {
         "profile": "grbl", "travel_mm": [200.0, 200.0, 60.0], "max_rate_mm_per_min": [2000.0, 2000.0, 600.0],
         "acceleration_mm_per_s2": [100.0, 100.0, 50.0], "step_mm": 0.005, "z_noise_mm": 0.0005,
@@ -81,6 +83,7 @@ OTHER: dict[str, Any] = {
 ONLY_ONE_VALUE = {"stock.material", "passes.0.where"}
 LINUXCNC = {"machine.profile": "linuxcnc"}
 POINT = {"optics.light": {"kind": "point", "distance_mm": 300.0, "size_mm": 1.0}}
+FELT = {"process": "felt", "k0_rad_per_mm": 3.0, "order": 1.0, "depth_um": 10.0, "minutes": 2.0, "pad_mm": 10.0}
 ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose values go with others only: two specs
     **{f"plan.{aim}": ({}, {f"plan.{aim}": 9.0}) for aim in ("hours", "blur_mm", "psnr_db")},
     "image.prepare_detail_mm": (
@@ -88,6 +91,8 @@ ALONE: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # of a key whose va
     ),
     "optics.method": ({}, {"optics.method": "paper"}),
     "optics.creases": ({"optics.min_radius_mm": 0.0}, {"optics.min_radius_mm": 0.0, "optics.creases": True}),
+    "finish.process": ({"finish": FELT}, {"finish": {**FELT, "process": "sanding"}}),
+    **{f"finish.{key}": ({"finish": FELT}, {"finish": {**FELT, key: 2.5}}) for key in FELT if key != "process"},
     "passes.1.where": ({}, {"passes.1.where": "rest"}),
     "stock.face": ({}, {"stock.face": {"above_mm": 0.5}}),
     "stock.cut_out": ({}, {"stock.cut_out": {"radius_mm": 0.5, "tabs": 1, "tab_width_mm": 1.0}}),
