@@ -30,6 +30,7 @@ from service.decoding import decoded
 from service.errors import InputError
 from service.estimate_light import MOST_PIXELS, foretold_db
 from service.job.picture.preparing import aim_at_picture
+from service.job.planning.finished_light import blur_of, detail_of
 from service.job.stages.around import paths_around, seconds_of
 from service.job_files import CUT_OUT, FACE
 from service.lens_facts import LensFacts, measure_lens
@@ -41,7 +42,7 @@ from service.planning import plan_for_picture
 from service.report_words import ball
 from service.spec import MIN_FLOOR_MM, JobSpec
 from service.stages.light import blocked_by_the_screen
-from service.stages.optical_task import branch_of, lens_settings
+from service.stages.optical_task import branch_of, finish_of, lens_settings
 from service.stages.programs import kinematics_of
 from service.stages.words import in_the_services_words
 
@@ -226,6 +227,12 @@ class Blur:
 
 def _blur(quick: QuickLens) -> Blur:
     disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
+    if (finish := finish_of(quick.spec)) is not None:
+        return Blur(
+            milling_mm=blur_of(finish),
+            light_mm=disc_mm / 4 * sqrt(2),
+            detail_mm=hypot(detail_of(finish), _WIDTH * disc_mm / 4),
+        )
     slopes = _slopes(quick)
     drop_mm = quick.bench.throw_mm - float(quick.lens.z_mm.mean())
     reach_mm = drop_mm * (2.0 if quick.bench.mirror else quick.bench.refractive_index - 1.0)
@@ -243,7 +250,8 @@ def _seen_db(quick: QuickLens, target: Array) -> float | None:
     if finish is None or slopes is None:
         return None
     aims = any(quick.spec.optics.foreseen_blur_mm)
-    return foretold_db(target, quick.bench, quick.form, quick.missed, finish, slopes, aims=aims)
+    by_hand = finish_of(quick.spec)
+    return foretold_db(target, quick.bench, quick.form, quick.missed, finish, slopes, aims=aims, by_hand=by_hand)
 
 
 def _finish(quick: QuickLens) -> PassSpec | None:

@@ -18,8 +18,8 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
 from optics.metrics import CausticScore
 from service.errors import InputError
-from service.job.planning.finish_choice import FinishedPlan, is_worth_it, list_finishings, plan_finish
-from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.job.planning.finish_choice import FinishedPlan, Finishing, is_worth_it, list_finishings, plan_finish
+from service.job.planning.finished_light import Design
 from service.job.spec.finish import NONE
 from service.passes import machine_of
 from service.plan_lenses import finished_designs, lit_designs, lit_lens
@@ -46,12 +46,8 @@ class Planned:
     goal: Goal
     shapes_lens: bool  # the lens is shaped for the ball that is chosen
     tools: tuple[Tool, ...]
-    unfinished: Plan | None = None  # the best without a finish, where there is one
-
-    @property
-    def finishing(self) -> Finishing | None:
-        """What is done by hand after milling."""
-        return self.light.finishing if isinstance(self.light, FinishedLight) else None
+    finishing: Finishing | None = None  # what is done by hand after milling
+    unfinished: Plan | None = None  # the best without that
 
     @cached_property
     def radius_of(self) -> dict[str, float]:
@@ -273,4 +269,4 @@ def _planned(spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, 
     )
     if finished is None or (spec.finish.k0_rad_per_mm is None and not is_worth_it(finished.plan, plan, goal)):
         return planned
-    return replace(planned, plan=finished.plan, light=finished.light, unfinished=plan)
+    return replace(planned, plan=finished.plan, light=finished.light, finishing=finished.finishing, unfinished=plan)

@@ -10,7 +10,7 @@ import numpy as np
 from cam.planner import Candidate, Goal, Plan, plan_among
 from optics.finish import PAD_MM, Finish
 from service.job.finishing import Process, load_processes
-from service.job.planning.finished_light import Design, FinishedLight, Finishing
+from service.job.planning.finished_light import Design, FinishedLight
 from service.job.spec.finish import BEST, NONE, FinishSpec
 from service.plan_light import PictureLight
 
@@ -22,11 +22,23 @@ _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is le
 _WORTH_DB = 0.1
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finishing:
+    """A way to finish by hand: a process of the library, or one's own figures, and the work on the whole lens."""
+
+    process: str
+    title: str
+    finish: Finish
+    minutes: float | None
+    depth_um: float | None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FinishedPlan:
-    """A plan and the light that it was made with."""
+    """A plan, the finish after it, and the light that it was made with."""
 
     plan: Plan
+    finishing: Finishing
     light: FinishedLight
 
 
@@ -75,23 +87,28 @@ def plan_finish(
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
     rows = [one for one in candidates if one.rest is None]
-    lights = [FinishedLight(milled, one, design) for one in finishings]
-    first = _best(rows, left_out, lights, goal)
-    first.light.calibrate(first.plan.chosen.marks)
-    for light in lights:
+    ways = [(one, FinishedLight(milled, one.finish)) for one in finishings]
+    first = _best(rows, left_out, ways, goal)
+    first.light.calibrate(first.plan.chosen.marks, design)
+    for _, light in ways:
         if light is not first.light:
             light.trust(first.light)
-    return _best(rows, left_out, lights, goal)
+    return _best(rows, left_out, ways, goal)
 
 
 def _best(
-    candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], lights: list[FinishedLight], goal: Goal
+    candidates: list[Candidate],
+    left_out: tuple[tuple[str, str], ...],
+    ways: list[tuple[Finishing, FinishedLight]],
+    goal: Goal,
 ) -> FinishedPlan:
-    plans = [
-        FinishedPlan(plan=plan_among(_seen_by(light, candidates), left_out, light, goal), light=light)
-        for light in lights
-    ]
-    return max(plans, key=lambda one: _liking(one, goal))
+    found = (
+        FinishedPlan(
+            plan=plan_among(_seen_by(light, candidates), left_out, light, goal), finishing=finishing, light=light
+        )
+        for finishing, light in ways
+    )
+    return max(found, key=lambda one: _liking(one, goal))
 
 
 def _liking(one: FinishedPlan, goal: Goal) -> tuple[bool, float]:

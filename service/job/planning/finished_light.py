@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -24,39 +23,24 @@ from optics.finish import GIVEN_UP, Finish, finish_surface
 from optics.heightfield import Array, Heightfield
 from service.plan_light import PictureLight, picture_of_waves, waves_of
 
-_EDGES = 1.8  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
+_EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
-_STRIPES = 2.0  # bright places, whose stripes are stronger than their share
+_STRIPES = 1.6  # bright places, whose stripes are stronger than their share
 _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 4, 7
 
 Design = Callable[[Finish, float], tuple[Heightfield, Array]]
 """A coarse lens for a finish and a ball's radius, and the target (ny, nx) that it was made for."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finishing:
-    """A way to finish by hand: a process of the library, or one's own figures, and the work on the whole lens."""
-
-    process: str
-    title: str
-    finish: Finish
-    minutes: float | None
-    depth_um: float | None
-
-
 class FinishedLight(PictureLight):
     """As the light of milled lenses, behind a finish; made from it. Rows alone: a rest pass is not foretold."""
 
-    def __init__(self, milled: PictureLight, finishing: Finishing, design: Design) -> None:
+    def __init__(self, milled: PictureLight, finish: Finish) -> None:
         super().__init__(milled.target, milled.bench)
-        self.lenses, self.finishing, self._design = milled.lenses, finishing, design
-        self._kept_waves = kept_of_picture(finishing.finish, milled.target.shape, milled.bench)
+        self.lenses, self.finish = milled.lenses, finish
+        self._kept_waves = kept_of_picture(finish, milled.target.shape, milled.bench)
         self._lens_scale = self._stripe_scale = 1.0
         self._errors: dict[int, float] = {}
-
-    @property
-    def finish(self) -> Finish:
-        return self.finishing.finish
 
     def psnr_db(self, marks: Marks) -> float:
         error = self._lens_error(marks) + self.grain(marks) ** 2 * self._square
@@ -101,9 +85,9 @@ class FinishedLight(PictureLight):
         lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot, 0.0))
 
-    def calibrate(self, marks: Marks) -> None:
+    def calibrate(self, marks: Marks, design: Design) -> None:
         """Correct both guesses by a coarse lens that is designed, milled in rows, finished and lit."""
-        lens, target = self._design(self.finish, marks.radius_mm)
+        lens, target = design(self.finish, marks.radius_mm)
         finished = finish_surface(lens, self.finish)
         off_free = float(np.square(self._light_of(finished, target.shape) - target).mean())
         stripes = self._light_of(add_rows(finished, marks, self.finish), self.target.shape)
@@ -153,10 +137,17 @@ def kept_of_picture(finish: Finish, shape: tuple[int, ...], bench: Bench) -> Arr
 
 def blur_of(finish: Finish) -> float:
     """Standard deviation [mm on the lens] of the Gaussian that leaves half of the wave of which half is kept."""
-    k = np.linspace(0.05, 40.0, 4000) * finish.k0_rad_per_mm / finish.order
-    square = np.square(finish.transfer(k))
-    half = k[np.argmax(square / (square + GIVEN_UP) < 0.5)]
-    return math.sqrt(2.0 * math.log(2.0)) / float(half)
+    return math.sqrt(2.0 * math.log(2.0)) / _half_kept(finish)
+
+
+def detail_of(finish: Finish) -> float:
+    """Half the period [mm on the lens] of the finest pattern that keeps half of its contrast."""
+    return math.pi / _half_kept(finish)
+
+
+def _half_kept(finish: Finish) -> float:
+    """Wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is GIVEN_UP."""
+    return finish.k0_rad_per_mm * float(-0.5 * math.log(GIVEN_UP)) ** (1.0 / finish.order)
 
 
 def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield:
