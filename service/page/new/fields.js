@@ -61,12 +61,22 @@ const HOURS = { when: recommended, hint: "On the mill, all passes." };
 const BLUR = { when: recommended, hint: "On the wall. Instead of a time." };
 const LIKENESS = { when: recommended, hint: "Of the wall to the picture. Instead of a time." };
 
+const FINISHES = [
+  ["none", "no: as the mill leaves it"],
+  ["best", "yes, whatever shows most"],
+  ["felt", "felt and compound"],
+  ["sanding", "wet sanding on a soft block"],
+  ["lacquer", "a thin coat of lacquer"],
+];
+const FINISH = { wide: true, hint: "Half an hour takes the mill's marks off. The lens is made for it; minutes and steps are on the sheet." };
+
 export const MILL = [
   choice("machine.profile", "Machine", [["grbl", "grbl"]], MACHINE_USUAL, { wide: true, named: "profiles" }),
   choice("preset", "How fine", PRESETS, "paper", { look: "cards" }),
   number("plan.hours", "Time at most", "h", "no limit", HOURS),
   number("plan.blur_mm", "Blur at most", "mm", "any", BLUR),
   choice("plan.psnr_db", "Likeness to reach", LIKENESSES, null, LIKENESS),
+  choice("finish.process", "Finished by hand", FINISHES, "none", FINISH),
 ];
 
 const TONES = [["srgb", "as photos are (sRGB)"], ["linear", "linear light"]];
