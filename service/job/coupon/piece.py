@@ -112,9 +112,9 @@ def _steps(spec: JobSpec, report: Mapping[str, Any]) -> Iterator[str]:
         "half is the one with three small lenses along its rim. Take the tape off and clean both halves."
     )
     yield (
-        f"Screen: tracing paper on a clear pane, parallel to the milled face, {spec.optics.throw_mm:g} mm from it "
-        f"(two spacers). Cover the block around the piece with black tape: only {WIDTH_MM:g} x {HEIGHT_MM:g} mm let light "
-        "through."
+        f"Screen: tracing paper on a clear pane, parallel to the milled face and {spec.optics.throw_mm:g} mm from it "
+        f"(two spacers). Cover the block around the piece with black tape: only {WIDTH_MM:g} x {HEIGHT_MM:g} mm let "
+        "light through."
     )
     yield (
         "Light: one small bright LED without lens or reflector, 2 m or more away, straight behind the flat face, in a "
@@ -122,8 +122,8 @@ def _steps(spec: JobSpec, report: Mapping[str, Any]) -> Iterator[str]:
     )
     yield (
         "Photograph the paper from the side that the block is not on, as near as the camera focuses; a little askew "
-        "does no harm. At least 1500 pixels across the piece, no filter, no portrait mode. Nothing but the small lenses "
-        "should be white: if in doubt, expose one or two stops shorter."
+        "does no harm. At least 1500 pixels across the piece, no filter, no portrait mode. Nothing but the small "
+        "lenses should be white: if in doubt, expose one or two stops shorter."
     )
     yield "Then: causticmill coupon --photo PHOTO -o THIS_FOLDER"
 
