@@ -28,7 +28,7 @@ _LEAST_PIXELS_PER_MM, _LEAST_LEVEL = 14.0, 0.015
 _LEAST_RIPPLES = 3
 _AS_MILLED, _WORSE = 2.5, 1.4  # misfit up to which a half is as the programs mill it; how much worse the other fits
 _FAINTER = 0.7
-_NOTHING_LEFT_OFF = 0.93  # of all ripples: such a half was not finished
+_NOTHING_LEFT_OFF = 0.9  # of the shortest ripples: such a half was not finished
 _MOST_BLUR_MM = 0.2
 _WALL_OFF = 0.06
 
@@ -137,7 +137,7 @@ def measure_photo(
     reached(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
         raise PhotoRefused(name, Finding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
-    if all(one.share >= _NOTHING_LEFT_OFF for one in fit.ripples):
+    if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
         raise PhotoRefused(name, Finding("not_finished", {}))
     rows = _row_errors(placed, foretold, spec, fit, finished)
     reached(1.0)

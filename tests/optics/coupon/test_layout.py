@@ -17,7 +17,7 @@ STEPS = st.sampled_from([0.0, 0.001, 0.00125, 0.002, 0.0025, 0.004, 0.01])
 
 @given(step_mm=STEPS)
 def test_strips_fill_the_piece_between_its_rims(step_mm: float) -> None:
-    """Each strip begins where the one before ends, with a rim of 1 mm at either end, and has a core that does not fade."""
+    """Each strip begins where the one before ends, with rims of 1 mm at the ends, and has a core that does not fade."""
     strips = Coupon(step_mm=step_mm).strips
     assert [strips[0].low_mm, strips[-1].high_mm] == pytest.approx([1.0, HEIGHT_MM - 1.0])
     for before, after in pairwise(strips):
