@@ -35,6 +35,7 @@ _BLUR_RANGE_MM = (0.004, 0.4)
 _SHIFT_MM = 0.03  # how well a photograph is laid over the piece
 _LEVER_SPREAD = 0.05  # how well the wall's distance is known beforehand
 _CHOICES = 200
+_OUTLIER = 6.0  # times what is expected
 _LEAST_LEFT = 0.02
 _LEFT = np.linspace(0.0, 1.2, 81)  # shares of an amplitude that are tried
 _ASIDE = np.linspace(-0.045, 0.045, 7)  # mm by which a ripple may lie beside its place
@@ -109,7 +110,7 @@ class _Model:
     def __init__(self, coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], finished: Half) -> None:
         self.nominal_mm = nominal_lever_mm(coupon)
         of_strip = {profile.strip: profile for profile in profiles}
-        fit = [fold for fold in folds if fold.usable_bins >= fold.phase.size // 3]
+        fit = [fold for fold in folds if fold.is_usable]
         self.milled = [(of_strip[fold.strip], fold) for fold in fit if fold.half != finished]
         self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
 
@@ -160,9 +161,13 @@ class _Model:
 
     def all(self, vector: Array) -> Array:
         setting = _Setting.of(vector)
-        priors = [math.log(setting.lever) / _LEVER_SPREAD, *(shift / _SHIFT_MM for shift in setting.shifts)]
         parts = self.of_half(setting, finished=False) + self.of_half(setting, finished=True)
-        return np.concatenate([*parts, 3.0 * np.array(priors)])
+        return np.concatenate([*parts, self.priors(vector)])
+
+    def priors(self, vector: Array) -> Array:
+        """What was known before, as residuals: they count more than bins, which are not independent of one another."""
+        setting = _Setting.of(vector)
+        return 3.0 * np.array([math.log(setting.lever) / _LEVER_SPREAD, *(one / _SHIFT_MM for one in setting.shifts)])
 
 
 def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], *, finished: Half) -> FinishFit:
@@ -200,7 +205,7 @@ def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold
 
 
 def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], half: Half) -> float:
-    """How badly a half fits what the programs mill: rms over what is expected, of the better half of its strips.
+    """How badly a half fits what the programs mill: rms of what is left over what is expected, outliers cut off.
 
     Some 1 for a half as milled, several for one that was finished; inf where nothing can be used.
     """
@@ -208,8 +213,9 @@ def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequenc
     if not model.milled:
         return math.inf
     setting = _as_milled(model)
-    misses = [float(np.sqrt(np.mean(part[part != 0.0] ** 2))) for part in model.of_half(setting, finished=False)]
-    return float(np.median(misses))
+    left = np.concatenate(model.of_half(setting, finished=False))
+    left = np.minimum(np.abs(left[left != 0.0]), _OUTLIER)
+    return float(np.sqrt(np.mean(left**2))) if left.size else math.inf
 
 
 def _bounds() -> tuple[Array, Array]:
@@ -237,16 +243,25 @@ def _first_look(model: _Model) -> _Setting:
 
 
 def _as_milled(model: _Model) -> _Setting:
-    """The setting with which the milled half fits best, of a grid."""
+    """The setting with which the milled half fits best: of a grid, then from there."""
     best, least = _Setting(5.0, 2.0, 1.0, 0.05, (0.0, 0.0, 0.0, 0.0)), math.inf
-    for lever in (0.9, 0.95, 1.0, 1.05, 1.1):
+    for lever in np.linspace(0.88, 1.12, 13):
         for blur in (0.02, 0.04, 0.08, 0.16):
             for shift in (-0.04, 0.0, 0.04):
-                setting = _Setting(5.0, 2.0, lever, blur, (shift, 0.0, shift, 0.0))
+                setting = _Setting(5.0, 2.0, float(lever), blur, (shift, 0.0, shift, 0.0))
                 cost = _cost(model.of_half(setting, finished=False))
                 if cost < least:
                     best, least = setting, cost
-    return best
+    start, (low, high) = best.vector(), _bounds()
+    own = slice(2, 6)  # of the parameters: the finish and the finished half's place have no part in it
+
+    def misses(part: Array) -> Array:
+        vector = np.concatenate([start[:2], part, start[6:]])
+        return np.concatenate([*model.of_half(_Setting.of(vector), finished=False), model.priors(vector)])
+
+    found = least_squares(misses, start[own], bounds=(low[own], high[own]), loss="soft_l1", x_scale=0.1, max_nfev=40)
+    lever, blur, middle, tilt = np.concatenate([np.exp(found.x[:2]), found.x[2:]]).tolist()
+    return _Setting(best.k0, best.order, lever, blur, (middle, tilt, middle, tilt))
 
 
 def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[RippleLeft]:

@@ -19,9 +19,8 @@ from optics.coupon.layout import HEIGHT_MM, Half, window_mm
 from optics.coupon.reading import Rectified
 from optics.heightfield import Array
 
-_TRIED_MM = np.geomspace(0.0001, 0.008, 14)
+_TRIED_MM = np.geomspace(0.0001, 0.004, 12)
 _PIECES = 24  # made for each size
-_SAMPLES = 24  # in a pitch
 _RIM_MM, _SLOW_MM = 1.6, 0.5  # left out at either rim; slower changes are the strips' and the lamp's
 _BIN_MM = 0.05
 _SEED = 11
@@ -29,7 +28,10 @@ _SEED = 11
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RowErrors:
-    """z_noise_mm: standard deviation of a row's height, and the range of 68 %; grain: variance of the light."""
+    """Standard deviation of a row's height, and the range of 68 %; grain: variance of the light.
+
+    high_mm is inf where errors are as large as the cusps between rows: then grain no longer grows with them.
+    """
 
     z_noise_mm: float
     low_mm: float
@@ -71,34 +73,48 @@ def fit_row_errors(
 
     middle = size(seen)
     error = float(np.interp(middle, _TRIED_MM, spread))
-    return RowErrors(z_noise_mm=middle, low_mm=size(seen - error), high_mm=size(seen + error), grain=grain)
+    open_end = seen + error >= level[-1] - 0.1 * error
+    high = math.inf if open_end else size(seen + error)
+    return RowErrors(z_noise_mm=middle, low_mm=size(seen - error), high_mm=high, grain=grain)
 
 
 def _grain_of_rows(sigma_mm: float, radius_mm: float, pitch_mm: float, lever_mm: float, blur_mm: float) -> Array:
     """(pieces,) variance of the light of pieces whose rows have errors of that size."""
     rng = np.random.default_rng(_SEED)
     rows = math.ceil((HEIGHT_MM + 2 * radius_mm) / pitch_mm) + 1
-    step = pitch_mm / _SAMPLES
-    y = np.arange(0.0, HEIGHT_MM, step)
-    row = (y + radius_mm) / pitch_mm
-    reach = math.ceil(1.0 + math.sqrt(2 * radius_mm * 4.0 * sigma_mm) / pitch_mm)
     bins = round(HEIGHT_MM / _BIN_MM)
+    edges = _BIN_MM * np.arange(bins + 1)
+    inner = slice(round(_RIM_MM / _BIN_MM), bins - round(_RIM_MM / _BIN_MM))
     out = np.empty(_PIECES)
     for piece in range(_PIECES):
-        errors = sigma_mm * rng.standard_normal(rows)
-        nearest = np.rint(row).astype(int)
-        z = np.full(y.size, np.inf)
-        for away in range(-reach, reach + 1):
-            number = np.clip(nearest + away, 0, rows - 1)
-            z = np.minimum(z, errors[number] + (y - (number * pitch_mm - radius_mm)) ** 2 / (2 * radius_mm))
-        arrives = (y + lever_mm * np.gradient(z, step)) / _BIN_MM
-        number = np.floor(arrives).astype(int)
-        inside = (number >= 0) & (number < bins)
-        light = np.bincount(number[inside], minlength=bins) * (step / _BIN_MM)
+        y: Array = pitch_mm * np.arange(rows, dtype=np.float64) - radius_mm
+        y, begin, end = _grooves(y, sigma_mm * rng.standard_normal(rows), radius_mm)
+        first = begin + lever_mm * (begin - y) / radius_mm  # a groove spreads its light evenly
+        wide = (end - begin) * (1.0 + lever_mm / radius_mm)
+        before = (end - begin)[:, None] * np.clip((edges - first[:, None]) / wide[:, None], 0.0, 1.0)
+        light = np.diff(before.sum(axis=0)) / _BIN_MM
         light = gaussian_filter1d(light, blur_mm / _BIN_MM, mode="nearest")
-        inner = slice(round(_RIM_MM / _BIN_MM), bins - round(_RIM_MM / _BIN_MM))
         out[piece] = max(float((_quick(light[inner], _BIN_MM) ** 2).mean()), 1e-12)
     return out
+
+
+def _grooves(y_mm: Array, z_mm: Array, radius_mm: float) -> tuple[Array, Array, Array]:
+    """Rows (n,) that are not cut away by others, and from where to where each makes the surface.
+
+    Of parabolas (y - y_j)^2 / 2R + z_j the lowest: those on the lower hull of the points (y_j, z_j + y_j^2 / 2R).
+    """
+    height = z_mm + y_mm**2 / (2 * radius_mm)
+    hull: list[int] = []
+    for j in range(y_mm.size):
+        while len(hull) > 1:
+            a, b = hull[-2], hull[-1]
+            if (height[b] - height[a]) * (y_mm[j] - y_mm[b]) < (height[j] - height[b]) * (y_mm[b] - y_mm[a]):
+                break
+            hull.pop()
+        hull.append(j)
+    y, h = y_mm[hull], height[hull]
+    borders = radius_mm * np.diff(h) / np.diff(y)
+    return y, np.concatenate([[y[0]], borders]), np.concatenate([borders, [y[-1]]])
 
 
 def _quick(light: Array, step_mm: float) -> Array:

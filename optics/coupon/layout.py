@@ -6,9 +6,9 @@ ripple a cos(kx) bends makes fringes of the same period on the wall; their stren
 cross where m > 1. A finish turns a into H(k) a, so one half is finished and the other left as it was milled: what
 differs between the halves is the finish, whatever the wall, the lamp and the camera do to both.
 
-Amplitudes are just over odd multiples of half a step of the mill, about a level halfway between two steps, so that
-slopes run from the step below a crest to the step above a trough: a coarse mill cuts short ripples stronger than one
-would wish, and their rays cross.
+Amplitudes are just over odd multiples of half a step of the mill, about a level half a step under the flat, which is
+on a step: so slopes run from the step below a crest to the step above a trough, and no row of the flat has to choose
+between two steps. A coarse mill cuts short ripples stronger than one would wish, and their rays cross.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WINDOW_MM = 16.0
 """Of each half: the part along x in which fringes are measured; all ripples have whole numbers of periods in it."""
 
 WINDOW_BEGINS_MM = 2.0  # from the left end of its half
-_CYCLES = (4, 7, 11, 17, 23, 31, 43, 53)  # in the window: none is a multiple of another
+_CYCLES = (4, 7, 11, 17, 23, 31, 39, 47)  # in the window: none is a multiple of another
 _CONTRAST = 0.45  # m that is wanted
 _OVER_STEP = 0.15  # half a step that a crest rises over its step: exactly on it, rounding makes steps of the slopes
 _LEAST_MM = 0.0005  # a ripple that no shaking of a mill drowns
@@ -109,9 +109,9 @@ class Coupon:
 
     @property
     def flat_mm(self) -> float:
-        """Height of the flat, around which ripples swing: halfway between two steps."""
+        """Height of the flat, on a step; ripples swing around half a step below."""
         top = max(self.strips[0].amplitude_mm, self._spot_height_mm) + self.skim_mm
-        return -top if self.step_mm == 0.0 else -(math.ceil(top / self.step_mm) + 0.5) * self.step_mm
+        return -top if self.step_mm == 0.0 else -math.ceil(top / self.step_mm) * self.step_mm
 
     def strength(self, strip: Strip) -> float:
         """m of a ripple as designed: the relative change of light; above 1 rays cross."""
@@ -148,7 +148,7 @@ class Coupon:
             n = np.arange(1, 40, 2)
             soft = np.exp(-((n * strip.k_rad_per_mm * _RAMP_ROUNDING_MM) ** 2) / 2)
             wave = 8 / math.pi**2 * (soft / n**2) @ np.cos(n[:, None] * phase)
-        return np.asarray(strip.amplitude_mm * wave * np.sin(part * math.pi / 2) ** 2)
+        return np.asarray((strip.amplitude_mm * wave - self.step_mm / 2) * np.sin(part * math.pi / 2) ** 2)
 
     @property
     def _spot_height_mm(self) -> float:

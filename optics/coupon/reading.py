@@ -49,6 +49,17 @@ class Fold:
     def usable_bins(self) -> int:
         return int(np.isfinite(self.error).sum())
 
+    @property
+    def is_usable(self) -> bool:
+        """Whether enough of the period is known to compare it with a model."""
+        return self.usable_bins >= BINS // 3
+
+    @property
+    def fringe(self) -> float:
+        """Standard deviation of the light over the period."""
+        known = np.isfinite(self.error)
+        return float(self.light[known].std()) if known.any() else 0.0
+
 
 def fold_strip(picture: Rectified, strip: Strip, half: Half) -> Fold:
     """The light of whole periods near the middle of the window, laid over one another."""

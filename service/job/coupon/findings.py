@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,8 +17,8 @@ from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
 from service.errors import InputError
 from service.job.coupon.photograph import Photo, Placed, place_photo
-from service.job.coupon.piece import PROFILES, coupon_of
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold, load_foretold
+from service.job.coupon.piece import coupon_of
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
 from service.passes import cam_passes_of
 from service.spec import JobSpec
 
@@ -27,8 +26,9 @@ HALVES: tuple[Half, Half] = ("left", "right")
 _SURE = 0.5  # of the registration's confidence
 _LEAST_PIXELS_PER_MM, _LEAST_LEVEL = 14.0, 0.015
 _LEAST_RIPPLES = 3
-_AS_MILLED = 2.2  # misfit up to which a half is as the programs mill it
-_NOTHING_LEFT_OFF = 0.93  # of all ripples: such a half was not finished
+_AS_MILLED, _WORSE = 2.5, 1.4  # misfit up to which a half is as the programs mill it; how much worse the other fits
+_FAINTER = 0.7
+_NOTHING_LEFT_OFF = 0.9  # of the shortest ripples: such a half was not finished
 _MOST_BLUR_MM = 0.2
 _WALL_OFF = 0.06
 
@@ -120,12 +120,11 @@ class CouponResult:
 
 
 def measure_photo(
-    name: str, photo: Photo, folder: Path, spec: JobSpec, *, on_progress: Callable[[float], None] | None = None
+    name: str, photo: Photo, foretold: Foretold, spec: JobSpec, *, on_progress: Callable[[float], None] | None = None
 ) -> CouponResult:
-    """What the photograph says of the test piece in that folder. PhotoRefused where it says nothing."""
+    """What the photograph says of that test piece. PhotoRefused where it says nothing."""
     reached = on_progress or (lambda share: None)
-    coupon, foretold = coupon_of(spec), load_foretold(folder / PROFILES, coupon_of(spec))
-    template = 0
+    coupon, template = coupon_of(spec), 0
     placed = _place(name, photo, foretold, template, spec)
     reached(0.4)
     finished, folds = _finished_half(name, placed, foretold, spec)
@@ -138,7 +137,7 @@ def measure_photo(
     reached(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
         raise PhotoRefused(name, Finding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
-    if all(one.share >= _NOTHING_LEFT_OFF for one in fit.ripples):
+    if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
         raise PhotoRefused(name, Finding("not_finished", {}))
     rows = _row_errors(placed, foretold, spec, fit, finished)
     reached(1.0)
@@ -163,12 +162,12 @@ def _place(name: str, photo: Photo, foretold: Foretold, template: int, spec: Job
 
 
 def _finished_half(name: str, placed: Placed, foretold: Foretold, spec: JobSpec) -> tuple[Half, tuple[Fold, ...]]:
-    """Which half is not as milled: the left one where both or none is."""
+    """Which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
     coupon = coupon_of(spec)
     folds = fold_all(placed.picture, coupon)
     for half in HALVES:
         own = [fold for fold in folds if fold.half == half and fold.strip.kind == "ripple"]
-        ripples = sum(fold.usable_bins >= fold.phase.size // 3 for fold in own)
+        ripples = sum(fold.is_usable for fold in own)
         if ripples < _LEAST_RIPPLES:
             share = float(np.mean([fold.clipped for fold in own]))
             raise PhotoRefused(name, Finding("clipped", {"share": share, "ripples": ripples}))
@@ -176,7 +175,10 @@ def _finished_half(name: str, placed: Placed, foretold: Foretold, spec: JobSpec)
     if min(misfits.values()) > _AS_MILLED:
         values = {"misfit": min(misfits.values()), "throw_mm": spec.optics.throw_mm}
         raise PhotoRefused(name, Finding("no_fringes", values))
-    return ("right" if misfits["right"] > _AS_MILLED >= misfits["left"] else "left"), folds
+    if max(misfits.values()) > _WORSE * min(misfits.values()):
+        return max(HALVES, key=lambda half: misfits[half]), folds
+    fringes = {half: sum(fold.fringe for fold in folds if fold.half == half and fold.is_usable) for half in HALVES}
+    return ("right" if fringes["right"] < _FAINTER * fringes["left"] else "left"), folds
 
 
 def _nearest_template(fit: FinishFit) -> int:
@@ -237,8 +239,9 @@ def finding_lines(result: CouponResult) -> Iterator[str]:
     )
     half = 2 * math.pi / (fit.k0_rad_per_mm * math.log(2.0) ** (1 / fit.order))
     yield f"        half of a wave of {half:.2g} mm is left"
+    most = f" to {1000 * rows.high_mm:.2g}" if math.isfinite(rows.high_mm) else " or more"
     yield (
-        f"mill: rows off by {1000 * rows.z_noise_mm:.2g} um ({1000 * rows.low_mm:.2g} to {1000 * rows.high_mm:.2g}), "
+        f"mill: rows off by {1000 * rows.z_noise_mm:.2g} um ({1000 * rows.low_mm:.2g}{most}), "
         f"ripples {fit.mill_gain:.2f} times as high as programmed"
     )
     yield f"wall: {fit.throw_mm:.1f} mm from Z0 (+-{fit.throw_error_mm:.1f}); blur {fit.blur_mm:.3f} mm"

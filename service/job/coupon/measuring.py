@@ -10,7 +10,8 @@ from optics.irradiance import picture_from_irradiance
 from service import job_files
 from service.job.coupon.findings import CouponResult, measure_photo, snippet
 from service.job.coupon.photograph import read_photo
-from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, require_coupon
+from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
+from service.job.coupon.programs import load_foretold
 from service.progress import Reporter, Stopwatch
 from service.stages.plain import plain
 
@@ -22,7 +23,8 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
     with watch.stage("photograph"):
         shot = read_photo(photo)
     with watch.stage("fit") as reached:
-        result = measure_photo(str(photo), shot, folder, spec, on_progress=reached)
+        foretold = load_foretold(folder / PROFILES, coupon_of(spec))
+        result = measure_photo(str(photo), shot, foretold, spec, on_progress=reached)
     with watch.stage("figure"):
         picture = fit_picture(result, viewed_from_lens=spec.optics.viewed_from == "lens")
     job_files.write_bytes(folder / FIT_PICTURE, picture)

@@ -112,7 +112,7 @@ def _steps(spec: JobSpec, report: Mapping[str, Any]) -> Iterator[str]:
         "half is the one with three small lenses along its rim. Take the tape off and clean both halves."
     )
     yield (
-        f"Screen: tracing paper on a clear pane, parallel to the milled face, {spec.optics.throw_mm:g} mm from it "
+        f"Screen: tracing paper on a clear pane, parallel to the milled face and {spec.optics.throw_mm:g} mm from it "
         f"(two spacers). Cover the block around the piece with black tape: only {WIDTH_MM:g} x {HEIGHT_MM:g} mm let "
         "light through."
     )

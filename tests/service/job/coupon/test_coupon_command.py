@@ -1,0 +1,95 @@
+"""The command `coupon`: what it refuses, the sheet, and the whole way from programs to a measured finish."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from optics.coupon.halves import finish_heights, light_of_heights
+from optics.finish import Finish
+from optics.irradiance import picture_from_irradiance
+from service.cli import run
+from service.job.coupon.piece import coupon_spec, sheet_lines
+from service.job.coupon.programs import milled_piece, predict_light
+from service.job_files import COUPON_FILES, COUPON_FIT_FILES
+from service.passes import machine_of
+from service.spec_files import stored_spec
+from service.tone import linear_to_srgb
+from tests.optics.photographs import camera, photographed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--photo", "x.jpg", "--machine", "grbl"], "--machine"),
+        (["--photo", "x.jpg"], "holds no test piece"),
+        (["--set", "optics.width_mm=30"], "40 x 20 mm"),
+        (["--finish", "scrubbing"], "finish.process"),
+        (["--machine", "lathe"], "machine.profile"),
+        (["--set", "passes.1.stock_to_leave_mm=0.1"], "must finish"),
+    ],
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    arguments: list[str], said: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Names what is wrong; nothing is written."""
+    assert run(["coupon", "-o", str(tmp_path / "piece"), *arguments]) == 2
+    errors = capfd.readouterr().err.splitlines()
+    assert len(errors) == 1
+    assert said in errors[0]
+    assert not (tmp_path / "piece").exists()
+
+
+def test_the_sheet_names_programs_minutes_and_sizes() -> None:
+    """All that a person needs beside the mill stands in it, in lines of at most 100 characters."""
+    spec = coupon_spec(machine=None, throw_mm=25.0, file=None, overrides=[])
+    rows = [{"file": "pass-1-rough.nc", "time_s": 120.0}, {"file": "pass-2-finish.nc", "time_s": 600.0}]
+    lines = list(sheet_lines(spec, {"passes": rows}))
+    text = " ".join(" ".join(lines).split())
+    assert max(map(len, lines)) <= 100
+    for word in (
+        "pass-1-rough.nc, then pass-2-finish.nc",
+        "12 min",
+        "56 x 36 mm",
+        "25 mm",
+        "R 1",
+        machine_of(spec).name,
+    ):
+        assert word in text
+
+
+@pytest.mark.thorough
+def test_from_programs_to_a_measured_finish(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """On the default mill in less than 30 minutes of its time; a photograph from aside of the piece as that mill cuts
+    it, finished with a felt, gives k0 within 15 %, and rows' errors within a factor of 1.5.
+    """
+    folder, finish, throw_mm = tmp_path / "piece", Finish(k0_rad_per_mm=8.0, order=1.0), 20.4
+    assert run(["coupon", "-o", str(folder), "--quiet"]) == 0
+    assert set(COUPON_FILES) < {path.name for path in folder.iterdir()}
+    report = json.loads((folder / "report.json").read_text())
+    assert sum(row["time_s"] for row in report["passes"]) < 30 * 60
+    spec = stored_spec(folder)
+    made = milled_piece(folder, spec, seed=12)
+    bench = {"throw_mm": throw_mm, "refractive_index": spec.optics.refractive_index, "pixels": (840, 1440)}
+    whole = predict_light(spec, made, [finish.transfer], throw_mm=throw_mm, pixels_per_mm=30)[0]
+    heights = finish_heights(made.z_mm, made.x_mm[1] - made.x_mm[0], finish.transfer)
+    left = light_of_heights(made.x_mm, made.y_mm, heights, "left", **bench)
+    np.testing.assert_allclose(whole[:, :700], left[:, :700], atol=1e-6)
+    seen = picture_from_irradiance(whole, viewed_from="behind")
+    place = camera(aside_deg=30.0, quarter_turns=1, aspect=48 / 28, shape=(1500, 2200), filling=0.75)
+    metered = np.log2(0.18 * np.quantile(seen, 0.99) / 0.8)
+    shot = photographed(seen, place, shape=(1500, 2200), stops=metered - 1.0, blur_px=2.0, background=0.003)
+    photo = tmp_path / "wall.png"
+    Image.fromarray(np.rint(255 * linear_to_srgb(shot.photo)).astype(np.uint8)).save(photo)
+    assert run(["coupon", "--photo", str(photo), "-o", str(folder)]) == 0
+    assert "k0" in capfd.readouterr().out
+    assert set(COUPON_FIT_FILES) < {path.name for path in folder.iterdir()}
+    found = json.loads((folder / "coupon-fit.json").read_text())
+    assert found["finish"]["k0_rad_per_mm"] == pytest.approx(8.0, rel=0.15)
+    assert found["finish"]["order"] == pytest.approx(1.0, abs=0.15)
+    assert found["wall"]["throw_mm"] == pytest.approx(throw_mm, abs=1.0)
+    assert 0.00067 < found["mill"]["z_noise_mm"] < 0.0015

@@ -1,0 +1,137 @@
+"""What photographs of a test piece say: taken from aside, too bright, too dark, or of something else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from itertools import islice
+from string import Formatter
+
+import numpy as np
+import pytest
+
+from optics.coupon.layout import HEIGHT_MM
+from optics.finish import Finish
+from optics.irradiance import picture_from_irradiance
+from optics.spline import Array
+from service.job.coupon.findings import (
+    SENTENCES,
+    CouponResult,
+    Finding,
+    PhotoRefused,
+    finding_lines,
+    measure_photo,
+    snippet,
+)
+from service.job.coupon.photograph import Photo
+from service.job.coupon.piece import coupon_of, coupon_spec
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
+from service.spec import JobSpec
+from service.spec_files import resolve_spec
+from tests.optics.coupon.pieces import smooth_piece
+from tests.optics.photographs import camera, photographed
+
+SHAPE = (900, 1350)
+STRAIGHT = 0.18  # of white: what a meter makes of light that goes straight
+TEMPLATE_PIXELS = (280, 480)
+
+
+@cache
+def spec() -> JobSpec:
+    """Of a mill whose ripples are those of the smooth piece."""
+    return coupon_spec(machine=None, throw_mm=None, file=None, overrides=["machine.step_mm=0.002"])
+
+
+@cache
+def foretold() -> Foretold:
+    piece = smooth_piece()
+    finishes = [Finish(k0_rad_per_mm=k0, order=2.0) for k0 in TEMPLATES_RAD_PER_MM]
+    right = piece.light("right", None, pixels=TEMPLATE_PIXELS)
+    templates = tuple(piece.light("left", one, pixels=TEMPLATE_PIXELS) + right for one in finishes)
+    y = np.linspace(-4.0, HEIGHT_MM + 4.0, 50)
+    return Foretold(profiles=piece.profiles, templates=templates, across=np.array([y, np.ones(50)]))
+
+
+@cache
+def light(k0: float, order: float, throw_mm: float = 20.4) -> Array:
+    piece = smooth_piece()
+    left = piece.light("left", Finish(k0_rad_per_mm=k0, order=order), throw_mm=throw_mm)
+    return picture_from_irradiance(left + piece.light("right", None, throw_mm=throw_mm), viewed_from="behind")
+
+
+def photo(seen: Array, *, aside_deg: float = 0.0, turns: int = 0, stops: float = 0.0, blur_px: float = 1.0) -> Photo:
+    """stops: of exposure, from one that shows straight light as a meter wants it."""
+    place = camera(aside_deg=aside_deg, roll_deg=2.0, quarter_turns=turns, aspect=48 / 28, shape=SHAPE, filling=0.8)
+    metered = np.log2(STRAIGHT * np.quantile(seen, 0.99) / 0.8)
+    shot = photographed(seen, place, shape=SHAPE, stops=stops + metered, blur_px=blur_px, background=0.003)
+    return Photo(light=shot.photo, clipped=shot.photo >= 0.96)
+
+
+def measured(shot: Photo) -> CouponResult:
+    return measure_photo("wall.jpg", shot, foretold(), spec())
+
+
+def test_the_spec_of_the_tests_is_that_of_the_smooth_piece() -> None:
+    """Or every other test here compares two different pieces."""
+    assert coupon_of(spec()) == smooth_piece().coupon
+
+
+@pytest.mark.parametrize(
+    ("k0", "order", "shot"),
+    [
+        (6.0, 2.0, {"aside_deg": 30.0, "turns": 1, "stops": -2.0}),
+        pytest.param(12.0, 1.0, {"aside_deg": -30.0, "stops": 1.0}, marks=pytest.mark.thorough),
+        pytest.param(3.0, 4.0, {"aside_deg": 30.0, "stops": 2.0}, marks=pytest.mark.thorough),
+        pytest.param(20.0, 2.0, {"aside_deg": 20.0, "turns": 3}, marks=pytest.mark.thorough),
+    ],
+)
+def test_k0_is_found_from_aside_whatever_the_exposure(k0: float, order: float, shot: dict[str, float]) -> None:
+    """Within 15 %, with the wall 2 % too far; what is written for the spec is accepted by it."""
+    result = measured(photo(light(k0, order), **shot))  # type: ignore[arg-type]
+    assert result.fit.k0_rad_per_mm == pytest.approx(k0, rel=0.15)
+    assert result.finished == "left"
+    assert result.placed.registration.confidence > 0.9
+    assert len(list(finding_lines(result))) >= 4 + len(result.fit.ripples)
+    report = result.report()
+    assert report["finish"]["k0_rad_per_mm"] == result.fit.k0_rad_per_mm
+    assert "k0_rad_per_mm = " in snippet(result)
+
+
+def test_the_snippet_is_a_spec(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Pasted into a file of its own it is taken as a job's spec, with the figures measured."""
+    result = measured(photo(light(6.0, 2.0)))
+    file = tmp_path_factory.mktemp("spec") / "job.toml"
+    file.write_text(snippet(result), encoding="utf-8")
+    resolved = resolve_spec(file=file)
+    assert resolved.finish.k0_rad_per_mm == pytest.approx(result.fit.k0_rad_per_mm, rel=0.01)
+    assert resolved.finish.order == pytest.approx(result.fit.order, rel=0.05)
+    assert resolved.machine.z_noise_mm == pytest.approx(result.rows.z_noise_mm, rel=0.1)
+
+
+def spoilt() -> Iterator[tuple[str, Photo]]:
+    seen = light(6.0, 2.0)
+    yield "clipped", photo(seen, stops=3.5)
+    yield "too_dark", photo(seen, stops=-5.0)
+    yield "blurred", photo(seen, blur_px=12.0)
+    yield "not_a_coupon", photo(np.random.default_rng(1).random((28, 48)).repeat(20, 0).repeat(20, 1))
+    yield "not_finished", photo(light(2000.0, 1.0))
+
+
+@pytest.mark.parametrize("number", [0, 1, *(pytest.param(n, marks=pytest.mark.thorough) for n in (2, 3, 4))])
+def test_a_photograph_that_says_nothing_is_refused_with_the_reason(number: int) -> None:
+    """One line names the file, what is wrong, and what would be right."""
+    code, shot = next(islice(spoilt(), number, None))
+    with pytest.raises(PhotoRefused) as refused:
+        measured(shot)
+    assert refused.value.finding.code == code
+    assert str(refused.value).startswith("wall.jpg: ")
+    assert "allowed: " in str(refused.value)
+
+
+def test_every_sentence_can_be_said() -> None:
+    """The values that a sentence names are those of its finding: no braces are left."""
+    for code, sentence in SENTENCES.items():
+        values = {name: 1.0 for _, name, _, _ in Formatter().parse(sentence) if name}
+        said = Finding(code, values).sentence()
+        assert "{" not in said
+        assert not said[0].isupper()
