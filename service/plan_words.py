@@ -29,7 +29,8 @@ _SEEN_SHARE = 0.001  # of the lens; less that is filled is not worth a word
 
 def reasons(planned: Planned) -> list[str]:
     """Why these passes, most important first."""
-    found = (_aim(planned), *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), *_rough(planned))
+    first = (_aim(planned), _by_hand(planned))
+    found = (*first, *_ball(planned), *_rest(planned), *_rows(planned), *_steps(planned), *_rough(planned))
     return [sentence for sentence in found if sentence]
 
 
@@ -97,7 +98,8 @@ def hopeful_db(planned: Planned) -> float | None:
 def _aim(planned: Planned) -> str:
     chosen, goal = planned.chosen, planned.goal
     less = "several dB less for so near a wall" if (most := hopeful_db(planned)) is None else f"up to {most:g} dB less"
-    shown = f"{chosen.psnr_db:.1f} dB, as milled {less}, in {duration(3600 * chosen.hours)}"
+    seen = "once finished by hand" if planned.finishing is not None else f"as milled {less}"
+    shown = f"{chosen.psnr_db:.1f} dB, {seen}, in {duration(3600 * chosen.hours)}"
     if not planned.plan.met:
         return f"{shown}, the nearest to what was asked for. {best_possible(planned)}"
     if goal.hours is not None:
@@ -107,6 +109,22 @@ def _aim(planned: Planned) -> str:
     if goal.psnr_db is not None:
         return f"{shown}: the quickest plan that reaches {goal.psnr_db:g} dB. {best_possible(planned)}"
     return f"{shown}: the quickest plan within {TOLERATED_DB:g} dB of the best. {best_possible(planned)}"
+
+
+def _by_hand(planned: Planned) -> str:
+    """Which finish, how long, and what the same goal would show without it; nothing where there is none."""
+    finishing, without = planned.finishing, planned.unfinished
+    if finishing is None:
+        return ""
+    work = "" if finishing.minutes is None else f", {duration(60 * finishing.minutes)} of work"
+    words = f"{finishing.title}{work}, takes off what rows leave; the lens is made for it"
+    if without is None:
+        return f"{words}."
+    best = without.chosen
+    gain = planned.chosen.psnr_db - best.psnr_db
+    if gain < 0:
+        return f"{words}, but it shows {-gain:.1f} dB less than no finish would."
+    return f"{words}: {gain:.1f} dB more than the best without, in {duration(3600 * best.hours)} of milling."
 
 
 def _ball(planned: Planned) -> Iterator[str]:

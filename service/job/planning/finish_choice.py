@@ -50,7 +50,7 @@ def list_finishings(spec: FinishSpec, *, area_mm2: float) -> list[Finishing]:
     if spec.k0_rad_per_mm is not None and spec.order is not None:
         pad_mm = PAD_MM if spec.pad_mm is None else spec.pad_mm
         finish = Finish(k0_rad_per_mm=spec.k0_rad_per_mm, order=spec.order, pad_mm=pad_mm)
-        title = "your own finish" if spec.process == NONE else processes[spec.process].title
+        title = "Your own finish" if spec.process == NONE else processes[spec.process].title
         return [
             Finishing(process=spec.process, title=title, finish=finish, minutes=spec.minutes, depth_um=spec.depth_um)
         ]

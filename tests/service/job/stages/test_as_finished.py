@@ -1,0 +1,53 @@
+"""The stage that shows the wall behind a finish: there for jobs that have one, and what it says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from service.job_files import AS_FINISHED
+from service.spec_files import resolve_spec
+from service.stages.plan import plan
+from tests.service.stages.jobs import StagedJob, run_job
+
+ROWS = [
+    {"name": "rough", "radius_mm": 1.0, "pitch_mm": 0.25, "stock_to_leave_mm": 0.1},
+    {"name": "finish", "radius_mm": 0.5, "pitch_mm": 0.05},
+]
+SMALL = {
+    "image": {"pixels": 48},
+    "optics": {"width_mm": 12.0, "height_mm": 12.0, "throw_mm": 60.0},
+    "stock": {"thickness_mm": 10.0, "margin_mm": 3.0},
+    "machine": {"step_mm": 0.002, "z_noise_mm": 0.001},
+    "passes": ROWS,
+}
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
+    folder = tmp_path_factory.mktemp("finished")
+    y, x = np.mgrid[0:48, 0:48] / 48
+    grey = 0.35 + 0.3 * (np.hypot(x - 0.4, y - 0.6) < 0.25) + 0.15 * np.sin(2 * np.pi * 3 * x)
+    Image.fromarray(np.uint8(255 * grey)).save(folder / "disc.png")
+    spec = resolve_spec(base={**SMALL, "finish": {"k0_rad_per_mm": 5.0, "order": 1.0}})
+    return run_job(folder, folder / "disc.png", spec, without=("caustic", "check"))
+
+
+def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> None:
+    """Rows off by 1 um blur 2 mm of 60; a pad that keeps waves from 1.3 mm on takes them off."""
+    milled = finished.results["as-milled"].report["as_milled"]
+    seen = finished.results["as-finished"].report["as_finished"]
+    assert seen["psnr_db"] > milled["psnr_db"] + 3.0
+    assert seen["smallest_detail_mm"] < 0.6 * milled["smallest_detail_mm"]
+    assert seen["finish"]["k0_rad_per_mm"] == 5.0
+
+
+def test_its_picture_is_a_file_of_the_job(finished: StagedJob) -> None:
+    assert AS_FINISHED in finished.results["as-finished"].outputs
+
+
+def test_a_job_without_a_finish_has_no_such_stage() -> None:
+    assert "as-finished" not in plan(resolve_spec(base=SMALL))
