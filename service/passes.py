@@ -98,6 +98,10 @@ def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += _beyond_the_mill(tool, machine, f"stock.{name}")
     problems += _beyond_the_travel(spec, machine)
+    if spec.finish.finishes and spec.optics.polish:
+        problems.append(
+            ("optics.polish", "true is not allowed with a finish, which takes off what it adds; allowed: false")
+        )
     if problems:
         raise SpecError(problems)
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
