@@ -80,7 +80,6 @@ def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -
 
 def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm: float) -> None:
     score = asdict(score_caustic(seen.irradiance, target))
-    milled = shop.so_far.get("as_milled", {})
     shop.report["as_finished"] = plain(
         {
             **score,
@@ -88,7 +87,6 @@ def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm
             "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
             "outside_share": seen.outside_share,
             "reflected_share": seen.reflected_share,
-            "psnr_db_milled": milled.get("psnr_db"),
             "finish": {**shop.spec.finish.model_dump(), "reach_mm": finish.reach_mm},
         }
     )
