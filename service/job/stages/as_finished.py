@@ -21,7 +21,7 @@ from service.stages.optical_task import bench_of, finish_of
 from service.stages.plain import plain
 from service.stages.workshop import Workshop
 
-_STEPPING_MM = 0.02  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
+_STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
