@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service import mill_commands, plan_commands
+from service import look_command, mill_commands, plan_commands
 from service.client import commands as client_commands
 from service.errors import EXIT_FAILURE
 from service.host import commands as host_commands
@@ -177,17 +177,10 @@ def version() -> None:
 
 @contextlib.contextmanager
 def _reporter(quiet: bool) -> Iterator[Reporter]:
-    from service import progress
+    from service.progress import reporting
 
-    if quiet:
-        yield progress.QuietReporter()
-    elif sys.stdout.isatty():
-        from rich.console import Console
-
-        with progress.TerminalReporter(Console()) as bars:
-            yield bars
-    else:
-        yield progress.PlainReporter(sys.stdout)
+    with reporting(quiet) as reporter:
+        yield reporter
 
 
 def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
@@ -200,6 +193,7 @@ def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
 
 
 plan_commands.register(app)
+look_command.register(app)
 mill_commands.register(app)
 token_commands.register(app)
 client_commands.register(app)

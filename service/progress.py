@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -87,3 +88,15 @@ class Stopwatch:
         seconds = time.perf_counter() - begun
         self.timings_s[name] = round(seconds, 3)
         self._reporter.ended(name, seconds)
+
+
+@contextmanager
+def reporting(quiet: bool) -> Iterator[Reporter]:
+    """What suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
+    if quiet:
+        yield QuietReporter()
+    elif sys.stdout.isatty():
+        with TerminalReporter(Console()) as bars:
+            yield bars
+    else:
+        yield PlainReporter(sys.stdout)
