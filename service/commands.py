@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from service import coupon_command, mill_commands, plan_commands
+from service import coupon_command, look_command, mill_commands, plan_commands
 from service.client import commands as client_commands
 from service.errors import EXIT_FAILURE
 from service.host import commands as host_commands
@@ -194,6 +194,7 @@ def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
 
 plan_commands.register(app)
 coupon_command.register(app)
+look_command.register(app)
 mill_commands.register(app)
 token_commands.register(app)
 client_commands.register(app)

@@ -10,8 +10,8 @@ a photograph cannot tell stays near zero and says so: its deviation stays near t
 first order, a surface that is higher by 1 % everywhere; the spread of surface errors, some micrometres, is what tells
 them apart.
 
-The model is the foretold picture, plus what the change of the set-up changes in the light of the lens as designed,
-blurred alike: what milling does to the foretold picture stays in it.
+The model is the light of the lens as designed, as soft as the foretold picture is, and what else is smooth in the
+difference: of a mill's grain only the blur can be foretold, for the next block has another.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from optics.photograph.following import Fit, blurred, columns_of, residual_of, r
 from optics.photograph.homography import PARAMETERS, normalise_homography
 from optics.photograph.rays import ORDERS, SETTINGS, WallRays, surface_mode
 from optics.photograph.registering import Registration
-from optics.photograph.views import Photograph, View, area_average
+from optics.photograph.views import Mask, Photograph, View, area_average
 from optics.spline import Array
 from optics.threads import thread_count
 
@@ -47,6 +47,7 @@ _ODD = np.array([1.0, 1.0, 0.5, 0.5, 0.5])  # pixels squared; the last: to the f
 _THROW, _TILT_RAD, _ASLANT_RAD, _SURFACE_UM = 0.05, math.radians(3.0), math.radians(1.0), 8.0
 _WIDTH = 0.003  # relative: how well people measure a picture on a wall
 _HUBER = 2.0
+_GRAINLESS_PX = 2.0  # over so much, a mill's grain is small beside what milling does to any block
 _GRAIN = 0.4  # share of what no model foresees that is there in the dark, too
 _LAGS = 6  # pixels
 _OPEN = 0.02  # clipped share of a pixel up to which its brightness is believed
@@ -65,10 +66,9 @@ class Estimate:
         """Whether the photograph told it: it narrows what was expected to less than half."""
         return self.deviation < 0.5 * self.expected
 
-    @property
-    def significant(self) -> bool:
-        """Whether it is told, and differs from zero by more than two deviations, which are cautious ones."""
-        return self.told and abs(self.value) > 2 * self.deviation
+    def exceeds(self, deviations: float) -> bool:
+        """Whether it is told, and further from zero than so many of its deviations."""
+        return self.told and abs(self.value) > deviations * self.deviation
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -118,15 +118,16 @@ def fit_wall(
 
 
 def surface_error_um(
-    estimates: tuple[Estimate, ...], x: Array, y: Array, shape: float = 1.0, *, only_sure: bool = False
+    estimates: tuple[Estimate, ...], x: Array, y: Array, shape: float, *, deviations: float = 0.0
 ) -> Array:
-    """Height error at points of the aperture, x and y from -1 to 1 from rim to rim, of all that was told (or is sure).
+    """Height error at points of the aperture, x and y from -1 to 1 from rim to rim, of all that was told so surely.
 
     estimates : for each of ORDERS
+    shape     : height / width of the aperture
     """
     height_um = np.zeros(np.broadcast(x, y).shape)
     for order, one in zip(ORDERS, estimates, strict=True):
-        if one.significant or (one.told and not only_sure):
+        if one.exceeds(deviations):
             height_um += one.value * surface_mode(order, x, y, shape)
     return height_um
 
@@ -166,16 +167,18 @@ class _Scene:
         known = np.isfinite(foretold)
         self.known[self.view.inner] = area_average(known.astype(np.float64), shape) > 0.999
         inside = area_average(np.where(known, foretold, 0.0), shape)
-        self.softness_px = _softness(self._plain[self.view.inner], inside, self.known[self.view.inner])
-        self._base = self._soften(self._plain)
-        self._base[self.view.inner] = np.where(self.known[self.view.inner], inside, self._base[self.view.inner])
+        inner = self.view.inner
+        self.softness_px = _softness(self._plain[inner], inside, self.known[inner])
+        self._soft = self._soften(self._plain)
+        self._milled = np.zeros(self._plain.shape)
+        difference = np.where(self.known[inner], inside - self._soft[inner], 0.0)
+        self._milled[inner] = gaussian_filter(difference, _GRAINLESS_PX) if any(self.softness_px) else difference
         self._shades = _shades(self.view)
 
     def light(self, setting: Array) -> Array:
-        """What is foretold, and what the setting changes in it; as the viewer sees it."""
-        if not setting.any():
-            return self._base
-        return np.maximum(self._base + self._soften(self._seen(setting) - self._plain), 0.0)
+        """As the viewer sees it, as soft as foretold."""
+        soft = self._soften(self._seen(setting)) if setting.any() else self._soft
+        return np.maximum(soft + self._milled, 0.0)
 
     def lit(self, state: _State, light: Array | None = None) -> View:
         light = self.light(state.setting) if light is None else light
@@ -228,7 +231,7 @@ class _Scene:
         return flip_between_picture_and_work_frame(self.rays.light(setting), self._viewed_from)
 
     def _soften(self, light: Array) -> Array:
-        return gaussian_filter(light, self.softness_px) if self.softness_px > 0.05 else light.copy()
+        return gaussian_filter(light, self.softness_px) if any(self.softness_px) else light
 
 
 class _WallFit:
@@ -363,6 +366,7 @@ class _WallFit:
         ]
         view, fit = scene.lit(state), state.fit
         pixel_mm = self._bench.screen.width_mm / view.picture[view.inner].shape[1]
+        foretold_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
         fitted = blurred(scene.light(state.setting), fit)[view.inner]
         return WallFit(
             throw_mm=found[0],
@@ -370,7 +374,7 @@ class _WallFit:
             light_tilt_rad=(found[3], found[4]),
             surface_um=tuple(found[5:]),
             blur_mm=math.copysign(math.sqrt(abs(fit.spread_px2)) * pixel_mm, fit.spread_px2),
-            foretold_blur_mm=scene.softness_px * pixel_mm,
+            foretold_blur_mm=foretold_px * pixel_mm,
             fitted=flip_between_picture_and_work_frame(fitted, self._viewed_from),
             correlation=scene.correlation(state),
             before=before,
@@ -399,16 +403,19 @@ def _odd_blurs(view: View, fit: Fit) -> Array:
     return np.stack([(across - down) / 2, aslant, view.x * all_round, view.y * all_round, laplace(all_round) / 4])
 
 
-def _softness(sharp: Array, foretold: Array, known: Array) -> float:
-    """Standard deviation [pixels] of the Gaussian that makes `sharp` most like `foretold`, whatever their scales."""
-    tried = np.array([0.0, *np.geomspace(0.3, 12.0, 24)])
-    losses = []
-    for sigma in tried:
-        one = (gaussian_filter(sharp, sigma) if sigma else sharp)[known]
+def _softness(sharp: Array, foretold: Array, known: Mask) -> tuple[float, float]:
+    """Standard deviations (down, across) [pixels] of the Gaussian that makes `sharp` most like `foretold`."""
+    tried = [0.0, *np.geomspace(0.3, 12.0, 20)]
+
+    def loss(down: float, across: float) -> float:
+        one = gaussian_filter(sharp, (down, across))[known]
         frame = np.stack([one, np.ones_like(one)], axis=1)
         found = np.linalg.lstsq(frame, foretold[known], rcond=None)[0]
-        losses.append(float(((frame @ found - foretold[known]) ** 2).sum()))
-    return float(tried[int(np.argmin(losses))])
+        return float(((frame @ found - foretold[known]) ** 2).sum())
+
+    both = min(tried, key=lambda sigma: loss(sigma, sigma))
+    down = min(tried, key=lambda sigma: loss(sigma, both))
+    return down, min(tried, key=lambda sigma: loss(down, sigma))
 
 
 def _correlated_area(off: Array, counts: Array) -> float:

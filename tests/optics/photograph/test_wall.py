@@ -76,7 +76,7 @@ def looked_at(lens: Heightfield, bench: Bench, light: Array) -> WallFit:
 def test_a_wall_in_the_wrong_place_is_told_with_its_sign(lens: Heightfield, bench: Bench, off: float) -> None:
     """Two percent of the throw to a fifth of itself, from a photograph in perspective, by shape and not by scale."""
     fit = looked_at(lens, bench, light_on_the_wall(lens, bench, throw_mm=THROW_MM * (1 + off)))
-    assert fit.throw_mm.significant
+    assert fit.throw_mm.exceeds(2)
     assert fit.throw_mm.value == pytest.approx(off * THROW_MM, rel=0.2)
     assert fit.correlation > fit.before
 
@@ -85,7 +85,7 @@ def test_a_wall_in_its_place_is_not_said_to_be_off(lens: Heightfield, bench: Ben
     fit = looked_at(lens, bench, light_on_the_wall(lens, bench))
     assert abs(fit.throw_mm.value) < 0.004 * THROW_MM
     estimates = (fit.throw_mm, *fit.wall_tilt_rad, *fit.light_tilt_rad, *fit.surface_um)
-    assert not any(one.significant for one in estimates), estimates
+    assert not any(one.exceeds(3) for one in estimates), estimates
 
 
 @pytest.mark.parametrize(("order", "um"), [((2, 1), 5.0), ((3, 0), -5.0), ((2, 2), 5.0)])
@@ -97,7 +97,7 @@ def test_a_low_order_error_of_the_surface_is_told_with_its_sign(
     off = Heightfield(x_mm=lens.x_mm, y_mm=lens.y_mm, z_mm=lens.z_mm + 1e-3 * um * surface_mode(order, x, y, 1.0))
     fit = looked_at(lens, bench, light_on_the_wall(off, bench))
     found = dict(zip(ORDERS, fit.surface_um, strict=True))
-    assert found[order].significant
+    assert found[order].exceeds(4)
     assert found[order].value == pytest.approx(um, rel=0.33)
     assert all(abs(one.value) < 0.5 * abs(um) for other, one in found.items() if other != order and one.told)
 

@@ -1,0 +1,260 @@
+"""Looking at a photograph of the wall: found in it, fitted, judged, and drawn."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from optics.irradiance import picture_from_irradiance
+from optics.photograph import Registration, register
+from optics.photograph.rays import ORDERS
+from optics.photograph.views import area_average
+from optics.photograph.wall import Estimate, WallFit, fit_wall, surface_error_um
+from optics.spline import Array
+from service.job.photo.findings import Finding, UselessPhotoError
+from service.job.photo.foretold import Foretold, foretold_of
+from service.job.photo.reading import WallPhoto, read_wall_photo
+from service.progress import QuietReporter, Reporter, Stopwatch
+from service.stages.plain import plain
+
+LOOK_PICTURE, LOOK_FIGURES = "look.png", "look.json"
+LEAST_ALIKE = 0.62  # other pictures reach 0.56, the right one behind a coarse mill 0.68
+_LEAST_PEAK, _DARK_PEAK = 0.004, 0.05  # of white, in linear light
+_MOST_CLIPPED, _SOME_CLIPPED = 0.6, 0.05
+_LEAST_SEEN = 0.85
+_LEAST_ACROSS_PX = 64.0
+_ODD_TONE = 0.15
+_TURNED_DEG, _LEANT_DEG = 0.3, 0.5
+_SURE, _SURER, _SUREST = 2.0, 3.0, 4.0  # deviations: of a distance, a tilt, one of many errors of the surface
+_CAMERA_PX = 1.2  # pixels of the photograph: its own softness
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Look:
+    """findings in the order in which a person acts; figures: what look.json holds; pictures as the viewer sees them.
+
+    rectified, foretold (ny, nx) : irradiance, row 0 on top; NaN where the photograph shows nothing or is clipped
+    """
+
+    findings: tuple[Finding, ...]
+    figures: dict[str, Any]
+    rectified: Array
+    foretold: Array
+
+    def png(self) -> bytes:
+        from service.job.photo.drawing import look_png  # what it stands on is slow to import
+
+        return look_png(self.rectified, self.foretold, [one.sentence() for one in self.findings])
+
+
+def look_at(
+    photo: WallPhoto,
+    foretold: Foretold,
+    *,
+    name: str,
+    picture_width_mm: float | None = None,
+    reporter: Reporter | None = None,
+) -> Look:
+    """Compare a photograph with what is foretold. UselessPhotoError, which calls it by `name`, where it tells nothing.
+
+    picture_width_mm : how wide the lit rectangle is on the wall, where somebody has measured it
+    """
+    watch = Stopwatch(reporter or QuietReporter())
+    with watch.stage("finding the picture"):
+        place = _registered(photo, foretold, name)
+    with watch.stage("fitting the wall") as reached:
+        fit = fit_wall(
+            photo.light,
+            place,
+            foretold.lens,
+            foretold.bench,
+            foretold.irradiance,
+            viewed_from=foretold.viewed_from,
+            picture_width_mm=picture_width_mm,
+            on_progress=reached,
+        )
+    findings = tuple(_findings(photo, foretold, place, fit))
+
+    def seen(light: Array) -> Array:
+        return picture_from_irradiance(light, viewed_from=foretold.viewed_from)
+
+    return Look(
+        findings=findings,
+        figures=_figures(photo, foretold, place, fit, findings, name),
+        rectified=seen(np.where(place.usable, place.rectified, np.nan)),
+        foretold=seen(foretold.bounded),
+    )
+
+
+def _registered(photo: WallPhoto, foretold: Foretold, name: str) -> Registration:
+    peak = _peak(photo)
+    if 0.0 < peak < _LEAST_PEAK:
+        raise UselessPhotoError(name, "too_dark", peak_percent=100 * peak, least_percent=100 * _LEAST_PEAK)
+    if peak == 0.0 or min(photo.light.shape) < 8:
+        raise UselessPhotoError(name, "no_light")
+    place = register(photo.light, foretold.bounded, viewed_from=foretold.viewed_from, fit_tone=True)
+    if place.clipped_share > _MOST_CLIPPED:
+        clipped, most = 100 * place.clipped_share, 100 * _MOST_CLIPPED
+        raise UselessPhotoError(name, "too_bright", clipped_percent=clipped, most_percent=most)
+    if place.likeness < LEAST_ALIKE:
+        raise UselessPhotoError(name, "not_this_lens", likeness=place.likeness, least=LEAST_ALIKE)
+    if place.overlap < _LEAST_SEEN:
+        raise UselessPhotoError(name, "cut_off", seen_percent=100 * place.overlap, least_percent=100 * _LEAST_SEEN)
+    across = place.pixels_per_pixel * max(foretold.irradiance.shape)
+    if across < _LEAST_ACROSS_PX:
+        raise UselessPhotoError(name, "too_small", across_px=across, least_px=_LEAST_ACROSS_PX)
+    return place
+
+
+def _peak(photo: WallPhoto) -> float:
+    """How much brighter than the dark the brightest thousandth is, without its noise."""
+    share = min(1.0, 200 / max(photo.light.shape))
+    shape = max(1, round(photo.light.shape[0] * share)), max(1, round(photo.light.shape[1] * share))
+    dark, bright = np.quantile(area_average(photo.light, shape), (0.05, 0.999))
+    return float(bright - dark)
+
+
+def _findings(photo: WallPhoto, foretold: Foretold, place: Registration, fit: WallFit) -> list[Finding]:
+    found = []
+    if place.mirrored:
+        found.append(Finding(code="mirrored", values={"viewed_from": foretold.viewed_from}))
+    found.append(_distance(foretold, fit.throw_mm))
+    found += _leaning("wall_tilted", fit.wall_tilt_rad, foretold)
+    found += _leaning("light_aslant", fit.light_tilt_rad, foretold)
+    deg = _turned_deg(place)
+    if abs(deg) > _TURNED_DEG:
+        found.append(Finding(code="turned", values={"deg": deg}))
+    found.append(_softness(foretold, place, fit))
+    found.append(_surface(foretold, fit))
+    if place.clipped_share > _SOME_CLIPPED:
+        found.append(Finding(code="partly_clipped", values={"clipped_percent": 100 * place.clipped_share}))
+    if _peak(photo) < _DARK_PEAK:
+        found.append(Finding(code="rather_dark"))
+    if abs(place.tone - 1.0) > _ODD_TONE:
+        found.append(Finding(code="odd_tones", values={"tone": place.tone}))
+    return found
+
+
+def _distance(foretold: Foretold, throw: Estimate) -> Finding:
+    within = 2 * throw.deviation
+    if throw.exceeds(_SURE):
+        code = "wall_too_far" if throw.value > 0 else "wall_too_near"
+        return Finding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
+    if throw.told:
+        return Finding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
+    return Finding(code="wall_unknown", values={"within_mm": within, "throw_mm": foretold.bench.throw_mm})
+
+
+def _leaning(code: str, angles: tuple[Estimate, Estimate], foretold: Foretold) -> list[Finding]:
+    """One finding for both directions together, where one of them is sure and large enough to act on."""
+    sure = [one.exceeds(_SURER) and abs(math.degrees(one.value)) > _LEANT_DEG for one in angles]
+    if not any(sure):
+        return []
+    left = foretold.viewed_from == "lens"  # who looks along the light has +X to the left
+    words = (("left", "right") if left else ("right", "left")), ("top", "bottom")
+    sides = [pair[0 if one.value > 0 else 1] for pair, one, counts in zip(words, angles, sure, strict=True) if counts]
+    total = math.degrees(math.hypot(*(one.value for one, counts in zip(angles, sure, strict=True) if counts)))
+    deviation = math.degrees(math.hypot(*(one.deviation for one, counts in zip(angles, sure, strict=True) if counts)))
+    return [Finding(code=code, values={"deg": total, "deviation_deg": deviation, "sides": sides})]
+
+
+def _turned_deg(place: Registration) -> float:
+    """Beyond the nearest quarter turn, which is how the camera was held."""
+    deg = math.degrees(place.rotation_rad)
+    return deg - 90.0 * round(deg / 90.0)
+
+
+def _softness(foretold: Foretold, place: Registration, fit: WallFit) -> Finding:
+    pixel_mm = foretold.bench.screen.width_mm / foretold.irradiance.shape[1]
+    unsure_mm = max(0.5 * pixel_mm, _CAMERA_PX / place.pixels_per_pixel * pixel_mm, 0.3 * fit.foretold_blur_mm)
+    values = {"foretold": foretold.kind, "mm": abs(fit.blur_mm), "foretold_mm": fit.foretold_blur_mm}
+    if fit.blur_mm > unsure_mm:
+        source_deg = math.degrees(4.0 * fit.blur_mm / foretold.bench.throw_mm)  # a disc is four deviations wide
+        return Finding(code="softer", values={**values, "source_deg": source_deg})
+    if fit.blur_mm < -unsure_mm:
+        return Finding(code="sharper", values=values)
+    return Finding(code="as_soft_as_foretold", values={"foretold": foretold.kind})
+
+
+def _surface(foretold: Foretold, fit: WallFit) -> Finding:
+    told = [one for one in fit.surface_um if one.told]
+    if not told:
+        return Finding(code="surface_unknown")
+    sure = [(order, one) for order, one in zip(ORDERS, fit.surface_um, strict=True) if one.exceeds(_SUREST)]
+    if not sure:
+        return Finding(code="surface_right", values={"within_um": max(2 * one.deviation for one in told)})
+    sign = -1 if foretold.viewed_from == "lens" else 1  # left and right as the viewer sees them
+    rows = [
+        {"order_x": a, "order_y": b, "um": one.value * sign**a, "deviation_um": one.deviation}
+        for (a, b), one in sorted(sure, key=lambda row: -abs(row[1].value))
+    ]
+    return Finding(
+        code="surface_off", values={"peak_to_valley_um": _peak_to_valley(foretold, fit, _SUREST), "terms": rows}
+    )
+
+
+def _peak_to_valley(foretold: Foretold, fit: WallFit, deviations: float) -> float:
+    shape = foretold.lens.height_mm / foretold.lens.width_mm
+    x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
+    return float(np.ptp(surface_error_um(fit.surface_um, x, y, shape, deviations=deviations)))
+
+
+def _figures(
+    photo: WallPhoto, foretold: Foretold, place: Registration, fit: WallFit, findings: tuple[Finding, ...], name: str
+) -> dict[str, Any]:
+    def degrees_of(one: Estimate) -> dict[str, Any]:
+        return {"deg": math.degrees(one.value), "deviation_deg": math.degrees(one.deviation), "told": one.told}
+
+    throw = fit.throw_mm
+    return plain(
+        {
+            "photo": {"name": name, "width": photo.width, "height": photo.height},
+            "foretold": foretold.kind,
+            "place": {
+                "homography": place.homography.tolist(),
+                "photo_width": photo.light.shape[1],
+                "photo_height": photo.light.shape[0],
+                "turned_deg": _turned_deg(place),
+                "quarter_turns": round(math.degrees(place.rotation_rad) / 90.0) % 4,
+                "mirrored": place.mirrored,
+                "correlation": place.correlation,
+                "likeness": place.likeness,
+                "confidence": place.confidence,
+                "overlap": place.overlap,
+                "clipped_share": place.clipped_share,
+                "tone": place.tone,
+            },
+            "wall": {
+                "throw_off_mm": throw.value,
+                "throw_deviation_mm": throw.deviation,
+                "throw_told": throw.told,
+                "tilt_x": degrees_of(fit.wall_tilt_rad[0]),
+                "tilt_y": degrees_of(fit.wall_tilt_rad[1]),
+            },
+            "light": {"aslant_x": degrees_of(fit.light_tilt_rad[0]), "aslant_y": degrees_of(fit.light_tilt_rad[1])},
+            "blur": {"beyond_foretold_mm": fit.blur_mm, "foretold_mm": fit.foretold_blur_mm},
+            "surface": {
+                "peak_to_valley_um": _peak_to_valley(foretold, fit, 0.0),
+                "terms": [
+                    {"order_x": a, "order_y": b, "um": one.value, "deviation_um": one.deviation, "told": one.told}
+                    for (a, b), one in zip(ORDERS, fit.surface_um, strict=True)
+                ],
+            },
+            "likeness": {"as_foretold": fit.before, "as_fitted": fit.correlation},
+            "findings": [one.plain() for one in findings],
+        }
+    )
+
+
+def looked_at(
+    path: Path, job: Path, *, picture_width_mm: float | None = None, reporter: Reporter | None = None
+) -> Look:
+    """The photograph in one file, of the lens of the job in one folder."""
+    watch = Stopwatch(reporter or QuietReporter())
+    with watch.stage("reading"):
+        photo, foretold = read_wall_photo(path), foretold_of(job)
+    return look_at(photo, foretold, name=str(path), picture_width_mm=picture_width_mm, reporter=reporter)
