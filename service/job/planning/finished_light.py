@@ -50,7 +50,7 @@ class FinishedLight(PictureLight):
     aimed_db = unsharpened_db = psnr_db
 
     def liking_db(self, marks: Marks) -> float:
-        """The same with stripes counted for more, by which finishes are chosen: eyes mind them more than soft detail."""
+        """The same with stripes counted for more, by which finishes are chosen: eyes mind them more."""
         error = self._lens_error(marks) + _MINDED * self.grain(marks) ** 2 * self._square
         return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
 
