@@ -33,6 +33,7 @@ K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.4, 8.0)
 _FLOOR, _SLOPE_FLOOR = 0.012, 0.05  # what the model misses: of the mean light, and of what fringes differ from it
 _BLUR_RANGE_MM = (0.004, 0.4)
 _SHIFT_MM = 0.03  # how well a photograph is laid over the piece
+_SOFTER_SPREAD = 0.05  # of the ratio of both halves' blur
 _LEVER_SPREAD = 0.05  # how well the wall's distance is known beforehand
 _CHOICES = 200
 _OUTLIER = 6.0  # times what is expected
@@ -84,20 +85,23 @@ class _Setting:
     k0: float
     order: float
     lever: float  # over its nominal value
-    blur_mm: float
+    blur_mm: float  # of the milled half
     shifts: tuple[float, float, float, float]  # at the middle, and over 10 mm of y; milled half, then finished half
+    softer: float = 1.0  # the finished half than the milled one
 
     @classmethod
     def of(cls, vector: Array) -> _Setting:
-        a, b, c, d, *shifts = (float(value) for value in vector)
-        return cls(math.exp(a), math.exp(b), math.exp(c), math.exp(d), (shifts[0], shifts[1], shifts[2], shifts[3]))
+        k0, order, lever, blur = (math.exp(value) for value in vector[:4])
+        a, b, c, d = (float(value) for value in vector[4:8])
+        return cls(k0, order, lever, blur, (a, b, c, d), math.exp(vector[8]))
 
     @property
     def finish(self) -> Finish:
         return Finish(k0_rad_per_mm=self.k0, order=self.order)
 
     def vector(self) -> Array:
-        return np.array([math.log(v) for v in (self.k0, self.order, self.lever, self.blur_mm)] + list(self.shifts))
+        logs = [math.log(value) for value in (self.k0, self.order, self.lever, self.blur_mm)]
+        return np.array([*logs, *self.shifts, math.log(self.softer)])
 
     def shift_mm(self, y_mm: float, *, finished: bool) -> float:
         middle, tilt = self.shifts[2:] if finished else self.shifts[:2]
@@ -111,6 +115,9 @@ class _Model:
         self.nominal_mm = nominal_lever_mm(coupon)
         of_strip = {profile.strip: profile for profile in profiles}
         fit = [fold for fold in folds if fold.is_usable]
+        pixels = {half: [fold.pixel_mm for fold in folds if fold.half == half] for half in ("left", "right")}
+        other = "left" if finished == "right" else "right"
+        self.softer = float(np.mean(pixels[finished]) / np.mean(pixels[other]))  # where the camera makes the blur
         self.milled = [(of_strip[fold.strip], fold) for fold in fit if fold.half != finished]
         self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
 
@@ -131,7 +138,8 @@ class _Model:
         """
         strip = profile.strip
         shift = setting.shift_mm(strip.middle_mm, finished=finished) + aside_mm
-        light = light_profile(harmonics, strip.k_rad_per_mm, fold.phase, blur_mm=setting.blur_mm, shift_mm=shift)
+        blur = setting.blur_mm * (setting.softer if finished else 1.0)
+        light = light_profile(harmonics, strip.k_rad_per_mm, fold.phase, blur_mm=blur, shift_mm=shift)
         fringe = light - 1.0
         expected = np.sqrt(fold.error**2 + _FLOOR**2 + (_SLOPE_FLOOR * fringe) ** 2)
         weight = np.where(np.isfinite(expected), 1.0 / expected, 0.0)
@@ -167,7 +175,9 @@ class _Model:
     def priors(self, vector: Array) -> Array:
         """What was known before, as residuals: they count more than bins, which are not independent of one another."""
         setting = _Setting.of(vector)
-        return 3.0 * np.array([math.log(setting.lever) / _LEVER_SPREAD, *(one / _SHIFT_MM for one in setting.shifts)])
+        softer = math.log(setting.softer / self.softer) / (_SOFTER_SPREAD + 0.5 * abs(math.log(self.softer)))
+        shifts = (one / _SHIFT_MM for one in setting.shifts)
+        return 3.0 * np.array([math.log(setting.lever) / _LEVER_SPREAD, *shifts, softer])
 
 
 def fit_finish(coupon: Coupon, profiles: Sequence[Profile], folds: Sequence[Fold], *, finished: Half) -> FinishFit:
@@ -219,9 +229,9 @@ def misfit_as_milled(coupon: Coupon, profiles: Sequence[Profile], folds: Sequenc
 
 
 def _bounds() -> tuple[Array, Array]:
-    low = [math.log(K0_RANGE[0]), math.log(ORDER_RANGE[0]), math.log(0.7), math.log(_BLUR_RANGE_MM[0])] + [-0.15] * 4
-    high = [math.log(K0_RANGE[1]), math.log(ORDER_RANGE[1]), math.log(1.4), math.log(_BLUR_RANGE_MM[1])] + [0.15] * 4
-    return np.array(low), np.array(high)
+    logs = np.log([K0_RANGE, ORDER_RANGE, (0.7, 1.4), _BLUR_RANGE_MM])
+    shifts, softer = np.full(4, 0.15), math.log(3.0)
+    return np.array([*logs[:, 0], *-shifts, -softer]), np.array([*logs[:, 1], *shifts, softer])
 
 
 def _cost(parts: Sequence[Array]) -> float:
@@ -261,7 +271,7 @@ def _as_milled(model: _Model) -> _Setting:
 
     found = least_squares(misses, start[own], bounds=(low[own], high[own]), loss="soft_l1", x_scale=0.1, max_nfev=40)
     lever, blur, middle, tilt = np.concatenate([np.exp(found.x[:2]), found.x[2:]]).tolist()
-    return _Setting(best.k0, best.order, lever, blur, (middle, tilt, middle, tilt))
+    return _Setting(best.k0, best.order, lever, blur, (middle, tilt, middle, tilt), model.softer)
 
 
 def _ripples_left(model: _Model, setting: _Setting, *, finished: bool) -> list[RippleLeft]:

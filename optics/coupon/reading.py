@@ -13,7 +13,8 @@ from optics.heightfield import Array
 
 BINS = 48
 _INSET_MM = 0.8  # of the window's ends: the ripple fades out beyond them, and a finish carries that inwards
-_MOST_CLIPPED = 0.02  # of a bin's pixels
+_FEW_WHITE, _MEDIAN_OFF = 0.02, 0.1
+_MOST_WHITE = 0.35  # of a bin's pixels: of more, their median is not to be relied on
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -21,21 +22,26 @@ class Rectified:
     """Light on the wall over the piece's own screen, in the work frame: row 0 at the lowest y, any unit.
 
     light (ny, nx)  : linear; what is dark around the piece is 0
-    usable (ny, nx) : seen, and neither white nor black in the photograph
+    usable (ny, nx) : in the photograph and not white there
+    white (ny, nx)  : in the photograph and too bright for it
+    pixel_mm        : size along x of the photograph's own pixels, in the middle of the left and of the right half
     """
 
     x_mm: Array
     y_mm: Array
     light: Array
     usable: NDArray[np.bool_]
+    white: NDArray[np.bool_]
+    pixel_mm: tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Fold:
-    """Light of a strip by phase of its period, in units of the mean of what is usable.
+    """Light of a strip by phase of its period, in units of its mean over usable bins.
 
     light, error (BINS,) : means and their standard errors; error is inf where a bin cannot be used
     clipped              : share of the strip's pixels that are not usable
+    pixel_mm             : of the photograph
     """
 
     strip: Strip
@@ -44,6 +50,7 @@ class Fold:
     light: Array
     error: Array
     clipped: float
+    pixel_mm: float
 
     @property
     def usable_bins(self) -> int:
@@ -68,31 +75,36 @@ def fold_strip(picture: Rectified, strip: Strip, half: Half) -> Fold:
     spare = int(np.ceil(_INSET_MM / period)) * period
     columns = (picture.x_mm >= begin + spare) & (picture.x_mm < end - spare)
     across = ACROSS * (strip.high_mm - strip.low_mm)
-    rows = np.abs(picture.y_mm - strip.middle_mm) <= across
-    light, usable = picture.light[np.ix_(rows, columns)], picture.usable[np.ix_(rows, columns)]
-    x = picture.x_mm[columns] - begin
-    values = np.where(usable, light, 0.0)
-    count, total = usable.sum(axis=0).astype(float), values.sum(axis=0)
-    number = (np.mod(x / period, 1.0) * BINS).astype(int) % BINS
-    trend = _trend(x / period, np.divide(total, count, out=np.zeros_like(total), where=count > 0), count)
-    values, total = values / trend, total / trend
-    sums = np.bincount(number, weights=total, minlength=BINS)
-    counts = np.bincount(number, weights=count, minlength=BINS)
-    squares = np.bincount(number, weights=(values**2).sum(axis=0), minlength=BINS)
-    pixels = np.bincount(number, minlength=BINS) * len(light)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        mean = sums / counts
-        spread = np.sqrt(np.maximum(squares / counts - mean**2, 0.0) / np.maximum(counts - 1, 1))
-    fit = (counts >= 4) & (counts >= (1.0 - _MOST_CLIPPED) * pixels)
-    scale = float(mean[counts > 0].mean()) if (counts > 0).any() else 1.0
+    part = np.ix_(np.abs(picture.y_mm - strip.middle_mm) <= across, columns)
+    usable, white = picture.usable[part], picture.white[part]
+    cycle = (picture.x_mm[columns] - begin) / period
+    number = (np.mod(cycle, 1.0) * BINS).astype(int) % BINS
+    light = picture.light[part] / _trend(cycle, picture.light[part], usable)
+    light = np.where(white, np.inf, light)  # at least so bright: it stays on its side of a median
+    seen = usable | white
+    middle, error = np.zeros(BINS), np.full(BINS, np.inf)
+    for one in range(BINS):
+        of_bin = number == one
+        values = light[:, of_bin][seen[:, of_bin]]
+        dark = values[np.isfinite(values)]
+        if dark.size < max(4, (1.0 - _MOST_WHITE) * values.size, 0.5 * seen[:, of_bin].size):
+            continue
+        error[one] = dark.std() / np.sqrt(dark.size)
+        if dark.size >= (1.0 - _FEW_WHITE) * values.size:
+            middle[one] = dark.mean()
+        else:  # a median leaves out how bright white was, but is no mean
+            middle[one] = np.median(values)
+            error[one] = np.hypot(error[one], _MEDIAN_OFF * middle[one])
+    scale = float(middle[np.isfinite(error)].mean()) if np.isfinite(error).any() else 1.0
     scale = scale if scale > 0 else 1.0
     return Fold(
         strip=strip,
         half=half,
         phase=2 * np.pi * (np.arange(BINS) + 0.5) / BINS,
-        light=np.where(fit, mean, 0.0) / scale,
-        error=np.where(fit, spread / scale, np.inf),
+        light=middle / scale,
+        error=error / scale,
         clipped=1.0 - float(usable.mean()) if usable.size else 1.0,
+        pixel_mm=picture.pixel_mm[half == "right"],
     )
 
 
@@ -103,14 +115,16 @@ def fold_all(picture: Rectified, coupon: Coupon) -> tuple[Fold, ...]:
     return tuple(fold_strip(picture, strip, half) for half in halves for strip in strips)
 
 
-def _trend(cycle: Array, light: Array, count: Array) -> Array:
+def _trend(cycle: Array, light: Array, usable: NDArray[np.bool_]) -> Array:
     """(columns,) slow change of the lamp's light along x, around 1: a line through the means of the periods."""
+    count = usable.sum(axis=0).astype(np.float64)
+    total = np.where(usable, light, 0.0).sum(axis=0)
     number = np.floor(cycle - cycle[0] + 1e-9).astype(int)
     weights = np.bincount(number, weights=count)
     seen = weights > 0.5 * weights.max()
     if seen.sum() < 3:
-        return np.ones_like(light)
-    means = np.bincount(number, weights=light * count)[seen] / weights[seen]
+        return np.ones_like(cycle)
+    means = np.bincount(number, weights=total)[seen] / weights[seen]
     places = np.flatnonzero(seen)
     slope, level = np.polyfit(places, means, 1)
     whole = level + slope * (cycle - cycle[0] - 0.5)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from optics.coupon.halves import AROUND_MM, screen_axes_mm
-from optics.coupon.layout import HEIGHT_MM, WIDTH_MM
+from optics.coupon.layout import HALF_MM, HEIGHT_MM, WIDTH_MM
 from optics.coupon.reading import Rectified
 from optics.heightfield import Array
 from optics.irradiance import ViewedFrom
@@ -49,6 +49,17 @@ class Placed:
     pixels_per_mm: float
 
 
+def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
+    """Along x, in the middle of either half, of a photograph whose pixel is (u, v) at each place (ny, nx)."""
+    row = u.shape[0] // 2
+    sizes = []
+    for x_mm in (HALF_MM / 2, 1.5 * HALF_MM):
+        column = round((x_mm + AROUND_MM) * PIXELS_PER_MM)
+        away = math.hypot(*(float(at[row, column + 1] - at[row, column]) for at in (u, v)))
+        sizes.append(1 / (PIXELS_PER_MM * away) if away > 0 else 1 / PIXELS_PER_MM)
+    return sizes[0], sizes[1]
+
+
 def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE) -> Photo:
     """A photograph from a file; PictureError where it cannot be read."""
     name = str(path)
@@ -84,10 +95,13 @@ def place_photo(photo: Photo, predicted: Array, *, viewed_from: ViewedFrom) -> P
     inside = (u > 1) & (u < wide - 1) & (v > 1) & (v < high - 1)
     at = np.nan_to_num(np.stack([v - 0.5, u - 0.5]))
     seen = map_coordinates(light, at, order=1, mode="nearest")
-    usable = inside & (map_coordinates(spoilt, at, order=1, mode="nearest") < 0.5)
+    white = inside & (map_coordinates(spoilt, at, order=1, mode="nearest") >= 0.5)
+    usable = inside & ~white
     around = np.maximum(np.maximum(-x, x - WIDTH_MM), np.maximum(-y, y - HEIGHT_MM)[:, None]) > _DARK
     black = float(np.median(seen[around & usable])) if (around & usable).any() else found.offset
-    picture = Rectified(x_mm=x, y_mm=y, light=np.maximum(seen - black, 0.0), usable=usable)
+    picture = Rectified(
+        x_mm=x, y_mm=y, light=np.maximum(seen - black, 0.0), usable=usable, white=white, pixel_mm=_pixel_sizes_mm(u, v)
+    )
     within = (x > 0) & (x < WIDTH_MM) & ((y > 0) & (y < HEIGHT_MM))[:, None]
     level = float(np.median(picture.light[within & inside])) if (within & inside).any() else 0.0
     return Placed(

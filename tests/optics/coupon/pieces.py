@@ -56,4 +56,11 @@ def rectified(
     x, y = screen_axes_mm(left.shape)
     light = gaussian_filter(left + right, blur_mm * left.shape[1] / 48.0)
     light = light * (1 + noise * np.random.default_rng(3).standard_normal(light.shape))
-    return Rectified(x_mm=x, y_mm=y, light=np.minimum(light, white), usable=light < white)
+    return Rectified(
+        x_mm=x,
+        y_mm=y,
+        light=np.minimum(light, white),
+        usable=light < white,
+        white=light >= white,
+        pixel_mm=(0.03, 0.03),
+    )
