@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from importlib import metadata
@@ -23,6 +24,7 @@ from service.api import (
     routes_jobs,
     routes_machines,
     routes_page,
+    routes_photos,
     routes_root,
     routes_runs,
     routes_stops,
@@ -55,6 +57,7 @@ _TAGS = [
 _ROUTERS = (
     routes_submit,
     routes_estimates,
+    routes_photos,
     routes_tokens,
     routes_jobs,
     routes_events,
@@ -70,6 +73,7 @@ _ROUTERS = (
     routes_root,
     routes_page,
 )
+_WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos)")
 _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}
 
 
@@ -88,7 +92,7 @@ def make_app(services: Services) -> FastAPI:
             Middleware(Measured, metrics=services.metrics),
             Middleware(Guard, services=services),
             Middleware(Patient),
-            Middleware(SmallBodies, but={("POST", "/v1/jobs"), ("POST", "/v1/estimates")}),
+            Middleware(SmallBodies, but=_WITH_PICTURES),
         ],
     )
     app.state.services = services

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 import time
-from collections.abc import AsyncIterator, Collection
+from collections.abc import AsyncIterator
 
 from starlette.exceptions import HTTPException
 from starlette.requests import ClientDisconnect, Request
@@ -63,14 +64,17 @@ class Body:
 
 
 class SmallBodies:
-    """ASGI middleware: no body is longer than 64 kB, but those of some addresses, which count for themselves."""
+    """ASGI middleware: no body is longer than 64 kB, but those posted to some addresses, which count for themselves.
 
-    def __init__(self, app: ASGIApp, *, but: Collection[tuple[str, str]]) -> None:
+    but : a pattern of those addresses
+    """
+
+    def __init__(self, app: ASGIApp, *, but: re.Pattern[str]) -> None:
         self._app = app
         self._but = but
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        if scope["type"] != "http" or (scope["method"], scope["path"]) in self._but:
+        if scope["type"] != "http" or (scope["method"] == "POST" and self._but.fullmatch(scope["path"])):
             await self._app(scope, receive, send)
             return
         taken = 0

@@ -1,4 +1,5 @@
-"""Estimates are made in a process of their own, started when one is asked for and ended when none was for a minute.
+"""Estimates are made in a process of their own, started when one is asked for and ended when none was for a minute;
+so are looks at photographs, in another one.
 
 One after the other; of each caller only the newest: whoever turns a knob asks again before the last answer is there.
 One thread, the keeper, owns the process (`line_child`) and lives as long as this does.
@@ -22,7 +23,7 @@ from service.web.problems import Problem
 
 _NOBODY = ""  # no caller's name
 _WEDGE_PIXELS = 1 << 16
-_MODULE = "service.api.estimating_child"
+_MODULE, LOOKING = "service.api.estimating_child", "service.api.looking_child"
 _MOST_WAITING = 8
 _START_S, _FIRST_S, _ANSWER_S = 60.0, 300.0, 30.0  # after an update the first one waits for kernels to be compiled
 _RETRY = {"Retry-After": "5"}
@@ -43,9 +44,14 @@ class _Ask:
 
 
 class Estimator:
-    """`ask` from any thread; `close` ends the process."""
+    """`ask` from any thread; `close` ends the process.
 
-    def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE) -> None:
+    module : of the process
+    what   : it makes, as people call it; in its answers, too
+    """
+
+    def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate") -> None:
+        self._what = what
         self._idle_s = idle_s
         self._module = module
         self._bell = threading.Condition()
@@ -63,13 +69,13 @@ class Estimator:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
             for older in [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]:
-                older.end(Problem(409, "a newer estimate was asked for"))
+                older.end(Problem(409, f"a newer {self._what} was asked for"))
             self._waiting = [one for one in self._waiting if one.caller != caller]
             if len(self._waiting) >= _MOST_WAITING:
-                raise Problem(503, "too many estimates are asked for; try again", headers=_RETRY)
+                raise Problem(503, f"too many {self._what}s are asked for; try again", headers=_RETRY)
             self._waiting.append(ask)
             if self._keeper is None:
-                self._keeper = threading.Thread(target=self._keep, name="estimates", daemon=True)
+                self._keeper = threading.Thread(target=self._keep, name=f"{self._what}s", daemon=True)
                 self._keeper.start()
             self._bell.notify()
         return ask.answer
@@ -129,15 +135,17 @@ class Estimator:
         except (ChildLate, ChildDied, OSError) as error:
             self._drop()
             late = isinstance(error, ChildLate)
-            _log.warning("no estimate", late=late, error=f"{type(error).__name__}: {error}"[:200])
-            words = "the estimate takes too long" if late else "the process that estimates has ended; try again"
+            _log.warning(f"no {self._what}", late=late, error=f"{type(error).__name__}: {error}"[:200])
+            words = (
+                f"the {self._what} takes too long" if late else f"the process for {self._what}s has ended; try again"
+            )
             ask.end(Problem(503, words, headers=_RETRY))
             return
-        if (problem := _problem(found)) is not None:
+        if (problem := self._problem(found)) is not None:
             ask.end(problem)
             return
         with suppress(InvalidStateError):
-            ask.answer.set_result(found["estimate"])
+            ask.answer.set_result(found[self._what])
 
     def _answered(self, asked: dict[str, Any]) -> dict[str, Any]:
         if self._child is None:
@@ -154,12 +162,11 @@ class Estimator:
             self._child.end()
             self._child = None
 
-
-def _problem(found: dict[str, Any]) -> Exception | None:
-    kinds: dict[str, Callable[..., Exception]] = {"picture": PictureError, "input": InputError}
-    if "refused" in found:
-        return kinds[found["kind"]](*found["refused"])
-    if "fault" in found:
-        _log.error("no estimate", error=found["fault"])
-        return Problem(500, "a fault inside the server; its log says which")
-    return None
+    def _problem(self, found: dict[str, Any]) -> Exception | None:
+        kinds: dict[str, Callable[..., Exception]] = {"picture": PictureError, "input": InputError}
+        if "refused" in found:
+            return kinds[found["kind"]](*found["refused"])
+        if "fault" in found:
+            _log.error(f"no {self._what}", error=found["fault"])
+            return Problem(500, "a fault inside the server; its log says which")
+        return None

@@ -1,4 +1,4 @@
-"""A job's form as it comes over the wire: the picture goes straight to a file, nothing is held but small parts.
+"""A form as it comes over the wire: its picture goes straight to a file, nothing is held but small parts.
 
 Every limit counts while the bytes arrive, so what is too large is refused before it has filled anything. The file
 lives in `uploads` in the data folder, locked while its request lasts: whatever nobody holds a lock on was left by a
@@ -12,7 +12,7 @@ import contextlib
 import fcntl
 import hashlib
 import secrets
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, BinaryIO
@@ -39,7 +39,7 @@ _CONTENT_TYPE_CHARS = 300
 
 @dataclass(slots=True, kw_only=True)
 class JobForm:
-    """What a request held. `path` is the picture; texts holds `spec` and `priority` where they were given."""
+    """What a request held. `path` is the picture; texts holds the small parts, of a job `spec` and `priority`."""
 
     path: Path
     image_name: str = ""
@@ -50,13 +50,23 @@ class JobForm:
 
 @contextlib.asynccontextmanager
 async def received_form(
-    request: Request, folder: Path, *, max_image_bytes: int, space: Space
+    request: Request,
+    folder: Path,
+    *,
+    max_image_bytes: int,
+    space: Space,
+    picture: str = "image",
+    small: Mapping[str, int] = _SMALL,
 ) -> AsyncIterator[JobForm]:
-    """The whole form; its file is removed at the end. Problem for what is no such form, too large, or too much."""
+    """The whole form; its file is removed at the end. Problem for what is no such form, too large, or too much.
+
+    picture : name of the part that holds the picture
+    small   : names of the other parts that are taken, and how many bytes each may have
+    """
     body = Body(request)
     try:
         with _new_file(folder) as (path, file):
-            yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space))
+            yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space, picture, small))
     except Problem:
         await body.linger()
         raise
@@ -64,13 +74,13 @@ async def received_form(
 
 async def _read(request: Request, body: Body, reader: _Reader) -> JobForm:
     boundary, most = _boundary(request), reader.most + SPEC_BYTES + _OVERHEAD_BYTES
-    _require_fitting(request, most)
+    _require_fitting(request, most, reader.picture)
     parser = MultipartParser(boundary, reader.callbacks(), max_header_count=8, max_header_size=2048)
     taken = 0
     async for piece in body.pieces():
         taken += len(piece)
         if taken > most:
-            raise _too_large(reader.most)
+            raise _too_large(reader.most, reader.picture)
         try:
             await asyncio.to_thread(parser.write, piece)
         except FormParserError:
@@ -89,8 +99,18 @@ def sweep_uploads(folder: Path) -> None:
 class _Reader:
     """The parser's callbacks: which part this is, and where its bytes go."""
 
-    def __init__(self, form: JobForm, file: BinaryIO, max_image_bytes: int, space: Space) -> None:
+    def __init__(
+        self,
+        form: JobForm,
+        file: BinaryIO,
+        max_image_bytes: int,
+        space: Space,
+        picture: str,
+        small: Mapping[str, int],
+    ) -> None:
         self.most = max_image_bytes
+        self.picture = picture
+        self._small = small
         self._form = form
         self._file = file
         self._space = space
@@ -118,10 +138,10 @@ class _Reader:
         self._file.flush()
         if not self._ended:
             raise Problem(400, "the body ends in the middle of the form", field="body")
-        if "image" not in self._seen:
-            raise Problem(422, "the form has no part 'image' with the picture", field="image")
+        if self.picture not in self._seen:
+            raise Problem(422, f"the form has no part '{self.picture}' with the picture", field=self.picture)
         if not self._form.image_bytes:
-            raise Problem(422, "the part 'image' is empty", field="image")
+            raise Problem(422, f"the part '{self.picture}' is empty", field=self.picture)
         self._form.image_sha256 = self._digest.hexdigest()
         return self._form
 
@@ -143,24 +163,24 @@ class _Reader:
         name = harmless_name(options.get(b"name", b""), default="")
         if kind != b"form-data" or not name:
             raise Problem(400, "a part of the form has no name", field="body")
-        if name not in ("image", *_SMALL):
-            allowed = ", ".join(("image", *_SMALL))
+        if name not in (self.picture, *self._small):
+            allowed = ", ".join((self.picture, *self._small))
             raise Problem(422, f"the form has a part '{name[:60]}'; allowed: {allowed}", field=name[:60])
         if name in self._seen:
             raise Problem(422, f"the form has two parts '{name}'; allowed: one", field=name)
         self._seen.append(name)
         self._part = name
-        if name == "image":
+        if name == self.picture:
             self._form.image_name = harmless_name(options.get(b"filename", b""), default="picture")
         else:
             self._form.texts[name] = bytearray()
 
     def _data(self, data: bytes, start: int, end: int) -> None:
         piece = data[start:end]
-        if self._part == "image":
+        if self._part == self.picture:
             self._form.image_bytes += len(piece)
             if self._form.image_bytes > self.most:
-                raise _too_large(self.most)
+                raise _too_large(self.most, self.picture)
             if self._form.image_bytes >= self._next_look:
                 self._next_look += _LOOK_BYTES
                 self._space.require()  # many pictures may be coming at once
@@ -168,8 +188,8 @@ class _Reader:
             self._file.write(piece)
             return
         self._form.texts[self._part] += piece
-        if len(self._form.texts[self._part]) > _SMALL[self._part]:
-            most = _SMALL[self._part]
+        if len(self._form.texts[self._part]) > self._small[self._part]:
+            most = self._small[self._part]
             raise Problem(413, f"the part '{self._part}' is longer than {most} bytes", field=self._part)
 
     def _end(self) -> None:
@@ -198,14 +218,14 @@ def _options(header: bytes) -> tuple[bytes, dict[bytes, bytes]]:
     return kind, options
 
 
-def _require_fitting(request: Request, most: int) -> None:
+def _require_fitting(request: Request, most: int, picture: str) -> None:
     length = request.headers.get("content-length", "")
     if length.isascii() and length.isdigit() and (len(length) > 15 or int(length) > most):
-        raise _too_large(most)
+        raise _too_large(most, picture)
 
 
-def _too_large(most: int) -> Problem:
-    return Problem(413, f"the picture is too large; allowed: {most / 1e6:g} MB", field="image")
+def _too_large(most: int, picture: str) -> Problem:
+    return Problem(413, f"the picture is too large; allowed: {most / 1e6:g} MB", field=picture)
 
 
 @contextlib.contextmanager

@@ -14,7 +14,7 @@ from typing import Any
 from service.child_path import python_path
 
 _LOOK_S = 0.1
-_ANSWER_BYTES = 1 << 20
+_PIECE_BYTES, _ANSWER_BYTES = 1 << 20, 1 << 23
 
 
 class ChildDied(Exception):
@@ -87,7 +87,7 @@ class LineChild:
             ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, until - time.monotonic()))
             if not ready:
                 raise ChildLate
-            piece = os.read(self._process.stdout.fileno(), _ANSWER_BYTES)
+            piece = os.read(self._process.stdout.fileno(), _PIECE_BYTES)
             if not piece or len(text) > _ANSWER_BYTES:
                 raise ChildDied
             text += piece

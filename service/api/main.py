@@ -23,7 +23,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from service.api.app import make_app
 from service.api.auth import refuse_foreign_bind
-from service.api.estimating import Estimator
+from service.api.estimating import LOOKING, Estimator
 from service.api.feed import Feed
 from service.api.form import sweep_uploads
 from service.api.metrics import Metrics
@@ -107,6 +107,8 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         stack.callback(pictures.close)
         estimates = Estimator()
         stack.callback(estimates.close)
+        looks = Estimator(module=LOOKING, what="look")
+        stack.callback(looks.close)
         stop_access = StopAccess(tokens)
         stack.callback(stop_access.close)
         fleet = Fleet(settings, database, store, book)
@@ -123,6 +125,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
             fleet=fleet,
             pictures=pictures,
             estimates=estimates,
+            looks=looks,
             feed=Feed(book),
             metrics=Metrics(database),
             readiness=Readiness(settings, database, store),

@@ -40,6 +40,7 @@ class Services:
     fleet: Fleet
     pictures: PictureChecker
     estimates: Estimator
+    looks: Estimator  # at photographs
     feed: Feed
     metrics: Metrics
     readiness: Readiness

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from PIL import Image
@@ -15,17 +14,12 @@ from optics.heightfield import Heightfield
 from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame
 from optics.spline import Array
 from service.errors import InputError
+from service.job.photo.names import FORETOLD, Kind
 from service.job_files import HEIGHTFIELD, MAP
 from service.spec_files import stored_spec
 from service.stages import arrays
 from service.stages.optical_task import bench_of
 from service.tone import srgb_to_linear
-
-Kind = Literal["finished", "milled", "designed"]
-PICTURES: tuple[tuple[Kind, str], ...] = (
-    ("finished", "caustic-as-finished.png"),
-    ("milled", "caustic-as-milled.png"),
-)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -52,7 +46,7 @@ def foretold_of(folder: Path) -> Foretold:
     lens = arrays.load_heightfield(folder / HEIGHTFIELD)
     target = arrays.load_target(folder / MAP)
     bench, viewed_from = bench_of(spec), spec.optics.viewed_from
-    for kind, name in PICTURES:
+    for kind, name in FORETOLD.items():
         seen = _picture(folder / name, target)
         if seen is not None:
             irradiance = flip_between_picture_and_work_frame(seen, viewed_from)
