@@ -37,7 +37,7 @@ def _answer(asked: dict[str, Any]) -> dict[str, Any]:
         found = look_at(
             photo, foretold_of(Path(asked["job"])), name=asked["name"], picture_width_mm=asked.get("width_mm")
         )
-        return {"look": {**found.figures, "picture": base64.b64encode(found.png()).decode()}}
+        return {"look": {**found.figures, "picture": base64.b64encode(found.png(with_words=False)).decode()}}
     except PictureError as error:
         return {"refused": str(error).split("\n"), "kind": "picture"}
     except JobError as error:

@@ -18,7 +18,8 @@ def look_png(rectified: Array, foretold: Array, sentences: Sequence[str]) -> byt
     lines = [line for text in sentences for line in textwrap.wrap(f"• {text}", _COLUMNS, subsequent_indent="   ")]
     white = float(np.quantile(foretold, 0.998))
     high = panel_height(4.0, *foretold.shape)
-    figure = new_figure(12.9, 0.6 + high + 0.15 + _LINE_IN * len(lines))
+    words_in = 0.15 + _LINE_IN * len(lines) if lines else 0.0
+    figure = new_figure(12.9, 0.6 + high + words_in)
     panels = figure.subplots(1, 3)
     for axes, title, picture in zip(
         panels, ("Photograph, set straight", "Foretold"), (rectified, foretold), strict=False
@@ -36,6 +37,6 @@ def look_png(rectified: Array, foretold: Array, sentences: Sequence[str]) -> byt
     bar = figure.colorbar(image, ax=panels, extend="both", fraction=0.03, pad=0.01, shrink=0.86)
     bar.set_label("% of white (red: too bright)")
     figure.text(0.012, 0.008, "\n".join(lines), fontsize=9, va="bottom", ha="left", linespacing=1.35)
-    share = (_LINE_IN * len(lines) + 0.12) / figure.get_figheight()
+    share = words_in / figure.get_figheight()
     figure.set_layout_engine("constrained", rect=(0.0, share, 1.0, 1.0 - share))
     return png_bytes(figure)

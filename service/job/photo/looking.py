@@ -45,10 +45,12 @@ class Look:
     rectified: Array
     foretold: Array
 
-    def png(self) -> bytes:
+    def png(self, *, with_words: bool = True) -> bytes:
+        """Photograph, foretold, difference, and what was found in words."""
         from service.job.photo.drawing import look_png  # what it stands on is slow to import
 
-        return look_png(self.rectified, self.foretold, [one.sentence() for one in self.findings])
+        sentences = [one.sentence() for one in self.findings] if with_words else []
+        return look_png(self.rectified, self.foretold, sentences)
 
 
 def look_at(

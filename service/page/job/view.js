@@ -15,6 +15,7 @@ import { focusPart } from "./focus.js";
 import { headPart } from "./head.js";
 import { lensPart } from "./lens.js";
 import { pathPart } from "./path.js";
+import { photoPart } from "./photo.js";
 import { picturesPart } from "./pictures.js";
 import { planPart } from "./plan.js";
 import { progressPart } from "./progress.js";
@@ -46,6 +47,7 @@ export default async function view(root, params, app) {
     parts.focus.update(artifacts, job.report);
     parts.lens.update(artifacts);
     parts.path.update(artifacts, { ...job.spec, passes: passesOf(job) });
+    parts.photo.update(job, artifacts);
     parts.plan.update(job);
     parts.finishing.update(job);
     parts.files.update(job, artifacts);
@@ -115,6 +117,7 @@ function made(app, changed) {
   return {
     head: headPart(app, changed), progress: progressPart(), facts: factsPart(), warnings: warningsPart(), pictures: picturesPart(),
     programs: programsPart(), focus: focusPart(), lens: lensPart(), path: pathPart(), plan: planPart(), finishing: finishingPart(),
+    photo: photoPart(),
     files: filesPart(),
   };
 }
@@ -129,7 +132,7 @@ function layout(parts, spec) {
     h("div", { class: "job-columns job-told" }, column("pictures"), column("facts", "warnings", "programs")),
     parts.plan.node,
     h("div", { class: "job-columns lens-columns" }, parts.lens.node, parts.focus.node),
-    parts.path.node, parts.finishing.node, parts.files.node,
+    parts.path.node, parts.finishing.node, parts.photo.node, parts.files.node,
   );
 }
 
