@@ -18,7 +18,7 @@ from machines.mill.files import RunFolders
 from machines.mill.mill import Mill
 from machines.mill.thread import MillThread
 from machines.runs import RunState
-from tests.machines.shop import LINES, YES, Shop
+from tests.machines.shop import LINES, YES, YES_ALL, Shop
 
 LONG_MOVES = [*LINES[:5], *(f"G1 X{10 + 40 * (i % 2)} F600" for i in range(1, 40)), "G0 Z5", "M2"]
 
@@ -276,19 +276,46 @@ def test_without_homing_it_is_only_told(shop: Shop) -> None:
     shop.mill.hold()
 
 
-def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
-    """The program itself stays low enough; the height at which the tool should be brought back does not."""
+def abort_a_run(shop: Shop, *, zero_z_mm: float) -> None:
+    """A run that was begun within the travel of a homed mill, which stands."""
     shop.facts = framed(shop.facts)
-    homed(shop, False, (-100.0, -100.0, -6.0))
+    homed(shop, False, (-100.0, -100.0, zero_z_mm))
     shop.id = shop.mill.park(shop.facts, shop.path, "placed").id
     shop.started()
     shop.mill.abort()
     shop.until(RunState.ABORTED)
     shop.bench.until_state(MillState.IDLE)
+
+
+def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
+    """The program itself stays low enough; the height at which the tool should be brought back does not."""
+    abort_a_run(shop, zero_z_mm=-6.0)
     assert shop.mill.plan_recovery(shop.id).ready
     shop.mill._reentry = dataclasses.replace(shop.mill._reentry, safe_z_mm=9.0)
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.ready and "G0 Z7" in plan.blocks
+
+
+def test_where_nobody_knows_how_high_the_mill_gets_a_way_back_in_beyond_that_is_told(shop: Shop) -> None:
+    abort_a_run(shop, zero_z_mm=-6.0)
+    replaced_owner(shop)
+    shop.bench.until_state(MillState.IDLE)
+    shop.mill._reentry = dataclasses.replace(shop.mill._reentry, safe_z_mm=9.0)
+    plan = shop.mill.plan_recovery(shop.id)
+    assert plan.refusals == () and any("not certain: on the way back in Z would go" in words for words in plan.words)
+
+
+def test_a_rest_that_leaves_the_travel_is_refused(shop: Shop) -> None:
+    """The zero was set anew, by a person, 5 mm from the end of the travel."""
+    abort_a_run(shop, zero_z_mm=-40.0)
+    here_mm = shop.mill.status.machine_mm
+    assert here_mm is not None
+    shop.bench.command_done(Jog((-5.0 - here_mm[0], 0.0, 0.0), 2000.0))
+    shop.bench.command_done(SetZero("XYZ"))
+    plan = shop.mill.plan_recovery(shop.id)
+    assert not plan.needs
+    with pytest.raises(NotAllowedError, match=r"X would go .*from line [0-9]+ of .*home the mill"):
+        shop.mill.recover(shop.id, YES_ALL)
 
 
 def framed(facts: Preflight) -> Preflight:

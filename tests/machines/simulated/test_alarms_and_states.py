@@ -49,8 +49,11 @@ def run_into_a_limit_switch(t: Terminal) -> None:
 
 
 def run_out_of_the_travel(t: Terminal) -> None:
+    """While it moves: it has to stop in good order first."""
     t.homed()
-    t.ask("G1X-30F600\nX20\n", 0.0)
+    t.ask("G1X-30F600\n", 0.5)
+    assert t.mill.firmware.state == "Run"
+    t.ask("X20\n", 0.0)
 
 
 def reset_in_motion(t: Terminal) -> None:
