@@ -159,11 +159,24 @@ const MACHINE = [
 ];
 
 /** [title, rows] of what is folded away. */
+const WORK = { hint: "On the whole lens. Empty: planned with “Recommended”, else as the process takes." };
+const LEVELS = { hint: "What is left of a wave of k rad/mm is exp(-(k / this)^order). The test piece measures yours." };
+const TOOL_SIZE = { hint: "Of the pad or block: it follows whatever is longer." };
+
+const FINISHING = [
+  number("finish.minutes", "Work", "min", "planned", WORK),
+  number("finish.k0_rad_per_mm", "Levels from", "rad/mm", "by the process", LEVELS),
+  number("finish.order", "Order", "", "by the process", { hint: "1 soft pad, 2 sanding, 4 a film that levels." }),
+  number("finish.depth_um", "Comes off", "µm", "by the process"),
+  number("finish.pad_mm", "Size of the tool", "mm", "by the process", TOOL_SIZE),
+];
+
 export const EXPERT = [
   ["Picture", [whole("image.pixels", "Pixels across", 512, PIXELS)]],
   ["Optics", OPTICS],
   ["Stock", STOCK],
   ["Machine", MACHINE],
+  ["Finish by hand", FINISHING],
 ];
 
 /** The figures of one pass, in the order of its card. */
