@@ -20,6 +20,7 @@ from numba import njit
 FACTS = 11  # of one rival, see `to_frame`
 WIDEST = 0.3  # rad: what a ball without a neighbour shows, to either side
 _CROSSING = 0.3  # tangent of the angle at which tracks cross
+_POINT = 1e-18  # mm: half the square of a chord that is none in its frame, over the radius
 _TIE_MM = 1e-9  # of two equal balls the earlier one counts as lower
 
 
@@ -73,7 +74,7 @@ def to_frame(c, k, frame, radius, near, count, rivals):  # type: ignore[no-untyp
         rivals[m, 2] -= more
         rivals[m, 6] = _TIE_MM if j < k else -_TIE_MM
         rivals[m, 7] = j
-        square = 0.5 / radius * (rivals[m, 3] * rivals[m, 3] + rivals[m, 4] * rivals[m, 4])
+        square = max(0.5 / radius * (rivals[m, 3] * rivals[m, 3] + rivals[m, 4] * rivals[m, 4]), _POINT)
         rivals[m, 8], rivals[m, 9] = square, -0.5 / square
         b, end = rivals[m, 1], rivals[m, 1] + rivals[m, 4]
         rivals[m, 10] = 0.0 if b * end < 0.0 else 0.5 * min(b * b, end * end) / radius

@@ -166,10 +166,12 @@ def test_no_route_reads_a_table_from_end_to_end(many: sa.Engine, farm: ServerSet
             assert answer.status_code == 202
             job = job_in("succeeded")
             server.client.get(f"/v1/jobs/{job}/events", headers={"Last-Event-ID": "5"})
+            assert server.client.post(f"/v1/jobs/{job}/photos", files={"photo": png()}).status_code < 500
             body = {"job": job, "program": 1}
             server.client.post("/v1/machines/alpha/runs", json=body)
             server.services.book.latest({job_id(number): 3 for number in range(20)})
-        assert_all_routes(server, [*calls, ("POST", "/v1/jobs"), ("GET", f"/v1/jobs/{job}/events")])
+        by_hand = [("POST", "/v1/jobs"), ("GET", f"/v1/jobs/{job}/events"), ("POST", f"/v1/jobs/{job}/photos")]
+        assert_all_routes(server, [*calls, *by_hand])
         assert len(queries) > 100
         assert faults(server.services.database, queries) == []
 
