@@ -129,7 +129,7 @@ def _gains(
         "surface": touched_surface(heightfield, spec.radius_mm, spec.direction),
     }
     without: dict[str, dict[str, Any]] = {
-        "scallops": {"pitch_mm": spec.pitch_mm / _FINER},
+        "scallops": {"pitch_mm": max(spec.pitch_mm / _FINER, machine.step_mm)},  # closer rows stand on one another
         "steps": {"step_mm": 0.0},
         "noise": {"z_noise_mm": 0.0},
         "rounding": {"decimals": 9},
