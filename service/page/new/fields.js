@@ -165,10 +165,10 @@ const TOOL_SIZE = { hint: "Of the pad or block: it follows whatever is longer." 
 
 const FINISHING = [
   number("finish.minutes", "Work", "min", "planned", WORK),
-  number("finish.k0_rad_per_mm", "Levels from", "rad/mm", "by the process", LEVELS),
-  number("finish.order", "Order", "", "by the process", { hint: "1 soft pad, 2 sanding, 4 a film that levels." }),
-  number("finish.depth_um", "Comes off", "µm", "by the process"),
-  number("finish.pad_mm", "Size of the tool", "mm", "by the process", TOOL_SIZE),
+  number("finish.k0_rad_per_mm", "Levels from", "rad/mm", "usual", LEVELS),
+  number("finish.order", "Order", "", "usual", { hint: "1 soft pad, 2 sanding, 4 a film that levels." }),
+  number("finish.depth_um", "Comes off", "µm", "usual"),
+  number("finish.pad_mm", "Size of the tool", "mm", "usual", TOOL_SIZE),
 ];
 
 export const EXPERT = [
