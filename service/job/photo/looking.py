@@ -24,7 +24,7 @@ from service.stages.plain import plain
 LOOK_PICTURE, LOOK_FIGURES = "look.png", "look.json"
 LEAST_ALIKE = 0.62  # other pictures reach 0.56, the right one behind a coarse mill 0.68
 _LEAST_PEAK, _DARK_PEAK = 0.004, 0.05  # of white, in linear light
-_MOST_CLIPPED, _SOME_CLIPPED = 0.6, 0.05
+_MOST_CLIPPED, _SOME_CLIPPED = 0.75, 0.05
 _LEAST_SEEN = 0.85
 _LEAST_ACROSS_PX = 64.0
 _ODD_TONE = 0.15
