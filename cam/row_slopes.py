@@ -129,16 +129,15 @@ def _facets(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Ar
     return rows[inner], borders[:-1][inner] - rows[inner], borders[1:][inner] - rows[inner]
 
 
-@lru_cache(maxsize=4096)
 def row_profile(radius_mm: float, pitch_mm: float, off_mm: float, *, length_mm: float = 120.0) -> tuple[Array, float]:
     """Heights across rows (n,), mean 0, and their spacing: the lowest of all rows, each off by its own error."""
     count = int(length_mm / pitch_mm)
     unit_mm = pitch_mm**2 / radius_mm
-    rows, borders = lowest_rows(np.random.default_rng(_SEED).normal(0.0, off_mm, count) / unit_mm)
+    off_by_row = np.random.default_rng(_SEED).normal(0.0, off_mm, count)
+    rows, borders = lowest_rows(off_by_row / unit_mm)
     at = (np.arange(count * _PLACES_A_ROW) + 0.5) / _PLACES_A_ROW
     nearest = rows[np.clip(np.searchsorted(borders, at) - 1, 0, rows.size - 1)]
-    off = np.random.default_rng(_SEED).normal(0.0, off_mm, count)[nearest.astype(int)]
-    heights = off + unit_mm * np.square(at - nearest) / 2
+    heights = off_by_row[nearest.astype(int)] + unit_mm * np.square(at - nearest) / 2
     return heights - heights.mean(), pitch_mm / _PLACES_A_ROW
 
 

@@ -121,7 +121,7 @@ class PictureLight:
     def psnr_db(self, marks: Marks) -> float:
         """At a guess: as if darkness had no floor, and the picture no place where its edges' darkness matters more."""
         error = self._error_by_contours(marks) if marks.spec.strategy == "contour" else self._error_by_rows(marks)
-        return float(10 * np.log10(self._peak**2 / max(error + self.grain(marks) ** 2 * self._square, 1e-300)))
+        return self.db_of_error(error + self.grain(marks) ** 2 * self._square)
 
     def aimed_db(self, marks: Marks) -> float:
         return self._psnr_db(self._aimed(marks), self.grain(marks))
@@ -255,7 +255,11 @@ class PictureLight:
 
     def _psnr_db(self, picture: Array, grain: float) -> float:
         error = float(np.square(picture - self.target).mean()) + grain**2 * float(np.square(picture).mean())
-        return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
+        return self.db_of_error(error)
+
+    def db_of_error(self, mean_square: float) -> float:
+        """PSNR of a picture that is off by so much."""
+        return float(10 * np.log10(self._peak**2 / max(mean_square, 1e-300)))
 
 
 def waves_of(picture: Array) -> Array:

@@ -249,11 +249,10 @@ def _radii(shop: Shop) -> list[float]:
 
 def _planned(spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool) -> Planned:
     goal = Goal(**spec.plan.model_dump())
-    area_mm2 = spec.optics.width_mm * spec.optics.height_mm
     finished: FinishedPlan | None = None
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
-        if finishings := list_finishings(spec.finish, area_mm2=area_mm2):
+        if finishings := list_finishings(spec):
             finished = plan_finish(finishings, candidates, left_out, light, design, goal)
         plan = plan_among(candidates, left_out, light, goal)
     except NoPlanError as error:

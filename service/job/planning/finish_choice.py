@@ -8,11 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cam.planner import Candidate, Goal, Plan, plan_among
-from optics.finish import PAD_MM, Finish
+from optics.finish import Finish
 from service.job.finishing import Process, load_processes
 from service.job.planning.finished_light import Design, FinishedLight
-from service.job.spec.finish import BEST, NONE, FinishSpec
+from service.job.spec.finish import BEST, NONE
 from service.plan_light import PictureLight
+from service.spec import JobSpec
+from service.stages.optical_task import finish_of
 
 RECOMMENDED = ("sanding", "felt", "lacquer")
 """Processes that "best" chooses from: those that a maker can repeat, and that leave no stress in the block."""
@@ -42,19 +44,19 @@ class FinishedPlan:
     light: FinishedLight
 
 
-def list_finishings(spec: FinishSpec, *, area_mm2: float) -> list[Finishing]:
+def list_finishings(spec: JobSpec) -> list[Finishing]:
     """What the job allows: one where its transfer function is given, else one for each time of work worth trying."""
-    if not spec.finishes:
+    given = spec.finish
+    if not given.finishes:
         return []
     processes = load_processes()
-    if spec.k0_rad_per_mm is not None and spec.order is not None:
-        pad_mm = PAD_MM if spec.pad_mm is None else spec.pad_mm
-        finish = Finish(k0_rad_per_mm=spec.k0_rad_per_mm, order=spec.order, pad_mm=pad_mm)
-        title = "Your own finish" if spec.process == NONE else processes[spec.process].title
+    if (finish := finish_of(spec)) is not None:
+        title = "Your own finish" if given.process == NONE else processes[given.process].title
         return [
-            Finishing(process=spec.process, title=title, finish=finish, minutes=spec.minutes, depth_um=spec.depth_um)
+            Finishing(process=given.process, title=title, finish=finish, minutes=given.minutes, depth_um=given.depth_um)
         ]
-    names = [name for name in RECOMMENDED if name in processes] if spec.process == BEST else [spec.process]
+    area_mm2 = spec.optics.width_mm * spec.optics.height_mm
+    names = [name for name in RECOMMENDED if name in processes] if given.process == BEST else [given.process]
     return [one for name in names for one in _by_minutes(processes[name], area_mm2)]
 
 
@@ -104,20 +106,21 @@ def _best(
 ) -> FinishedPlan:
     found = (
         FinishedPlan(
-            plan=plan_among(_seen_by(light, candidates), left_out, light, goal), finishing=finishing, light=light
+            plan=plan_among(_rescore(light, candidates), left_out, light, goal), finishing=finishing, light=light
         )
         for finishing, light in ways
     )
-    return max(found, key=lambda one: _liking(one, goal))
+    return max(found, key=lambda one: _rank_plan(one, goal))
 
 
-def _liking(one: FinishedPlan, goal: Goal) -> tuple[bool, float]:
+def _rank_plan(one: FinishedPlan, goal: Goal) -> tuple[bool, float]:
+    """As `merit`, but pictures compared with stripes counted for more."""
     met, value = merit(one.plan, goal)
     by_time = met and (goal.psnr_db is not None or goal.blur_mm is not None)
     return met, value if by_time else one.light.liking_db(one.plan.chosen.marks)
 
 
-def _seen_by(light: FinishedLight, candidates: list[Candidate]) -> list[Candidate]:
+def _rescore(light: FinishedLight, candidates: list[Candidate]) -> list[Candidate]:
     return [replace(one, psnr_db=light.psnr_db(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
 
 

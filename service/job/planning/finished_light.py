@@ -28,6 +28,7 @@ _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds t
 _STRIPES = 1.6  # bright places, whose stripes are stronger than their share
 _MINDED = 1.3  # stripes, when a finish is chosen: 2 gives 0.6 dB away for 0.03 of SSIM on a mill that is off by 1 um
 _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 4, 7
+_FINEST_RAD_PER_MM = 400.0  # periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them
 
 Design = Callable[[Finish, float], tuple[Heightfield, Array]]
 """A coarse lens for a finish and a ball's radius, and the target (ny, nx) that it was made for."""
@@ -38,21 +39,19 @@ class FinishedLight(PictureLight):
 
     def __init__(self, milled: PictureLight, finish: Finish) -> None:
         super().__init__(milled.target, milled.bench)
-        self.lenses, self.finish = milled.lenses, finish
+        self.lenses, self.finish = dict(milled.lenses), finish  # its own: the other settles its lenses anew
         self._kept_waves = kept_of_picture(finish, milled.target.shape, milled.bench)
         self._lens_scale = self._stripe_scale = 1.0
-        self._errors: dict[int, float] = {}
+        self._errors: dict[float, float] = {}  # of the guess, by radius
 
     def psnr_db(self, marks: Marks) -> float:
-        error = self._lens_error(marks) + self.grain(marks) ** 2 * self._square
-        return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
+        return self.db_of_error(self._lens_error(marks.radius_mm) + self.grain(marks) ** 2 * self._square)
 
     aimed_db = unsharpened_db = psnr_db
 
     def liking_db(self, marks: Marks) -> float:
         """The same with stripes counted for more, by which finishes are chosen: eyes mind them more."""
-        error = self._lens_error(marks) + _MINDED * self.grain(marks) ** 2 * self._square
-        return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
+        return self.db_of_error(self._lens_error(marks.radius_mm) + _MINDED * self.grain(marks) ** 2 * self._square)
 
     def settle(self, marks: Marks) -> None:
         """Nothing: `calibrate` makes the one lens that is needed."""
@@ -67,9 +66,7 @@ class FinishedLight(PictureLight):
 
     def perfect_db(self, radius_mm: float) -> float:
         """Without any mark of the tool."""
-        shown = self.lenses[radius_mm]
-        error = self._lens_scale * self._error_of(shown.waves)
-        return float(10 * np.log10(self._peak**2 / max(error, 1e-300)))
+        return self.db_of_error(self._lens_error(radius_mm))
 
     def grain(self, marks: Marks) -> float:
         """Standard deviation of the light over its mean, by what is left of the rows."""
@@ -80,7 +77,7 @@ class FinishedLight(PictureLight):
 
     def picture(self, marks: Marks) -> Array:
         """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by lot."""
-        smooth = np.maximum(self._shown(marks), 0.0)
+        smooth = np.maximum(picture_of_waves(self._kept_waves * self._goal), 0.0)
         ny, nx = smooth.shape
         along_x = marks.spec.direction == "x"
         lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
@@ -91,15 +88,13 @@ class FinishedLight(PictureLight):
         lens, target = design(self.finish, marks.radius_mm)
         finished = finish_surface(lens, self.finish)
         off_free = float(np.square(self._light_of(finished, target.shape) - target).mean())
-        stripes = self._light_of(add_rows(finished, marks, self.finish), self.target.shape)
-        stripes -= self._light_of(
-            finished, self.target.shape
-        )  # at full size: half of them are finer than a coarse pixel
+        whole = self.target.shape  # half of the stripes are finer than a coarse pixel
+        stripes = self._light_of(add_rows(finished, marks, self.finish), whole) - self._light_of(finished, whole)
         fine = waves_of(self.target) ** 2
         ny, nx = target.shape
         fine[:ny, :nx] = 0.0  # waves that the coarse lens has no part in
         off_fine = float((fine * np.square(1.0 - self._kept_waves)).mean())
-        self._lens_scale *= (off_free + off_fine) / self._lens_error(marks)
+        self._lens_scale *= (off_free + off_fine) / self._lens_error(marks.radius_mm)
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
             self._stripe_scale *= float(np.square(stripes).mean()) / guessed
 
@@ -112,20 +107,13 @@ class FinishedLight(PictureLight):
         tubes = max(_TUBES, math.ceil(_TUBES_PER_PIXEL * pixels[1] / (lens.x_mm.size - 1)))
         return simulate_caustic(lens, self.bench, pixels=pixels, tubes_per_cell=tubes, beams=_BEAMS).irradiance
 
-    def _lens_error(self, marks: Marks) -> float:
-        return self._lens_scale * self._error_of(self.lenses[marks.radius_mm].waves)
-
-    def _error_of(self, waves: Array) -> float:
-        """Mean square of what the picture lacks; waves: of the lens for a ball without a finish."""
-        if (known := self._errors.get(id(waves))) is not None:
-            return known
-        lost = np.square((1.0 - self._kept_waves) * self._goal).mean()
-        closed = np.square(self._kept_waves * (waves - self._goal)).mean()
-        self._errors[id(waves)] = float(_EDGES * lost + _CLOSING * closed)
-        return self._errors[id(waves)]
-
-    def _shown(self, marks: Marks) -> Array:
-        return picture_of_waves(self._kept_waves * self._goal)
+    def _lens_error(self, radius_mm: float) -> float:
+        """Mean square of what the picture of the lens for a ball lacks."""
+        if radius_mm not in self._errors:
+            lost = np.square((1.0 - self._kept_waves) * self._goal).mean()
+            closed = np.square(self._kept_waves * (self.lenses[radius_mm].waves - self._goal)).mean()
+            self._errors[radius_mm] = float(_EDGES * lost + _CLOSING * closed)
+        return self._lens_scale * self._errors[radius_mm]
 
 
 def kept_of_picture(finish: Finish, shape: tuple[int, ...], bench: Bench) -> Array:
@@ -156,29 +144,31 @@ def add_rows(finished: Heightfield, marks: Marks, finish: Finish) -> Heightfield
     spec = marks.spec
     along_x = spec.direction == "x"
     places = finished.y_mm if along_x else finished.x_mm
-    heights, spacing_mm = row_profile(
-        spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), length_mm=_long(places)
-    )
-    left = _levelled(heights, spacing_mm, finish)
+    length_mm = float(10 * math.ceil((places[-1] - places[0]) / 10 + 2))
+    heights, spacing_mm = row_profile(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), length_mm=length_mm)
+    left = np.fft.irfft(np.fft.rfft(heights) * finish.kept(_wave_numbers(heights, spacing_mm)), heights.size)
     off = np.interp(places, places[0] + spacing_mm * np.arange(left.size), left)
     z = finished.z_mm + (off[:, None] if along_x else off[None, :])
     return Heightfield(x_mm=finished.x_mm, y_mm=finished.y_mm, z_mm=z - max(0.0, float(z.max())))
 
 
-def _long(places: Array) -> float:
-    return float(10 * math.ceil((places[-1] - places[0]) / 10 + 2))
+def _wave_numbers(heights: Array, spacing_mm: float) -> Array:
+    """[rad/mm] of the real transform of heights."""
+    return 2.0 * np.pi * np.asarray(np.fft.rfftfreq(heights.size, spacing_mm), dtype=np.float64)
 
 
-def _levelled(heights: Array, spacing_mm: float, finish: Finish) -> Array:
-    k: Array = 2.0 * np.pi * np.asarray(np.fft.rfftfreq(heights.size, spacing_mm), dtype=np.float64)
-    return np.fft.irfft(np.fft.rfft(heights) * finish.kept(k), heights.size)
+@lru_cache(maxsize=512)
+def _row_spectrum(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Array]:
+    """Wave numbers [rad/mm] and amplitudes [mm] of rows, without the mean, as far as any finish leaves anything."""
+    heights, spacing_mm = row_profile(radius_mm, pitch_mm, off_mm)
+    k = _wave_numbers(heights, spacing_mm)
+    some = slice(1, int(np.searchsorted(k, _FINEST_RAD_PER_MM)))
+    return k[some], (np.abs(np.fft.rfft(heights)) / heights.size)[some]
 
 
 @lru_cache(maxsize=8192)
 def _bend_left(radius_mm: float, pitch_mm: float, off_mm: float, finish: Finish, pixel_mm: float) -> float:
     """Root mean square curvature [1/mm] that a finish leaves of rows, as a pixel on the screen sees it."""
-    heights, spacing_mm = row_profile(radius_mm, pitch_mm, off_mm)
-    k: Array = 2.0 * np.pi * np.asarray(np.fft.rfftfreq(heights.size, spacing_mm), dtype=np.float64)
+    k, height_mm = _row_spectrum(radius_mm, pitch_mm, off_mm)
     seen = np.sinc(k * pixel_mm / (2.0 * np.pi))
-    power = np.square(np.abs(np.fft.rfft(heights)) / heights.size * finish.kept(k) * k**2 * seen)
-    return float(math.sqrt(2.0 * power[1:].sum()))
+    return float(math.sqrt(2.0 * np.square(height_mm * finish.kept(k) * k**2 * seen).sum()))
