@@ -16,7 +16,7 @@ from optics.ball_fit import ball_fits, fit_ball
 from optics.caustic import Caustic, simulate_caustic
 from optics.closing import closed_to_radius
 from optics.errors import NoSurfaceError
-from optics.finish import finish_surface, foresee_finish
+from optics.finish import foresee_finish, surface_in_light
 from optics.heightfield import Heightfield
 from optics.metrics import CausticScore, score_caustic
 from optics.polish import DESIGN_BEAMS
@@ -25,9 +25,7 @@ from optics.spline import Array
 from optics.transport import OpticalPath, solve_transport
 
 _CLOSING_PER_BALL = 1.25  # wider than the ball, for what a closing lets through; 1 or 1.5 score less after the fit
-_CLOSING_UNDER_FINISH = (
-    0.6  # which rounds what is left; felt of 2.7 rad/mm, ball 1.5 mm: 28.9 dB, 1.25: 28.4, none: 27.9
-)
+_CLOSING_UNDER_FINISH = 0.6  # which rounds the rest; k0 2.7 rad/mm, ball 1.5 mm: 28.9 dB, 1.25: 28.4, none: 27.9
 _MOST_LOST = 0.05  # of the light, for a lens that counts as converged
 _MORE_FOR_FINISH = 2  # passes: what a finish blurs is won back step by step
 _TUBES_PER_PIXEL = 4
@@ -151,7 +149,7 @@ def _shaped(raw: Heightfield, settings: LensSettings) -> Heightfield:
 
 def _light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
     return simulate_caustic(
-        lens if settings.finish is None else finish_surface(lens, settings.finish),
+        surface_in_light(lens, settings.finish),
         settings.bench,
         pixels=target.shape,
         tubes_per_cell=max(1, _TUBES_PER_PIXEL * target.shape[1] // (lens.x_mm.size - 1)),

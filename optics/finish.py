@@ -111,6 +111,11 @@ def finish_surface(
     )
 
 
+def surface_in_light(lens: Heightfield, finish: Finish | None) -> Heightfield:
+    """What light will meet of a perfectly milled lens: finished, where it will be."""
+    return lens if finish is None else finish_surface(lens, finish)
+
+
 def foresee_finish(lens: Heightfield, finish: Finish) -> Heightfield:
     """The surface to mill so that the finish leaves the lens, as far as it can; its highest vertex where it was.
 

@@ -9,6 +9,9 @@ from skimage.metrics import structural_similarity
 
 from optics.spline import Array
 
+_BANDS = 48  # of spatial frequency, from one period across the picture to one in two pixels
+_CONTRAST = 0.5
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CausticScore:
@@ -44,10 +47,6 @@ def score_caustic(irradiance: Array, target: Array) -> CausticScore:
         misplaced_light=float(np.abs(irradiance - target).sum() / (2 * target.sum())),
         dark_leak=float(irradiance[target < 0.02 * peak].sum() / target.sum()),
     )
-
-
-_BANDS = 48  # of spatial frequency, from one period across the picture to one in two pixels
-_CONTRAST = 0.5
 
 
 def smallest_detail_mm(irradiance: Array, target: Array, pixel_mm: float) -> float:

@@ -18,8 +18,7 @@ use_current_kernels()  # before numba is imported
 
 from PIL import Image  # noqa: E402
 
-from service.api.line_answers import answer_lines  # noqa: E402
-from service.errors import JobError, PictureError  # noqa: E402
+from service.api.line_answers import answer_lines, answer_or_refuse  # noqa: E402
 from service.estimate import estimate  # noqa: E402
 from service.picture_limits import PictureLimits  # noqa: E402
 from service.spec_files import resolve_spec, validated  # noqa: E402
@@ -38,17 +37,14 @@ def main() -> None:
 
 
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
+    return answer_or_refuse(lambda: _estimate(asked))
+
+
+def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
-    try:
-        if "prepare" in asked:
-            return _prepared(limits)
-        return {"estimate": estimate(validated(asked["spec"]), Path(asked["path"]), limits=limits, name=asked["name"])}
-    except PictureError as error:
-        return {"refused": str(error).split("\n"), "kind": "picture"}
-    except JobError as error:
-        return {"refused": str(error).split("\n"), "kind": "input"}
-    except Exception as error:  # the process that asked says so and goes on
-        return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
+    if "prepare" in asked:
+        return _prepared(limits)
+    return {"estimate": estimate(validated(asked["spec"]), Path(asked["path"]), limits=limits, name=asked["name"])}
 
 
 def _prepared(limits: PictureLimits) -> dict[str, Any]:

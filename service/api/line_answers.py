@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from service.errors import JobError, PictureError
 from service.process_priority import give_way
 from service.worker.linux import address_space_bytes, die_with_parent, name_process
 
@@ -42,6 +43,18 @@ def answer_lines(
         asked = json.loads(line)
         _limit(base + beside_bytes + bytes_per_pixel * asked["max_pixels"])
         _say(answers, answer(asked))
+
+
+def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    """What `answer` gives; in its place {"refused", "kind"} for what the person can mend, {"fault"} for all else."""
+    try:
+        return answer()
+    except PictureError as error:
+        return {"refused": str(error).split("\n"), "kind": "picture"}
+    except JobError as error:
+        return {"refused": str(error).split("\n"), "kind": "input"}
+    except Exception as error:  # the process that asked says so and goes on
+        return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
 
 
 def _limit(most: int) -> None:

@@ -15,8 +15,7 @@ use_current_kernels()  # before numba is imported
 
 import base64  # noqa: E402
 
-from service.api.line_answers import answer_lines  # noqa: E402
-from service.errors import JobError, PictureError  # noqa: E402
+from service.api.line_answers import answer_lines, answer_or_refuse  # noqa: E402
 from service.job.photo.foretold import foretold_of  # noqa: E402
 from service.job.photo.looking import look_at  # noqa: E402
 from service.job.photo.reading import read_wall_photo  # noqa: E402
@@ -31,19 +30,14 @@ def main() -> None:
 
 
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    try:
-        limits = PictureLimits(max_pixels=asked["max_pixels"])
-        photo = read_wall_photo(Path(asked["path"]), limits=limits, name=asked["name"])
-        found = look_at(
-            photo, foretold_of(Path(asked["job"])), name=asked["name"], picture_width_mm=asked.get("width_mm")
-        )
-        return {"look": {**found.figures, "picture": base64.b64encode(found.png(with_words=False)).decode()}}
-    except PictureError as error:
-        return {"refused": str(error).split("\n"), "kind": "picture"}
-    except JobError as error:
-        return {"refused": str(error).split("\n"), "kind": "input"}
-    except Exception as error:  # the process that asked says so and goes on
-        return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
+    return answer_or_refuse(lambda: _look(asked))
+
+
+def _look(asked: dict[str, Any]) -> dict[str, Any]:
+    limits = PictureLimits(max_pixels=asked["max_pixels"])
+    photo = read_wall_photo(Path(asked["path"]), limits=limits, name=asked["name"])
+    found = look_at(photo, foretold_of(Path(asked["job"])), name=asked["name"], picture_width_mm=asked.get("width_mm"))
+    return {"look": {**found.figures, "picture": base64.b64encode(found.png(with_words=False)).decode()}}
 
 
 if __name__ == "__main__":

@@ -18,7 +18,7 @@ from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, read_parts
 from machines.profiles import MachineProfile
 from optics.caustic import Caustic, simulate_caustic
-from optics.finish import finish_surface
+from optics.finish import surface_in_light
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import psnr_db, score_caustic, smallest_detail_mm
@@ -59,9 +59,7 @@ def as_milled(shop: Workshop) -> None:
         found = deviations(_sampled(surface), heightfield, bench, shape)
     del surface
     with shop.watch.stage("as milled: causes") as reached:
-        finish = finish_of(shop.spec)
-        perfect = heightfield if finish is None else finish_surface(heightfield, finish)
-        designed = simulate_caustic(perfect, bench, pixels=shape)
+        designed = simulate_caustic(surface_in_light(heightfield, finish_of(shop.spec)), bench, pixels=shape)
         gains = _gains(shop, passes[0][1], heightfield, target, designed, reached)
     _tell(shop, target, seen, designed, found, gains)
     _draw(shop, target, designed.irradiance, seen.irradiance)

@@ -8,7 +8,7 @@ from typing import Any
 
 from optics.bench import Bench
 from optics.caustic import Caustic, simulate_caustic
-from optics.finish import finish_surface
+from optics.finish import surface_in_light
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.light import SUN_DEG
@@ -38,9 +38,7 @@ def caustic(shop: Workshop) -> None:
     """Simulated light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
     caustic.png, comparison.png, through-focus.png, and focus.bin for the operator page.
     """
-    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
-    if (finish := finish_of(shop.spec)) is not None:
-        heightfield = finish_surface(heightfield, finish)
+    heightfield = surface_in_light(shop.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(shop.spec))
     target = shop.receive(MAP, arrays.load_target)
     bench = bench_of(shop.spec)
     with shop.watch.stage("caustic") as reached:

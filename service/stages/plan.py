@@ -22,6 +22,7 @@ from importlib.metadata import version
 from typing import Any
 
 from service.job.finishing import load_processes
+from service.job.spec.finish import NONE
 from service.passes import machine_of
 from service.spec import USUAL_ROWS, JobSpec, PassRow
 from service.stages.order import FileRef
@@ -152,6 +153,15 @@ _CUT_OUT = Stage(
     spec=("stock.cut_out", "optics.outline", "passes_count", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
     parts=(("write", 0.2), ("check", 0.8)),
 )
+_MILLED = (
+    *_BENCH,
+    "optics.viewed_from",
+    "machine.dialect",
+    "machine.step_mm",
+    "machine.z_noise_mm",
+    "finish",
+    *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
+)
 _AFTER = (
     Stage(
         name="check",
@@ -164,30 +174,14 @@ _AFTER = (
         name="as-milled",
         function="service.stages.as_milled:as_milled",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
-        spec=(
-            *_BENCH,
-            "optics.viewed_from",
-            "machine.dialect",
-            "machine.step_mm",
-            "machine.z_noise_mm",
-            "finish",
-            *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
-        ),
+        spec=_MILLED,
         parts=(("as milled: surface", 0.15), ("as milled: light", 0.7), ("as milled: causes", 0.15)),
     ),
     Stage(
         name="as-finished",
         function="service.job.stages.as_finished:as_finished",
-        reads=("heightfield.npz", "map.npz", "pass-*-*"),
-        spec=(
-            *_BENCH,
-            "optics.viewed_from",
-            "machine.dialect",
-            "machine.step_mm",
-            "machine.z_noise_mm",
-            "finish",
-            *(f"passes.*.{key}" for key in ("radius_mm", "pitch_mm", "stock_to_leave_mm", "strategy", "direction")),
-        ),
+        reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
+        spec=_MILLED,
         parts=(("as finished: surface", 0.8), ("as finished: light", 0.2)),
     ),
     Stage(name="report", function="service.stages.sheet:sheet", spec=("",), sheet=True),
@@ -321,8 +315,8 @@ def facts_of(spec: JobSpec) -> dict[str, Any]:
     facts["block_for_branch_mm"] = spec.stock.thickness_mm if spec.optics.branch == "auto" else None
     is_prepared = spec.image.prepare != "none"
     facts["preparation"] = [facts["image"], facts["optics"], spec.stock.thickness_mm] if is_prepared else None
-    finish = (facts.get("finish") or {}).get("process", "none")
-    facts["finish_process"] = None if finish == "none" else repr(load_processes().get(finish))
+    process = spec.finish.process
+    facts["finish_process"] = None if process == NONE else repr(load_processes().get(process))
     facts["finishes"] = spec.finish.finishes
     facts["machine_as_given"] = facts["machine"]
     facts["machine"] = asdict(machine_of(spec))
