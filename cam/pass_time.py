@@ -9,6 +9,7 @@ lens's curvature offset by the ball.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, sqrt
 
 import numpy as np
@@ -19,7 +20,7 @@ from cam.duration import Kinematics
 from cam.entries import RAMP_SLOPE
 from cam.passes import Direction, PassSpec
 from cam.program import SLOPE_ERROR_RAD
-from cam.vertices import finish_rule, rough_rule
+from cam.vertices import VertexRule, finish_rule, rough_rule
 from optics.heightfield import Array, Heightfield
 
 _SAMPLES = 160  # along a side of the lens
@@ -147,14 +148,19 @@ class LensForm:
             rule = finish_rule(SLOPE_ERROR_RAD, spec.radius_mm / 2)
         else:
             rule = rough_rule(spec.stock_to_leave_mm, spec.radius_mm / 2)
-        bend = self.bends(spec.direction)
-        k = np.abs(bend / np.maximum(1.0 - bend * spec.radius_mm, 0.05)) + 1e-9
-        allowed = np.minimum(2.0 * rule.slope_rad / k, np.sqrt(8.0 * rule.sag_mm / k))
-        return np.clip(_USED * allowed, rule.min_mm, rule.max_mm)
+        return _chords_mm(self, spec.direction, spec.radius_mm, rule)
 
     def usual_chord_mm(self, spec: PassSpec) -> float:
         """Path by number of vertices, to the micrometre."""
         return round(1 / float((1 / self.chords_mm(spec)).mean()), 3)
+
+
+@lru_cache(maxsize=32)  # asked again for every pitch
+def _chords_mm(form: LensForm, direction: Direction, radius_mm: float, rule: VertexRule) -> Array:
+    bend = form.bends(direction)
+    k = np.abs(bend / np.maximum(1.0 - bend * radius_mm, 0.05)) + 1e-9
+    allowed = np.minimum(2.0 * rule.slope_rad / k, np.sqrt(8.0 * rule.sag_mm / k))
+    return np.clip(_USED * allowed, rule.min_mm, rule.max_mm)
 
 
 def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:

@@ -27,12 +27,15 @@ class Before:
 
 
 class Roughing:
-    """The quickest way from the block to a lens's finish, asked for again and again."""
+    """The quickest way from the block to a lens's finish, asked for again and again.
 
-    def __init__(self, *, form: LensForm, shop: Shop) -> None:
+    like : for a lens that differs only by what balls leave of it: first passes take as long
+    """
+
+    def __init__(self, *, form: LensForm, shop: Shop, like: Roughing | None = None) -> None:
         self.form, self.shop = form, shop
         self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
-        self._firsts: dict[Tool, Before] = {}
+        self._firsts: dict[Tool, Before] = {} if like is None else like._firsts
         self._rough: dict[float, Before | None] = {}
         self._known: dict[tuple[float, float], Before | None] = {}
 

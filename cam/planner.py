@@ -7,7 +7,7 @@ noise, and fills more of the valleys that make the picture's darkest places.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf
@@ -62,8 +62,8 @@ class Light(Protocol):
         """Quick, a guess."""
         ...
 
-    def settle(self, marks: Marks) -> None:
-        """Make the lens for that ball once more, sharper by as much as those rows will blur."""
+    def settle(self, several: Iterable[Marks]) -> None:
+        """Make the lenses for those balls once more, sharper by as much as those rows will blur."""
         ...
 
     def aimed_db(self, marks: Marks) -> float:
@@ -156,6 +156,7 @@ def find_candidates(
     """
     left_out: list[tuple[str, str]] = []
     candidates: list[Candidate] = []
+    rough: Roughing | None = None
     for tool in shop.tools:
         form = lenses.get(tool.radius_mm)
         if form is None:
@@ -165,7 +166,9 @@ def find_candidates(
             left_out.append((tool.name, reason))
             continue
         rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
-        candidates += _candidates(tool, Roughing(form=form, shop=shop), rests, light)
+        if rough is None or rough.form is not form:
+            rough = Roughing(form=form, shop=shop, like=rough)
+        candidates += _candidates(tool, rough, rests, light)
     if not candidates:
         raise NoPlanError(tuple(left_out))
     return candidates, tuple(left_out)
@@ -174,8 +177,8 @@ def find_candidates(
 def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal) -> Plan:
     """The choice among candidates that the light has guessed."""
     near = _near_front(candidates)
-    for best in {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}.values():
-        light.settle(best.marks)
+    best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
+    light.settle(one.marks for one in best.values())
     front = _front([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], _WORTH_DB)
     chosen, met = choose(front, goal)
     return Plan(chosen=chosen, front=front, left_out=left_out, met=met)

@@ -33,7 +33,10 @@ _HIDDEN = 0.53  # fits the facets of `cam.as_milled` within 15 % for balls of 0.
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SlopeSpread:
-    """How slope errors along one direction are distributed: slope (n,) and the share of the area (n,), of sum 1."""
+    """How slope errors along one direction are distributed: slope (n,) and the share of the area (n,), of sum 1.
+
+    Both ways alike: slopes rise through 0 in the middle, n is odd.
+    """
 
     slope: Array
     share: Array
@@ -50,8 +53,9 @@ class SlopeSpread:
 
         waves : (k,) per unit of reach x slope
         """
-        phase = 2 * np.pi * reach * np.outer(np.asarray(waves), self.slope)
-        return np.asarray(np.cos(phase) @ self.share)
+        half = self.slope.size // 2
+        phase = 2 * np.pi * reach * np.outer(np.asarray(waves), self.slope[:half])
+        return np.asarray(self.share[half] + np.cos(phase) @ (2 * self.share[:half]))
 
     def kept_inside(self, places_mm: Array, end_mm: float, reach_mm: float) -> Array:
         """(n,) share of the usual light that places between 0 and end_mm get, with darkness beyond both."""

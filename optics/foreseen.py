@@ -38,15 +38,30 @@ def spread_evenly(picture: Array, blur_px: tuple[float, float]) -> Array:
     """
     down, across = blur_px
     if across > 0:
-        picture = np.ascontiguousarray(_spread(np.ascontiguousarray(picture.T), across).T)
-    return _spread(picture, down) if down > 0 else picture
+        picture = np.asarray(_spread_across(picture, *_box(across)))
+    return np.asarray(_spread_down(picture, *_box(down))) if down > 0 else picture
 
 
-def _spread(picture: Array, sigma: float) -> Array:
+def _box(sigma: float) -> tuple[int, float, float]:
+    """Pixels to either side that get the same; how much these get, and the ones beyond them."""
     half = floor((sqrt(12 * sigma**2 + 1) - 1) / 2)
     small, large = 2 * half + 1, 2 * half + 3
     share = (12 * sigma**2 + 1 - small**2) / (large**2 - small**2)
-    return np.asarray(_spread_down(picture, half, (1 - share) / small + share / large, share / large))
+    return half, (1 - share) / small + share / large, share / large
+
+
+@njit(cache=True, nogil=True)
+def _spread_across(picture, half, inner, ends):  # type: ignore[no-untyped-def]
+    """As `_spread_down`, along the rows."""
+    ny, nx = picture.shape
+    out, line = np.empty((ny, nx)), np.zeros(nx + 2 * half + 2)
+    for j in range(ny):
+        line[half + 1 : half + 1 + nx] = picture[j]
+        total = line[: 2 * half + 1].sum()
+        for i in range(nx):
+            total += line[i + 2 * half + 1] - line[i]
+            out[j, i] = inner * total + ends * (line[i] + line[i + 2 * half + 2])
+    return out
 
 
 @njit(cache=True, nogil=True)

@@ -8,8 +8,10 @@ from __future__ import annotations
 import hashlib
 import pickle
 from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
+from threading import Lock
 
 import numpy as np
 
@@ -24,6 +26,7 @@ from optics.corrections import Corrected, corrected
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
+from optics.threads import thread_count
 from optics.transport import OpticalPath, solve_transport
 from service.job.planning.finished_light import Design
 from service.plan_light import PictureLight, Valleys
@@ -53,44 +56,61 @@ def lit_designs(
     coarse = _coarser(target)
     quick = simplify(settings)
 
+    solving = Lock()
+
     @cache
+    def solved() -> OpticalPath:
+        return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
+
     def first() -> OpticalPath:
         """Of the picture itself: lenses for all balls begin with it."""
-        return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
+        with solving:
+            return solved()
 
     def near_first(aim: Array) -> OpticalPath | None:
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())
         return path if path.converged else None
 
-    def add(light: PictureLight, radius_mm: float, made: Corrected, aim: Array) -> None:
-        light.add(radius_mm, LensForm.of(made.best.lens), made.best.caustic.irradiance - aim)
+    def shaped_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
+        made = compute_passes(aim, replace(quick, min_radius_mm=radius_mm), start)
+        missed = made.best.caustic.irradiance - aim
+        return _Shaped(form=LensForm.of(made.best.lens), missed=missed, fits=not made.is_shaped)
 
-    def again(light: PictureLight, marks: Marks, aim: Array) -> None:
+    def again(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
         aim = _coarser(aim)
         if as_given:
-            made = compute_passes(aim, quick, lambda: near_first(aim))
-            _add_as_left(light, made.best.lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
-        else:
-            made = compute_passes(aim, replace(quick, min_radius_mm=marks.radius_mm), lambda: near_first(aim))
-            add(light, marks.radius_mm, made, aim)
+            lens = compute_passes(aim, quick, lambda: near_first(aim)).best.lens
+            return lambda light: _add_as_left(light, lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
+        shaped = shaped_for(marks.radius_mm, aim, lambda: near_first(aim))
+        return lambda light: light.add(marks.radius_mm, shaped.form, shaped.missed)
 
     light = PictureLight(target, settings.bench, aims=aims, redesign=again)
     if as_given:
         _add_as_left(light, compute_passes(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
         return light
     wanted = sorted(set(radii_mm), reverse=True)
-    served: float | None = None
-    for number, radius_mm in enumerate(wanted, 1):
-        if served is not None:
-            light.same(radius_mm, served)
-            continue
-        made = compute_passes(coarse, replace(quick, min_radius_mm=radius_mm), first)
-        add(light, radius_mm, made, coarse)
-        if not made.is_shaped:
-            served = radius_mm
-        if on_progress is not None:
-            on_progress(number / len(wanted))
+    with ThreadPoolExecutor(thread_count()) as pool:
+        coming = [pool.submit(shaped_for, radius_mm, coarse, first) for radius_mm in wanted]
+        for number, radius_mm in enumerate(wanted):
+            shaped = coming[number].result()
+            light.add(radius_mm, shaped.form, shaped.missed)
+            if on_progress is not None:
+                on_progress((number + 1) / len(wanted))
+            if shaped.fits:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for smaller_mm in wanted[number + 1 :]:
+                    light.same(smaller_mm, radius_mm)
+                break
     return light
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shaped:
+    """A lens for a ball; missed: its light less what it aims at. fits: nothing had to be filled for the ball."""
+
+    form: LensForm
+    missed: Array
+    fits: bool
 
 
 def simplify(settings: LensSettings) -> LensSettings:

@@ -11,7 +11,8 @@ wave a part for X times a part for Y. Lenses of the best are then designed once 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from math import hypot, sqrt
 
@@ -27,13 +28,14 @@ from optics.bench import Bench
 from optics.foreseen import sharpened
 from optics.heightfield import Array
 from optics.metrics import CausticScore, score_caustic
+from optics.threads import thread_count
 from service.plan_waves import Waves, lost_when_sharpened, yx_spreads
 from service.resampling import resized
 
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
 _SEEN_PIXELS = 0.25  # of blur along the rows; less is not worth sharpening for
 
-Redesign = Callable[["PictureLight", Marks, Array], None]
+Redesign = Callable[[Marks, Array], Callable[["PictureLight"], None]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -60,7 +62,8 @@ class PictureLight:
     """Pictures and scores of milled lenses; `cam.planner.Light`.
 
     aims     : a lens can still be made sharper for the blur of its milling
-    redesign : puts the lenses of those marks that aim at a picture of the target's size in place of the first ones
+    redesign : the lenses of those marks that aim at a picture of the target's size; what it returns puts them in
+               place of the first ones
     """
 
     def __init__(self, target: Array, bench: Bench, *, aims: bool = False, redesign: Redesign | None = None) -> None:
@@ -72,6 +75,7 @@ class PictureLight:
         self._along = Waves.of((ny, nx), self.pixel_mm)
         self.lenses: dict[float, Shown] = {}
         self._halves: dict[tuple[float, float], tuple[Array, Array]] = {}
+        self._reaches_mm: dict[LensForm, float] = {}
 
     @property
     def forms(self) -> dict[float, LensForm]:
@@ -109,6 +113,11 @@ class PictureLight:
         A slope s sends light aside by (n - 1)(s + c s^3) of the way, to third order; its change by 1 + 2 c s^2 times as
         much, the mean of along it and across it.
         """
+        if form not in self._reaches_mm:
+            self._reaches_mm[form] = self._reach_of_mm(form)
+        return self._reaches_mm[form]
+
+    def _reach_of_mm(self, form: LensForm) -> float:
         drop_mm, n = self.bench.throw_mm - float(form.heights_mm.mean()), self.bench.refractive_index
         cubic = 1.0 if self.bench.mirror else n * (n + 1) / 6 + ((n - 1) ** 2 - 1) / 3
         leaning = 1.0 + 2.0 * cubic * float(np.square(form.slopes).mean())
@@ -130,15 +139,19 @@ class PictureLight:
         """The same of a lens that aims at the picture itself."""
         return self._psnr_db(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
-    def settle(self, marks: Marks) -> None:
-        """Design the lens of a ball once more, sharpened for those rows; nothing where none is sharpened."""
-        if self._redesign is None or not any(self.foreseen_blur_mm(marks)):
+    def settle(self, several: Iterable[Marks]) -> None:
+        """Design the lenses of these balls once more, sharpened for those rows; nothing where none is sharpened."""
+        if self._redesign is None:
             return
-        before = {radius: self.lenses[radius].perfect_db for radius in {marks.radius_mm, marks.smallest_mm}}
-        self._redesign(self, marks, self._aim(marks))
+        wanted = [marks for marks in several if any(self.foreseen_blur_mm(marks))]
+        with ThreadPoolExecutor(thread_count()) as pool:
+            designs = list(pool.map(self._redesign, wanted, map(self._aim, wanted)))
+        for marks, put in zip(wanted, designs, strict=True):
+            before = {radius: self.lenses[radius].perfect_db for radius in {marks.radius_mm, marks.smallest_mm}}
+            put(self)
+            for radius, perfect_db in before.items():
+                self.lenses[radius] = replace(self.lenses[radius], perfect_db=perfect_db)
         self._halves.clear()
-        for radius, perfect_db in before.items():
-            self.lenses[radius] = replace(self.lenses[radius], perfect_db=perfect_db)
 
     def perfect_db(self, radius_mm: float) -> float:
         """What the lens for a ball would show without any mark of the tool."""

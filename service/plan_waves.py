@@ -12,6 +12,7 @@ from cam.row_slopes import RowSlopes, SlopeSpread
 from optics.heightfield import Array
 
 _DIRECTIONS = 16
+_STEPS = 128  # between which what is left of a wave is taken as straight
 _BLOCK = 4  # waves along a side that share what contours keep of them
 _SHARPENING = 4.0  # of Landweber's steps, that light without negative places allows on average
 
@@ -58,7 +59,7 @@ class Waves:
         """
         edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
         share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
-        waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), 512)
+        waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
         across = slopes.across.transfer(waves, reach_mm)
         turns = np.concatenate([edges[:-1], -edges[1:]]) + np.pi / (2 * _DIRECTIONS)  # waves here have no sign
         along = np.multiply.outer(np.cos(turns), self.along_x)[:, None, :]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -122,7 +122,7 @@ class Valued:
 
     aimed_db = psnr_db
 
-    def settle(self, marks: Marks) -> None:
+    def settle(self, several: Iterable[Marks]) -> None:
         """Its lenses are what they are."""
 
     def blur_mm(self, slopes: RowSlopes) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from math import ceil, inf, sqrt
 
@@ -57,7 +58,7 @@ class Blur:
 
     aimed_db = psnr_db
 
-    def settle(self, marks: Marks) -> None:
+    def settle(self, several: Iterable[Marks]) -> None:
         """Its lenses are what they are."""
 
     def blur_mm(self, slopes: RowSlopes) -> float:

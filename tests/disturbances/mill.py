@@ -45,6 +45,10 @@ class MillProcess:
             self._arrived.wait_for(lambda: bool(self.holds) and self.holds[-1] >= at_s, within_s)
             return next((hold_s for hold_s in self.holds if hold_s >= at_s), None)
 
+    def held(self, within_s: float = 20.0) -> bool:
+        """Whether a feed hold has arrived. An answer to who asked for it may be here before what the mill says."""
+        return self.hold_after(0.0, within_s) is not None
+
     @property
     def cut(self) -> int:
         """Pieces of program cut so far."""

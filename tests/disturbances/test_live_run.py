@@ -68,7 +68,7 @@ def test_an_agent_whose_disk_is_full_holds_in_words_and_goes_on_when_there_is_ro
         with agents.full():
             held = floor.until(lambda now: now.get("state") == "held")
             assert "no space left" in held["words"] and "make room" in held["words"], held
-            assert floor.mill.holds
+            assert floor.mill.held()
             assert post(floor, "resume").status_code in (409, 507), "resumed without a journal"
             assert floor.look()["state"] == "held"
         answer = post(floor, "resume")
@@ -86,7 +86,7 @@ def test_a_server_whose_disk_is_full_neither_stops_a_run_nor_loses_its_end(
         with servers.full():
             floor.until_cut(_MORE)
             answer = post(floor, "hold")
-            assert floor.mill.holds, answer.text
+            assert floor.mill.held(), answer.text
             floor.until(lambda now: now.get("state") == "held")
             answer = post(floor, "resume")
             assert answer.status_code == 202, answer.text
@@ -109,7 +109,7 @@ def test_a_slow_disk_delays_no_cut(tmp_path: Path) -> None:
             floor.until_state("held")
             assert post(floor, "resume").status_code == 202
             require_whole(floor)
-        assert floor.mill.holds
+        assert floor.mill.held()
 
 
 @pytest.mark.thorough
@@ -150,7 +150,7 @@ def test_a_database_that_is_restarted_costs_a_run_nothing(tmp_path: Path, postgr
             floor.until_cut(_MORE)
             with contextlib.suppress(httpx.HTTPError):
                 _hold(floor)
-            assert floor.mill.holds, "HOLD did not arrive without the database"
+            assert floor.mill.held(), "HOLD did not arrive without the database"
             seen(lambda: floor.at_agent()["state"], lambda state: state == "held", every_s=0.1)
         finally:
             postgres.start()
@@ -173,7 +173,7 @@ def test_a_store_that_is_away_costs_a_run_nothing(
             with proxy.away():
                 floor.until_cut(_MORE)
                 _hold(floor)
-                assert floor.mill.holds
+                assert floor.mill.held()
                 floor.until_state("held")
                 assert post(floor, "resume").status_code == 202
                 floor.until_cut(_MORE)
