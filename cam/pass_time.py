@@ -8,7 +8,7 @@ lens's curvature offset by the ball.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from math import ceil, sqrt
 
@@ -181,6 +181,11 @@ def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
 
 def slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     """Time for a way on the exact surface, by its length in plan, at the places of the form."""
+    return _slowness_s_per_mm(form, replace(spec, pitch_mm=spec.radius_mm), mill)  # the same for all pitches
+
+
+@lru_cache(maxsize=64)
+def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
     acceleration, chords = min(mill.acceleration_mm_per_s2[:2]), form.chords_mm(spec)
     speeds = np.minimum(spec.feed_mm_per_min / 60, chords * mill.lines_per_s)
     speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))

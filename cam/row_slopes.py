@@ -123,6 +123,7 @@ def _across(radius_mm: float, pitch_mm: float, off_mm: float) -> SlopeSpread:
     return SlopeSpread(slope=(edges[:-1] + edges[1:]) / 2 * pitch_mm / radius_mm, share=share)
 
 
+@lru_cache(maxsize=128)
 def _facets(radius_mm: float, pitch_mm: float, off_mm: float) -> tuple[Array, Array, Array]:
     """Rows (k,) that leave a trace, and its borders from the row, all in pitches."""
     unit_mm = pitch_mm**2 / radius_mm

@@ -19,6 +19,7 @@ from service.stages.optical_task import finish_of
 RECOMMENDED = ("sanding", "felt", "lacquer")
 """Processes that "best" chooses from: those that a maker can repeat, and that leave no stress in the block."""
 
+_NEAR = 3  # of such steps, within which a lens is as good a sample
 _FINER = 1.25  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
 _WORTH_DB = 0.1
@@ -90,7 +91,7 @@ def plan_finish(
     """
     rows = [one for one in candidates if one.rest is None]
     ways = [(one, FinishedLight(milled, one.finish)) for one in finishings]
-    first = _best(rows, left_out, ways, goal)
+    first = _best(rows, left_out, ways[::_NEAR], goal)
     first.light.calibrate(first.plan.chosen.marks, design)
     for _, light in ways:
         if light is not first.light:

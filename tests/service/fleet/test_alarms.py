@@ -79,7 +79,7 @@ def home(floor: Shop, person: Person) -> None:
 
 @pytest.mark.parametrize("number", mostly_thorough((1, 4, 7, 8), quick=(8,)))
 def test_after_an_alarm_a_person_gets_back_to_cutting(locked: Shop, number: int) -> None:
-    """One of each kind, as all ten are the driver's own law: in the cut, spindle left on, while homing, homing fails."""
+    """One of each kind (all ten: the driver's tests): in the cut, spindle left on, homing, homing that fails."""
     floor, mill, firmware = locked, locked.bench, locked.bench.mill.firmware
     with people(floor) as (ada, _):
 
