@@ -7,7 +7,7 @@ its slopes miss what only fine detail makes steeper.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import ceil, hypot, sqrt
 from pathlib import Path
 from typing import Any
@@ -30,6 +30,7 @@ from service.decoding import decoded
 from service.errors import InputError
 from service.estimate_light import MOST_PIXELS, foretold_db
 from service.job.picture.preparing import aim_at_picture
+from service.job.planning.changes import Change, changes_of
 from service.job.planning.finished_light import blur_of, detail_of
 from service.job.stages.around import paths_around, seconds_of
 from service.job_files import CUT_OUT, FACE
@@ -50,6 +51,7 @@ PIXELS = 96
 """Along the longer side of the picture from which the lens is made."""
 
 _STEEP_DEG = 45.0
+_WORTH_DB = 1.0  # of a change
 _REFLECTED = 1e-6  # share of the light, from which on it is no rounding
 _WIDTH = 2.355  # of a blur at half its height, in standard deviations
 _TUBES, _BEAMS = 2, 7
@@ -86,6 +88,7 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         blur = _blur(quick)
         seen_db = _seen_db(quick, whole)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
+    detail_mm = max(own_px_mm, blur.detail_mm)
     refusals = list(_refusals(quick))
     warnings = [f"{name} {sentence}" for sentence in _of_picture(width, height, spec)]
     return {
@@ -93,7 +96,7 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         "max_slope_deg": quick.facts.max_slope_deg,
         "thickness_ok": _floor_mm(quick) >= MIN_FLOOR_MM,
         "throw_ok": quick.reflected_share <= _REFLECTED and quick.facts.max_slope_deg <= _STEEP_DEG,
-        "smallest_detail_mm": max(own_px_mm, blur.detail_mm),
+        "smallest_detail_mm": detail_mm,
         "passes": passes,
         "planned": quick.planned,
         "hours": sum(row["hours"] for row in passes),
@@ -102,8 +105,21 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
+        "changes": [asdict(change) for change in changes_of(spec, detail_mm)],
         "picture": {"width": width, "height": height},
     }
+
+
+def what_shows_more(spec: JobSpec, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
+    """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
+    own = estimate(spec, path, limits=limits, name=path.name)
+    for change in (Change(**told) for told in own["changes"]):
+        try:
+            found = estimate(change.taken(spec), path, limits=limits, name=path.name)
+        except InputError:
+            continue
+        if not found["refusals"] and (found["psnr_db"] or 0.0) >= (own["psnr_db"] or 0.0) + _WORTH_DB:
+            yield change, found
 
 
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:

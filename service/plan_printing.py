@@ -12,7 +12,9 @@ from cam.passes import PassSpec
 from cam.planner import Candidate
 from service import job_files
 from service.errors import InputError, SpecError
+from service.picture_limits import OWN_PICTURE
 from service.planning import Planned, plan_for_lens, plan_for_picture
+from service.report_words import RECOGNISABLE_DB, psnr_in_words
 from service.spec import JobSpec
 from service.spec_files import read_spec_file, resolve_spec, stored_spec
 from service.stages import arrays
@@ -56,7 +58,25 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     yield ""
     yield from planned.why()
     yield from (f"warning: {sentence}" for sentence in planned.warnings())
+    if request.source.is_file() and planned.score(planned.chosen).psnr_db < RECOGNISABLE_DB:
+        yield from _what_shows_more(spec, request.source)
     yield from (written or ["", *fragment.splitlines()])
+
+
+def _what_shows_more(spec: JobSpec, picture: Path) -> Iterator[str]:
+    from service.estimate import what_shows_more
+
+    found = sorted(what_shows_more(spec, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
+    yield "what shows more:" if found else "no single change shows plainly more"
+    for change, seen in found:
+        values = " ".join(
+            f"--set {key}={value:g}" if isinstance(value, float) else f"--set {key}={value}"
+            for key, value in change.values.items()
+        )
+        yield (
+            f"  {change.what}: {psnr_in_words(seen['psnr_db'])} ({seen['psnr_db']:.1f} dB), details from "
+            f"{seen['smallest_detail_mm']:.2g} mm, {duration(3600 * seen['hours'])} ({values})"
+        )
 
 
 def _planned(request: PlanRequest) -> tuple[Planned, JobSpec]:

@@ -63,6 +63,10 @@ def size(count: Any) -> str:
     return f"{value:.3g} GB"
 
 
+RECOGNISABLE_DB = 21.0
+"""Below, a picture is hard to recognise."""
+
+
 def psnr_in_words(psnr_db: float) -> str:
     """What a PSNR in dB over the target's peak means to an eye."""
     for at_least, words in (
@@ -70,7 +74,7 @@ def psnr_in_words(psnr_db: float) -> str:
         (40.0, "very close to the target"),
         (33.0, "small differences, seen only side by side"),
         (27.0, "plainly the picture; fine detail or tones are off"),
-        (21.0, "recognisable, visibly soft or uneven"),
+        (RECOGNISABLE_DB, "recognisable, visibly soft or uneven"),
     ):
         if psnr_db >= at_least:
             return words

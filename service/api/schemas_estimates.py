@@ -25,6 +25,7 @@ ESTIMATE_EXAMPLE: dict[str, Any] = {
     "blur_by": {"light_mm": 0.0, "milling_mm": 1.2},
     "refusals": [],
     "warnings": ["details under 2.5 mm will blur: the tool's marks"],
+    "changes": [{"what": "passes as recommended", "values": {"preset": "recommended"}}],
     "picture": {"width": 1920, "height": 1920},
     "spec": {"preset": "draft"},
 }
@@ -48,6 +49,13 @@ class PictureSize(Body):
     height: int
 
 
+class ChangeView(Body):
+    """Of the job: an estimate with it tells what it comes to."""
+
+    what: str
+    values: Annotated[dict[str, Any], Field(description="of the spec, by dotted key")]
+
+
 class EstimateView(Body):
     relief_mm: Annotated[float, Field(description="highest minus lowest point of the lens")]
     max_slope_deg: float
@@ -62,5 +70,6 @@ class EstimateView(Body):
     blur_by: BlurEstimate
     refusals: Annotated[list[str], Field(description="why the job would fail; they are warnings, too")]
     warnings: list[str]
+    changes: Annotated[list[ChangeView], Field(description="single ones that may show more of the picture")]
     picture: PictureSize
     spec: Annotated[dict[str, Any], Field(description="the job spec with everything filled in")]

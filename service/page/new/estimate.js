@@ -3,7 +3,7 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
-import { eyeWords, isHard } from "../job/figures.js";
+import { eyeWords } from "../job/figures.js";
 import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 
 const CALM_MS = 400;
@@ -85,7 +85,7 @@ export function estimateWords(estimate) {
       { class: "figures" },
       figure("Machine time", hours(3600 * estimate.hours)),
       figure("Smallest detail", mm(estimate.smallest_detail_mm), "on the wall; finer details blur"),
-      Number.isFinite(estimate.psnr_db) && figure("On the wall", eyeWords(estimate.psnr_db), plainerBy(estimate)),
+      Number.isFinite(estimate.psnr_db) && figure("On the wall", eyeWords(estimate.psnr_db)),
       figure("Depth of the lens", mm(estimate.relief_mm), `steepest ${figures(estimate.max_slope_deg, 2)}°`),
     ),
     estimate.passes?.length > 0 &&
@@ -112,18 +112,9 @@ function notice(kind, words) {
   return h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, sentence(words)));
 }
 
-/** What makes a picture plainer that is hard to recognise, by what costs it most; "" for any other. */
-function plainerBy({ psnr_db: seen, blur_by: by, planned, spec }) {
-  if (!Number.isFinite(seen) || !isHard(seen)) return "";
-  const light = by.light_mm > by.milling_mm && (spec.optics.light.kind === "sun" ? "a nearer wall" : "a smaller lamp");
-  const first = light || (!planned && "“Recommended”");
-  return `${first ? `${first} or ` : ""}a larger lens shows more`;
-}
-
 /** For the bar at the foot: one line. */
 export function estimateLine(estimate) {
-  const more = plainerBy(estimate);
-  const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}${more && `: ${more}`}` : "";
+  const seen = Number.isFinite(estimate.psnr_db) ? `; ${eyeWords(estimate.psnr_db)}` : "";
   return `About ${hours(3600 * estimate.hours)} of milling, details from ${mm(estimate.smallest_detail_mm)}${seen}`;
 }
 

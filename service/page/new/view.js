@@ -8,6 +8,7 @@ import { foretell } from "../job/foretold.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
 import { MACHINE_USUAL } from "./fields.js";
+import { improvements, withChange } from "./improve.js";
 import { firstProfile } from "./machines.js";
 import { keepDraft, take, takeDraft } from "./picked.js";
 import { pictureSide } from "./picture_side.js";
@@ -69,6 +70,7 @@ function newJob(profiles, app) {
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: told });
+  const improve = improvements({ make: estimateForm, take: takeChange });
   const foot = submitBar();
   const sending = sender({ onWait: foot.wait });
 
@@ -85,7 +87,7 @@ function newJob(profiles, app) {
     { class: "new-job", onsubmit: submit, noValidate: true },
     side.element,
     h("section", { class: "settings stack", "aria-label": "Settings" }, settings),
-    h("div", { class: "estimate-side" }, card.element),
+    h("div", { class: "estimate-side" }, card.element, improve.element),
     foot.element,
   );
 
@@ -109,10 +111,17 @@ function newJob(profiles, app) {
     asks.ask();
   }
 
-  async function estimateForm() {
+  async function estimateForm(change = {}) {
     const { spec, faults } = form.read();
     if (faults.length || !side.has()) return null;
-    return jobForm(await side.sent({ mostSide: ESTIMATE_SIDE }), JSON.stringify(spec));
+    return jobForm(await side.sent({ mostSide: ESTIMATE_SIDE }), JSON.stringify(withChange(spec, change)));
+  }
+
+  function takeChange({ what, values }) {
+    const before = form.read().spec;
+    const become = (spec) => (form.show(spec), changed());
+    become(withChange(before, values));
+    toast(`Taken: ${what}.`, { action: { words: "Undo", run: () => become(before) } });
   }
 
   function told(asked) {
@@ -120,6 +129,8 @@ function newJob(profiles, app) {
     card.show(state);
     if (state.kind === "known") now.estimate = state.estimate;
     if (state.kind === "known" || state.kind === "problems") showProblems(bothOf(state.problems ?? [], now.refused));
+    if (state.kind === "known") improve.show(state.estimate);
+    else improve.stop();
     if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate) : "");
     side.showBlur(now.estimate?.blur_mm ?? 0);
   }
@@ -159,12 +170,17 @@ function newJob(profiles, app) {
     return { ...side.draft(), spec: form.read().spec };
   }
 
-  function leave() {
+  function stop() {
     asks.stop();
+    improve.stop();
+  }
+
+  function leave() {
+    stop();
     if (!now.sent && side.has()) keepDraft(draft());
   }
 
-  return { element, begin, draft, leave, stop: asks.stop };
+  return { element, begin, draft, leave, stop };
 }
 
 /** What the estimate and the refusal of a job say, each sentence once. */

@@ -1,0 +1,75 @@
+"""Single changes of a job that may show more of its picture; what each comes to is for an estimate to tell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import hypot
+from typing import Any
+
+from machines.profiles import ProfileError, load_profile, profile_names
+from service.passes import machine_of, without_derived
+from service.spec import JobSpec
+from service.spec_files import resolve_spec
+
+_LARGER, _NEARER, _LONGER = 1.5, 2 / 3, 2.0
+_LEAST_THROW = 0.75  # of the lens's width: nearer, slopes are hard to mill
+_ROUND_MM = 5.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """what: in words; values: of the spec, by dotted key."""
+
+    what: str
+    values: dict[str, Any]
+
+    def taken(self, spec: JobSpec) -> JobSpec:
+        """The job with it; SpecError where that is none."""
+        data = without_derived(spec)
+        for key, value in self.values.items():
+            table, _, name = key.rpartition(".")
+            data |= {table: data[table] | {name: value}} if table else {name: value}
+        if "preset" in self.values:
+            del data["passes"]
+        return resolve_spec(base=data)
+
+
+def changes_of(spec: JobSpec, detail_mm: float) -> Iterator[Change]:
+    """Those that the job has not taken yet. detail_mm: the smallest detail on the wall that shows now."""
+    if not spec.to_be_planned:
+        yield Change(what="passes as recommended", values={"preset": "recommended"})
+    elif spec.finish.process == "none":
+        yield Change(what="finished by hand", values={"finish.process": "best"})
+    width_mm, height_mm = (_rounded(_LARGER * side) for side in (spec.optics.width_mm, spec.optics.height_mm))
+    larger = {"optics.width_mm": width_mm, "optics.height_mm": height_mm}
+    yield Change(what=f"a lens of {width_mm:g} x {height_mm:g} mm", values=larger)
+    throw_mm = _rounded(_NEARER * spec.optics.throw_mm)
+    if throw_mm >= _LEAST_THROW * spec.optics.width_mm:
+        yield Change(what=f"the wall {throw_mm:g} mm away", values={"optics.throw_mm": throw_mm})
+    if spec.plan.hours is not None:
+        hours = _LONGER * spec.plan.hours
+        yield Change(what=f"{hours:g} hours of milling", values={"plan.hours": hours})
+    if (finer := _finer_mill(spec)) is not None:
+        yield Change(what=f"a mill as exact as {finer}", values={"machine.profile": finer})
+    if spec.image.prepare == "none":
+        coarser = {"image.prepare": "detail", "image.prepare_detail_mm": float(f"{detail_mm:.2g}")}
+        yield Change(what="a picture that is prepared for what shows", values=coarser)
+
+
+def _rounded(length_mm: float) -> float:
+    return _ROUND_MM * round(length_mm / _ROUND_MM)
+
+
+def _finer_mill(spec: JobSpec) -> str | None:
+    """The profile whose heights are most exact, by steps and errors; None where the job's own is as good."""
+    own = machine_of(spec)
+    best, best_mm = None, 0.9 * hypot(own.step_mm, own.z_noise_mm)
+    for name in profile_names():
+        try:
+            profile = load_profile(name)
+        except ProfileError:  # of a person's own; where it is chosen, it is told
+            continue
+        if (off_mm := hypot(profile.step_mm, profile.z_noise_mm)) < best_mm:
+            best, best_mm = name, off_mm
+    return best

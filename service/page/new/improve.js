@@ -1,0 +1,92 @@
+/** Single changes of a job that show more of its picture: what each comes to, and a button that takes it. */
+
+import { api } from "../lib/api.js";
+import { h, replace } from "../lib/dom.js";
+import { freshKey, hours, mm, sentence } from "../lib/words.js";
+import { eyeWords, isHard } from "../job/figures.js";
+import { put } from "./spec.js";
+
+const WORTH_DB = 1;
+// Of their own: what is asked here does not end the question about the job itself.
+const HEADERS = { "Causticmill-Tab": freshKey() };
+const NONE = "No single change of what is set here shows plainly more.";
+
+/** A spec with a change taken; passes that were given make way for recommended ones. */
+export function withChange(spec, values) {
+  const result = structuredClone(spec);
+  if (values.preset) delete result.passes;
+  for (const [key, value] of Object.entries(values)) put(result, key, value);
+  return result;
+}
+
+/**
+ * {element, show(estimate), stop()}. make(values): the form that asks for the job with a change; take(change): a person
+ * wants it. A picture that is hard to recognise asks by itself, any other where a person does.
+ */
+export function improvements({ make, take }) {
+  const list = h("ul", { class: "changes" });
+  const state = h("p", { class: "dim", role: "status" });
+  const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, "What shows more?");
+  const title = h("h3", {}, "What shows more");
+  const element = h("section", { class: "improvements", "aria-label": "What shows more", hidden: true }, title, button, state, list);
+  const now = { estimate: null, asking: new AbortController() };
+
+  function show(estimate) {
+    stop();
+    now.estimate = estimate;
+    replace(list);
+    state.textContent = "";
+    element.hidden = !Number.isFinite(estimate.psnr_db) || !estimate.changes?.length;
+    if (!element.hidden && isHard(estimate.psnr_db)) ask(estimate);
+    else fold(true);
+  }
+
+  function fold(folded) {
+    button.hidden = !folded;
+    title.hidden = folded;
+  }
+
+  function stop() {
+    now.asking.abort();
+    element.hidden = true;
+  }
+
+  async function ask(estimate) {
+    now.asking = new AbortController();
+    const { signal } = now.asking;
+    fold(false);
+    const found = [];
+    for (const [number, change] of estimate.changes.entries()) {
+      state.textContent = `Working it out: ${number + 1} of ${estimate.changes.length}…`;
+      const seen = await foretold(change, signal);
+      if (signal.aborted) return;
+      if (!seen || seen.refusals?.length || !(seen.psnr_db >= estimate.psnr_db + WORTH_DB)) continue;
+      found.push([change, seen]);
+      found.sort(([, one], [, other]) => other.psnr_db - one.psnr_db);
+      replace(list, found.map(line));
+    }
+    state.textContent = found.length ? "" : NONE;
+  }
+
+  async function foretold(change, signal) {
+    try {
+      return await api.upload("/v1/estimates", await make(change.values), { headers: HEADERS, signal, quiet: true });
+    } catch {
+      return null; // a change that cannot be asked for is none
+    }
+  }
+
+  const line = ([change, seen]) =>
+    h(
+      "li",
+      {},
+      h("button", { type: "button", onclick: () => take(change) }, sentence(change.what).replace(/\.$/, "")),
+      h(
+        "small",
+        {},
+        `${eyeWords(seen.psnr_db)} (${seen.psnr_db.toFixed(0)} dB), details from ${mm(seen.smallest_detail_mm)}, ${hours(3600 * seen.hours)}`,
+      ),
+    );
+
+  return { element, show, stop };
+}

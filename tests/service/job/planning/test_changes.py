@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from machines.profiles import load_profile
+from service.job.planning.changes import changes_of
+from service.passes import machine_of
+from service.spec import JobSpec
+from service.spec_files import resolve_spec
+
+specs = st.builds(
+    lambda preset, width_mm, throw_mm, hours, profile: resolve_spec(
+        base={
+            "preset": preset,
+            "optics": {"width_mm": width_mm, "height_mm": width_mm, "throw_mm": throw_mm},
+            "plan": {"hours": hours} if preset == "recommended" else {},
+            "machine": {"profile": profile},
+        }
+    ),
+    st.sampled_from(["paper", "recommended", "draft"]),
+    st.floats(10, 300),
+    st.floats(20, 2000),
+    st.none() | st.floats(0.5, 20),
+    st.sampled_from(["grbl", "okuma-osp", "roland-mdx-40a"]),
+)
+
+
+@given(specs)
+def test_each_change_is_a_job_with_those_values_and_is_not_offered_where_it_is_taken(spec: JobSpec) -> None:
+    for change in changes_of(spec, 1.234):
+        taken = change.taken(spec)
+        told = taken.model_dump()
+        for key, value in change.values.items():
+            table, _, name = key.rpartition(".")
+            assert (told[table] if table else told)[name] == value
+        assert taken != spec
+        if set(change.values) & {"preset", "finish.process", "image.prepare"}:
+            assert change.what not in [one.what for one in changes_of(taken, 1.234)]
+
+
+def test_the_finer_mill_is_the_most_exact_one() -> None:
+    offered = [one.values.get("machine.profile") for one in changes_of(resolve_spec(), 1.0)]
+    (finer,) = [name for name in offered if name]
+    own, best = machine_of(resolve_spec()), load_profile(finer)
+    assert best.z_noise_mm < own.z_noise_mm and best.step_mm < own.step_mm
+    assert not [
+        one for one in changes_of(resolve_spec(base={"machine": {"profile": finer}}), 1.0) if "mill as" in one.what
+    ]
