@@ -46,7 +46,7 @@ def picture_png(picture: Array, *, white: float, scale: int = 1) -> bytes:
     return buffer.getvalue()
 
 
-def comparison_png(target: Array, caustic: Array) -> bytes:
+def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated caustic") -> bytes:
     """Target, caustic and what lies between them: caustic - target in percent of white, red where too bright."""
     white = float(target.max())
     difference = 100.0 * (caustic - target) / white
@@ -54,8 +54,8 @@ def comparison_png(target: Array, caustic: Array) -> bytes:
     limit = rounded_up(max(float(np.percentile(np.abs(difference), 99.5)), _LEAST_SCALE_PERCENT))
     figure = new_figure(12.9, 0.55 + panel_height(4.0, *target.shape))
     panels = figure.subplots(1, 3)
-    for axes, title, picture in zip(panels, ("Target", "Simulated caustic"), (target, caustic), strict=False):
-        _show_picture(axes, title, picture, white)
+    for axes, words, picture in zip(panels, ("Target", title), (target, caustic), strict=False):
+        _show_picture(axes, words, picture, white)
     axes = _without_ticks(panels[2], "Difference: caustic \N{MINUS SIGN} target")
     image = axes.imshow(difference, cmap="RdBu_r", vmin=-limit, vmax=limit)
     bar = figure.colorbar(image, ax=panels, extend="both", fraction=0.03, pad=0.01, shrink=0.86)

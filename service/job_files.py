@@ -29,9 +29,10 @@ SPEC, REPORT, REPORT_PAGE = "spec.json", "report.json", "report.html"
 HEIGHTFIELD, MAP, SOLID = "heightfield.npz", "map.npz", "lens.stl"
 TARGET_PICTURE, PREPARED = "target.png", "prepared.png"
 LENS_FILES = (TARGET_PICTURE, PREPARED, HEIGHTFIELD, MAP, SOLID, "lens.png", "flow.png")
-AS_FINISHED = "caustic-as-finished.png"
+AS_FINISHED, COMPARED_FINISHED = "caustic-as-finished.png", "comparison-as-finished.png"
 LIGHT_FILES = (
     "caustic.png", "comparison.png", "through-focus.png", "caustic-as-milled.png", "as-milled.png", AS_FINISHED,
+    COMPARED_FINISHED,
 )  # fmt: skip
 FACE, CUT_OUT = "face", "cut-out"  # programs around the passes, by the name in their file
 TOOLPATH = "toolpath.png"

@@ -47,6 +47,7 @@ _PICTURES = (
         "The picture as it was given, and as the lens aims at it: contrast raised in what will show on the wall.",
     ),
     ("comparison.png", "Target, simulated caustic and the difference between them."),
+    ("comparison-as-finished.png", "Target, the picture after finishing by hand and the difference between them."),
     (
         "as-milled.png",
         "Target, design and the surface that the programs leave, whole and in the part with the most detail. The last "

@@ -13,7 +13,7 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
 from service.job.picture.preparing import scores_against_original
-from service.job_files import AS_FINISHED, HEIGHTFIELD, MAP
+from service.job_files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, MAP
 from service.passes import machine_of
 from service.stages import arrays
 from service.stages.as_milled import error_of_tips_mm, finishing_passes, read_tracks
@@ -27,8 +27,8 @@ _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 
 def as_finished(shop: Workshop) -> None:
-    """Light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png.
-    Nothing where nothing is finished by hand, or no pass finishes.
+    """Light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
+    comparison-as-finished.png. Nothing where nothing is finished by hand, or no pass finishes.
     """
     finish, passes = finish_of(shop.spec), finishing_passes(shop)
     if finish is None or not passes:
@@ -95,5 +95,7 @@ def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm
 def _draw(shop: Workshop, target: Array, finished: Array) -> None:
     from service import figures  # what it stands on is slow to import
 
-    white, view = float(target.max()), picture_from_irradiance(finished, viewed_from=shop.spec.optics.viewed_from)
+    viewed_from, white = shop.spec.optics.viewed_from, float(target.max())
+    aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))
     shop.draw(AS_FINISHED, lambda: figures.picture_png(view, white=white))
+    shop.draw(COMPARED_FINISHED, lambda: figures.comparison_png(aim, view, title="As finished"))

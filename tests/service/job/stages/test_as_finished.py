@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from service.job_files import AS_FINISHED
+from service.job_files import AS_FINISHED, COMPARED_FINISHED
 from service.spec_files import resolve_spec
 from service.stages.plan import plan
 from tests.service.stages.jobs import StagedJob, run_job
@@ -43,8 +43,8 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
     assert seen["finish"]["k0_rad_per_mm"] == 5.0
 
 
-def test_its_picture_is_a_file_of_the_job(finished: StagedJob) -> None:
-    assert AS_FINISHED in finished.results["as-finished"].outputs
+def test_its_pictures_are_files_of_the_job(finished: StagedJob) -> None:
+    assert {AS_FINISHED, COMPARED_FINISHED} <= set(finished.results["as-finished"].outputs)
 
 
 def test_a_job_without_a_finish_has_no_such_stage() -> None:
