@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from itertools import pairwise
 from pathlib import Path
@@ -14,7 +15,9 @@ from PIL import Image
 
 from optics.irradiance import target_irradiance
 from service.cli import run
+from service.estimate import estimate
 from service.passes import cam_passes_of, with_plan
+from service.picture_limits import OWN_PICTURE
 from service.planning import Planned, mill_of, plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
@@ -208,3 +211,26 @@ def test_what_cannot_be_planned_is_one_line(
     assert run(["plan", str(picture), *OPTIONS, *options]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert all(word in line for word in words), line
+
+
+@pytest.mark.thorough
+def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
+    tmp_path: Path, picture: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each with values that a command takes, and with what an estimate of them says."""
+    small = ("image.pixels=48", "optics.width_mm=10", "optics.height_mm=10", "optics.throw_mm=100")
+
+    def seen_db(*values: str) -> float:
+        spec = resolve_spec(preset="recommended", overrides=(*small, *values))
+        return float(estimate(spec, picture, limits=OWN_PICTURE, name="stripes")["psnr_db"])
+
+    options = [word for text in small for word in ("--set", text)]
+    assert run(["plan", str(picture), *options, "-o", str(tmp_path / "plan.png")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    told = [line for line in lines[lines.index("what shows more:") + 1 :] if line.startswith("  ")]
+    assert told
+    own_db = seen_db()
+    for line in told:
+        told_db, values = re.findall(r"\((-?[\d.]+) dB\).*\(--set (.*)\)$", line)[0]
+        assert float(told_db) >= own_db + 0.9
+        assert seen_db(*values.split(" --set ")) == pytest.approx(float(told_db), abs=0.06)

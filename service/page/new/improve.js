@@ -27,7 +27,7 @@ export function improvements({ make, take }) {
   const list = h("ul", { class: "changes" });
   const state = h("p", { class: "dim", role: "status" });
   const button = h("button", { type: "button", class: "quiet", onclick: () => ask(now.estimate) }, "What shows more?");
-  const title = h("h3", {}, "What shows more");
+  const title = h("h2", {}, "What shows more");
   const element = h("section", { class: "card improvements", "aria-label": "What shows more", hidden: true }, title, button, state, list);
   const now = { estimate: null, asking: new AbortController() };
 
