@@ -7,7 +7,7 @@ its slopes miss what only fine detail makes steeper.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from math import ceil, hypot, sqrt
 from pathlib import Path
 from typing import Any
@@ -28,10 +28,10 @@ from optics.tolerance import blur_mm, source_rad
 from service import fitting
 from service.decoding import decoded
 from service.errors import InputError
-from service.estimate_light import MOST_PIXELS, foretold_db
+from service.estimate_light import MOST_PIXELS, Foretold, foretell
 from service.job.picture.preparing import aim_at_picture
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.finished_light import blur_of, detail_of
+from service.job.planning.finished_light import blur_of
 from service.job.stages.around import paths_around, seconds_of
 from service.job_files import CUT_OUT, FACE
 from service.lens_facts import LensFacts, measure_lens
@@ -39,7 +39,7 @@ from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import picture_of
 from service.picture_limits import PictureLimits
 from service.plan_lenses import compute_passes, simplify
-from service.planning import plan_for_picture
+from service.planning import Planned, plan_for_picture
 from service.report_words import ball
 from service.spec import MIN_FLOOR_MM, JobSpec
 from service.stages.light import blocked_by_the_screen
@@ -61,7 +61,9 @@ _TUBES, _BEAMS = 2, 7
 class QuickLens:
     """A job's lens as a coarse picture gives it.
 
-    spec : with its passes, planned where they were not given. missed (ny, nx) : its light less what it aims at
+    spec        : with its passes, planned where they were not given
+    missed      : (ny, nx) its light less what it aims at
+    foretold_db : PSNR by the plan, where it was planned with a finish
     """
 
     spec: JobSpec
@@ -72,6 +74,7 @@ class QuickLens:
     form: LensForm
     missed: Array
     reflected_share: float
+    foretold_db: float | None
 
     @property
     def lens(self) -> Heightfield:
@@ -83,10 +86,10 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
     coarse, fine = coarse_spec(spec), _with_pixels(spec, MOST_PIXELS)
     with in_the_services_words():
         (target, whole), (width, height) = _targets(path, coarse, fine, limits=limits, name=name)
-        quick = quick_lens(coarse, target)
+        quick = quick_lens(coarse, target, whole)
         passes = _with_around(quick.spec, list(_hours(quick)))
-        blur = _blur(quick)
-        seen_db = _seen_db(quick, whole)
+        seen = _foretold(quick, whole)
+        blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
     refusals = list(_refusals(quick))
@@ -101,7 +104,7 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         "planned": quick.planned,
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
-        "psnr_db": seen_db,
+        "psnr_db": None if seen is None else seen.psnr_db,
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
@@ -145,11 +148,16 @@ def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
-def quick_lens(spec: JobSpec, target: Array) -> QuickLens:
-    """The lens for a coarse target (ny, nx), work frame, mean 1; of the usual method, whatever the job says."""
-    planned = spec.to_be_planned
+def quick_lens(spec: JobSpec, target: Array, whole: Array) -> QuickLens:
+    """The lens for a coarse target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
+
+    whole : the same with more pixels, by which finishes are compared
+    """
+    planned, foretold_db = spec.to_be_planned, None
     if planned:
-        spec = with_plan(spec, {"plan": _plan(spec, target)})
+        found = plan_for_picture(spec, target, whole=whole)
+        spec = with_plan(spec, {"plan": _plan(found)})
+        foretold_db = None if found.finishing is None else found.chosen.psnr_db
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
     design = design_lens(target, quick, passes=compute_passes(target, quick))
@@ -164,12 +172,12 @@ def quick_lens(spec: JobSpec, target: Array) -> QuickLens:
         form=LensForm.of(lens),
         missed=seen.irradiance - target,
         reflected_share=seen.reflected_share,
+        foretold_db=foretold_db,
     )
 
 
-def _plan(spec: JobSpec, target: Array) -> dict[str, Any]:
+def _plan(planned: Planned) -> dict[str, Any]:
     """What `with_plan` takes of a plan, without its pictures and scores."""
-    planned = plan_for_picture(spec, target)
     return {
         "passes": planned.rows(),
         "foreseen_blur_mm": planned.foreseen_blur_mm(),
@@ -241,33 +249,35 @@ class Blur:
             yield f"details under {self.detail_mm:.2g} mm will blur: {cause}"
 
 
-def _blur(quick: QuickLens) -> Blur:
+def _blur(quick: QuickLens, seen: Foretold | None) -> Blur:
     disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
-    if (finish := finish_of(quick.spec)) is not None:
-        return Blur(
-            milling_mm=blur_of(finish),
-            light_mm=disc_mm / 4 * sqrt(2),
-            detail_mm=hypot(detail_of(finish), _WIDTH * disc_mm / 4),
-        )
-    slopes = _slopes(quick)
-    drop_mm = quick.bench.throw_mm - float(quick.lens.z_mm.mean())
-    reach_mm = drop_mm * (2.0 if quick.bench.mirror else quick.bench.refractive_index - 1.0)
-    across_mm, along_mm = (reach_mm * spread.rms for spread in (slopes.across, slopes.along)) if slopes else (0.0, 0.0)
     return Blur(
-        milling_mm=hypot(across_mm, along_mm),
+        milling_mm=_milling_mm(quick),
         light_mm=disc_mm / 4 * sqrt(2),
-        detail_mm=_WIDTH * hypot(max(across_mm, along_mm), disc_mm / 4),
+        detail_mm=hypot(0.0 if seen is None else seen.detail_mm, _WIDTH * disc_mm / 4),
     )
 
 
-def _seen_db(quick: QuickLens, target: Array) -> float | None:
-    """PSNR of what the milled lens will show of a target (ny, nx); None where no pass finishes it."""
+def _milling_mm(quick: QuickLens) -> float:
+    """Of what the tool, or the work by hand after it, leaves."""
+    if (finish := finish_of(quick.spec)) is not None:
+        return blur_of(finish)
+    if (slopes := _slopes(quick)) is None:
+        return 0.0
+    drop_mm = quick.bench.throw_mm - float(quick.lens.z_mm.mean())
+    reach_mm = drop_mm * (2.0 if quick.bench.mirror else quick.bench.refractive_index - 1.0)
+    return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
+
+
+def _foretold(quick: QuickLens, target: Array) -> Foretold | None:
+    """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
     finish, slopes = _finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
     aims = any(quick.spec.optics.foreseen_blur_mm)
     by_hand = finish_of(quick.spec)
-    return foretold_db(target, quick.bench, quick.form, quick.missed, finish, slopes, aims=aims, by_hand=by_hand)
+    found = foretell(target, quick.bench, quick.form, quick.missed, finish, slopes, aims=aims, by_hand=by_hand)
+    return found if quick.foretold_db is None else replace(found, psnr_db=quick.foretold_db)
 
 
 def _finish(quick: QuickLens) -> PassSpec | None:

@@ -92,13 +92,21 @@ class PictureLight:
         self.lenses[radius_mm] = Shown(
             form=form,
             waves=self._goal + waves_of(error),
-            perfect_db=self._psnr_db(self.target + error, 0.0),
+            perfect_db=self.psnr_of(self.target + error, 0.0),
             valleys=valleys and replace(valleys, shares_past=resized(valleys.shares_past, self.target.shape)),
         )
 
     def same(self, radius_mm: float, as_of_mm: float) -> None:
         """The lens for another ball serves this one as well."""
         self.lenses[radius_mm] = self.lenses[as_of_mm]
+
+    def against(self, target: Array) -> PictureLight:
+        """The same lenses against the picture at another size; what balls leave filled of them is not told."""
+        light = PictureLight(target, self.bench, aims=self.aims)
+        errors = {id(shown): picture_of_waves(shown.waves - self._goal) for shown in self.lenses.values()}
+        for radius_mm, shown in self.lenses.items():
+            light.add(radius_mm, shown.form, errors[id(shown)])
+        return light
 
     def _seen(self, marks: Marks) -> RowSlopes:
         """Slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
@@ -133,11 +141,11 @@ class PictureLight:
         return self.db_of_error(error + self.grain(marks) ** 2 * self._square)
 
     def aimed_db(self, marks: Marks) -> float:
-        return self._psnr_db(self._aimed(marks), self.grain(marks))
+        return self.psnr_of(self.smooth_picture(marks), self.grain(marks))
 
     def unsharpened_db(self, marks: Marks) -> float:
         """The same of a lens that aims at the picture itself."""
-        return self._psnr_db(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
+        return self.psnr_of(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
 
     def settle(self, several: Iterable[Marks]) -> None:
         """Design the lenses of these balls once more, sharpened for those rows; nothing where none is sharpened."""
@@ -174,7 +182,7 @@ class PictureLight:
 
     def picture(self, marks: Marks) -> Array:
         """Irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the rows."""
-        smooth = np.maximum(self._aimed(marks), 0.0)
+        smooth = np.maximum(self.smooth_picture(marks), 0.0)
         lot = np.random.default_rng(_SEED).standard_normal(smooth.shape)
         lot = gaussian_filter1d(lot, _GRAIN_PIXELS, axis=1 if marks.spec.direction == "x" else 0)
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot / lot.std(), 0.0))
@@ -233,7 +241,7 @@ class PictureLight:
         past = waves_of(valleys.shares_past * picture_of_waves(waves))
         return past, waves - past
 
-    def _aimed(self, marks: Marks) -> Array:
+    def smooth_picture(self, marks: Marks) -> Array:
         """The picture of the lens for that ball, made sharper and then milled, without grain."""
         waves = self.lenses[marks.smallest_mm].waves
         if any(self.foreseen_blur_mm(marks)):
@@ -266,7 +274,8 @@ class PictureLight:
         form = self.lenses[marks.radius_mm].form
         return self._along.kept(form, self._seen(marks), marks.spec, self.reach_mm(form))
 
-    def _psnr_db(self, picture: Array, grain: float) -> float:
+    def psnr_of(self, picture: Array, grain: float) -> float:
+        """Of a smooth picture and its grain."""
         error = float(np.square(picture - self.target).mean()) + grain**2 * float(np.square(picture).mean())
         return self.db_of_error(error)
 

@@ -192,18 +192,24 @@ class Planned:
 
 
 def plan_for_picture(
-    spec: JobSpec, target: Array, *, tools: Path | None = None, on_progress: Progress | None = None
+    spec: JobSpec,
+    target: Array,
+    *,
+    whole: Array | None = None,
+    tools: Path | None = None,
+    on_progress: Progress | None = None,
 ) -> Planned:
     """Passes for a lens that is still to be designed, for the ball that finishes it.
 
     target : (ny, nx) work frame, mean 1
+    whole  : the same with more pixels, where finishes are to be compared by that
     """
     shop = shop_of(spec, load_tools(tools))
     settings = lens_settings(spec, branch=branch_of(spec, target))
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    return _planned(spec, shop, light, finished_designs(target, settings), shapes_lens=shapes)
+    return _planned(spec, shop, light, finished_designs(target, settings), shapes_lens=shapes, whole=whole)
 
 
 def plan_for_lens(
@@ -247,14 +253,20 @@ def _radii(shop: Shop) -> list[float]:
     return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 
-def _planned(spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool) -> Planned:
+def _planned(
+    spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool, whole: Array | None = None
+) -> Planned:
     goal = Goal(**spec.plan.model_dump())
     finished: FinishedPlan | None = None
+    seen = light if whole is None else light.against(whole)
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
         if finishings := list_finishings(spec):
-            finished = plan_finish(finishings, candidates, left_out, light, design, goal)
-        plan = plan_among(candidates, left_out, light, goal)
+            finished = plan_finish(finishings, candidates, left_out, seen, design, goal)
+        milled = plan = plan_among(candidates, left_out, light, goal)
+        if finished is not None and whole is not None:
+            marks = replace(plan.chosen.marks, rest=None)
+            milled = replace(plan, chosen=replace(plan.chosen, psnr_db=seen.aimed_db(marks)))
     except NoPlanError as error:
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
@@ -266,6 +278,6 @@ def _planned(spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, 
     planned = Planned(
         plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
     )
-    if finished is None or (spec.finish.k0_rad_per_mm is None and not is_worth_it(finished.plan, plan, goal)):
+    if finished is None or (spec.finish.k0_rad_per_mm is None and not is_worth_it(finished.plan, milled, goal)):
         return planned
     return replace(planned, plan=finished.plan, light=finished.light, finishing=finished.finishing, unfinished=plan)

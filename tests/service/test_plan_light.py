@@ -81,8 +81,8 @@ def test_rows_blur_across_themselves(direction: str) -> None:
     hurt, kept = (light(waved(4, along=way)) for way in (across, along))
     half_mm = (hurt.reach_mm(slanted(0.0)) + BALL) * 0.2 / (2 * BALL)  # its own width as well
     whole, left = contrast(kept.target), np.sinc(2 * half_mm * 4 / SIDE)
-    assert contrast(kept._aimed(Marks(spec=spec, slopes=slopes))) == pytest.approx(whole, abs=1e-6)
-    assert contrast(hurt._aimed(Marks(spec=spec, slopes=slopes))) == pytest.approx(whole * left, abs=2e-3)
+    assert contrast(kept.smooth_picture(Marks(spec=spec, slopes=slopes))) == pytest.approx(whole, abs=1e-6)
+    assert contrast(hurt.smooth_picture(Marks(spec=spec, slopes=slopes))) == pytest.approx(whole * left, abs=2e-3)
 
 
 @pytest.mark.parametrize(("slopes", "kept"), [((0.1, 0.0), "y"), ((0.0, 0.1), "x")])
@@ -99,7 +99,7 @@ def test_contours_blur_up_and_down_the_slope(slopes: tuple[float, float], kept: 
 def test_rims_are_darker_by_what_darkness_beyond_does_not_send() -> None:
     """Half of it at the very rim; nothing farther in than light is sent."""
     wide = SlopeSpread(slope=np.linspace(-0.1, 0.1, 801), share=np.full(801, 1 / 801))
-    seen = light(even())._aimed(Marks(spec=SPEC, slopes=rows(wide)))
+    seen = light(even()).smooth_picture(Marks(spec=SPEC, slopes=rows(wide)))
     reach_mm = (light(even()).reach_mm(slanted(0.0)) + BALL) * 0.1
     y = (np.arange(PIXELS) + 0.5) * SIDE / PIXELS
     wanted = np.clip((1 + np.minimum(y, SIDE - y) / reach_mm) / 2, 0.0, 1.0)

@@ -10,7 +10,7 @@ import numpy as np
 from cam.planner import Candidate, Goal, Plan, plan_among
 from optics.finish import Finish
 from service.job.finishing import Process, load_processes
-from service.job.planning.finished_light import Design, FinishedLight
+from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.spec.finish import BEST, NONE
 from service.plan_light import PictureLight
 from service.spec import JobSpec
@@ -90,7 +90,8 @@ def plan_finish(
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
     rows = [one for one in candidates if one.rest is None]
-    ways = [(one, FinishedLight(milled, one.finish)) for one in finishings]
+    spectra = Spectra(milled)
+    ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
     first = _best(rows, left_out, ways[::_NEAR], goal)
     first.light.calibrate(first.plan.chosen.marks, design)
     for _, light in ways:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -21,28 +21,62 @@ from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.finish import GIVEN_UP, Finish, finish_surface
 from optics.heightfield import Array, Heightfield
-from service.plan_light import PictureLight, picture_of_waves, waves_of
+from service.plan_light import PictureLight, Shown, picture_of_waves, waves_of
 
 _EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
 _STRIPES = 1.6  # bright places, whose stripes are stronger than their share
 _MINDED = 1.3  # stripes, when a finish is chosen: 2 gives 0.6 dB away for 0.03 of SSIM on a mill that is off by 1 um
 _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 4, 7
+_WAVE_NUMBERS = 1024  # of a picture, that are told apart
 _FINEST_RAD_PER_MM = 400.0  # periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them
 
 Design = Callable[[Finish, float], tuple[Heightfield, Array]]
 """A coarse lens for a finish and a ball's radius, and the target (ny, nx) that it was made for."""
 
 
-class FinishedLight(PictureLight):
-    """As the light of milled lenses, behind a finish; made from it. Rows alone: a rest pass is not foretold."""
+class Spectra:
+    """Mean squares of a picture's waves, and of what lenses for balls miss of them, by wave number.
 
-    def __init__(self, milled: PictureLight, finish: Finish) -> None:
+    k_rad_per_mm, goal : (n,)
+    """
+
+    def __init__(self, light: PictureLight) -> None:
+        k = _picture_wave_numbers(light.target.shape, light.bench)
+        step = float(k[-1, -1]) / _WAVE_NUMBERS
+        self._bin = np.ravel((k / step).astype(np.int64))
+        self.k_rad_per_mm = np.asarray((np.arange(_WAVE_NUMBERS + 1) + 0.5) * step, dtype=np.float64)
+        self._goal = waves_of(light.target)
+        self.goal = self._summed(self._goal)
+        self._missed: dict[int, Array] = {}
+
+    def missed(self, shown: Shown) -> Array:
+        """(n,) of a lens as it is unmilled."""
+        if id(shown) not in self._missed:
+            self._missed[id(shown)] = self._summed(shown.waves - self._goal)
+        return self._missed[id(shown)]
+
+    def _summed(self, waves: Array) -> Array:
+        squares = np.ravel(waves) ** 2 / waves.size
+        return np.asarray(np.bincount(self._bin, squares, minlength=_WAVE_NUMBERS + 1), dtype=np.float64)
+
+
+class FinishedLight(PictureLight):
+    """As the light of milled lenses, behind a finish; made from it. Rows alone: a rest pass is not foretold.
+
+    spectra : of the milled light, where several finishes are compared
+    """
+
+    def __init__(self, milled: PictureLight, finish: Finish, spectra: Spectra | None = None) -> None:
         super().__init__(milled.target, milled.bench)
         self.lenses, self.finish = dict(milled.lenses), finish  # its own: the other settles its lenses anew
-        self._kept_waves = kept_of_picture(finish, milled.target.shape, milled.bench)
+        self._spectra = spectra or Spectra(milled)
         self._lens_scale = self._stripe_scale = 1.0
         self._errors: dict[float, float] = {}  # of the guess, by radius
+
+    @cached_property
+    def _kept_waves(self) -> Array:
+        return kept_of_picture(self.finish, self.target.shape, self.bench)
 
     def psnr_db(self, marks: Marks) -> float:
         return self.db_of_error(self._lens_error(marks.radius_mm) + self.grain(marks) ** 2 * self._square)
@@ -75,9 +109,13 @@ class FinishedLight(PictureLight):
         bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), self.finish, pixel_mm)
         return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
 
+    def smooth_picture(self, marks: Marks) -> Array:
+        """Without stripes."""
+        return np.maximum(picture_of_waves(self._kept_waves * self._goal), 0.0)
+
     def picture(self, marks: Marks) -> Array:
         """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by lot."""
-        smooth = np.maximum(picture_of_waves(self._kept_waves * self._goal), 0.0)
+        smooth = self.smooth_picture(marks)
         ny, nx = smooth.shape
         along_x = marks.spec.direction == "x"
         lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
@@ -110,17 +148,27 @@ class FinishedLight(PictureLight):
     def _lens_error(self, radius_mm: float) -> float:
         """Mean square of what the picture of the lens for a ball lacks."""
         if radius_mm not in self._errors:
-            lost = np.square((1.0 - self._kept_waves) * self._goal).mean()
-            closed = np.square(self._kept_waves * (self.lenses[radius_mm].waves - self._goal)).mean()
+            kept = _kept_of(self.finish, self._spectra.k_rad_per_mm)
+            lost = np.square(1.0 - kept) @ self._spectra.goal
+            closed = np.square(kept) @ self._spectra.missed(self.lenses[radius_mm])
             self._errors[radius_mm] = float(_EDGES * lost + _CLOSING * closed)
         return self._lens_scale * self._errors[radius_mm]
 
 
 def kept_of_picture(finish: Finish, shape: tuple[int, ...], bench: Bench) -> Array:
     """(ny, nx) part of each wave of the picture that is kept by a lens that foresees the finish."""
+    return _kept_of(finish, _picture_wave_numbers(shape, bench))
+
+
+def _picture_wave_numbers(shape: tuple[int, ...], bench: Bench) -> Array:
+    """Wave numbers (ny, nx) [rad/mm on the lens] of a picture's cosine waves."""
     sides = (bench.height_mm, bench.width_mm)
     down, across = (math.pi * np.arange(n) / side for n, side in zip(shape, sides, strict=True))
-    square = np.square(finish.kept(np.hypot(down[:, None], across[None, :])))
+    return np.asarray(np.hypot(down[:, None], across[None, :]), dtype=np.float64)
+
+
+def _kept_of(finish: Finish, k_rad_per_mm: Array) -> Array:
+    square = np.square(finish.kept(k_rad_per_mm))
     return np.asarray(square / (square + GIVEN_UP))
 
 
