@@ -177,11 +177,6 @@ def blur_of(finish: Finish) -> float:
     return math.sqrt(2.0 * math.log(2.0)) / _half_kept(finish)
 
 
-def detail_of(finish: Finish) -> float:
-    """Half the period [mm on the lens] of the finest pattern that keeps half of its contrast."""
-    return math.pi / _half_kept(finish)
-
-
 def _half_kept(finish: Finish) -> float:
     """Wave number [rad/mm] of which a lens that foresees the finish keeps half: there H^2 is GIVEN_UP."""
     return finish.k0_rad_per_mm * float(-0.5 * math.log(GIVEN_UP)) ** (1.0 / finish.order)
