@@ -19,6 +19,7 @@ from service.estimate import PIXELS, coarse_spec, estimate
 from service.lens_facts import measure_lens
 from service.picture import read_picture
 from service.picture_limits import PictureLimits
+from service.planning import plan_for_picture
 from service.spec import JobSpec
 from service.spec_files import resolve_spec
 from service.stages.optical_task import lens_settings
@@ -48,6 +49,19 @@ def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture
     facts = measure_lens(lens)
     assert found["relief_mm"] == pytest.approx(facts.relief_mm, rel=0.05)
     assert found["max_slope_deg"] == pytest.approx(facts.max_slope_deg, rel=0.15)
+
+
+@pytest.mark.thorough
+def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
+    """By the whole picture: on a coarse one a stronger finish would do."""
+    values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
+    spec = resolve_spec(preset="recommended", overrides=values)
+    found = estimated(spec, "camera")
+    read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
+    planned = plan_for_picture(spec, target_irradiance(read.linear, viewed_from="lens"))
+    assert planned.finishing is not None
+    assert found["psnr_db"] == pytest.approx(planned.chosen.psnr_db, abs=0.5)
+    assert found["hours"] == pytest.approx(planned.chosen.hours, rel=0.1)
 
 
 @pytest.mark.thorough
