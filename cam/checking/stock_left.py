@@ -11,11 +11,14 @@ from scipy import ndimage
 
 from cam.passes import PassSpec
 from cam.stock_grid import StockGrid
+from cam.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield, spline_jet
 
 _JUDGED = 20_000  # cells whose reach is worked out, at most
 _NAMED = 8  # places out of reach that are named
 _TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
+_CLOSE_MM = 0.05  # what a ridge between two nodes may stand above them
+_TRIED_AT_ONCE, _PHASES, _ALONG, _ALONG_SHARE = 50, 8, 21, 0.3
 _BESIDE_A_CREASE = 4.0
 """Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
 be a whole pitch away instead of half of one; that a row is missing is for `cam.checking.coverage` to say."""
@@ -51,50 +54,50 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
 
 
 @njit(cache=True, nogil=True)
-def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
-    """How far a ball touching the surface at (x, y) lies in it elsewhere, run-out included.
+def _away(coefs, x0, y0, inv_dx, inv_dy, cx, cy, cz, px, py):  # type: ignore[no-untyped-def]
+    """Distance of the surface above a place from a ball's centre; -1 where it stands higher than that."""
+    hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
+    return -1.0 if hp > cz else math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (hp - cz) ** 2)
 
-    The deepest node of a lattice, then of ever finer 5 x 5 lattices around it.
+
+@njit(cache=True, nogil=True)
+def _touches_only(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
+    """Whether a ball touching the surface at (x, y) lies in it nowhere else, run-out included.
+
+    Nodes of a lattice under the ball; then ever finer 5 x 5 lattices around each that is close to it, as a ridge may
+    stand between nodes.
     """
     h, hx, hy, _hxx, _hxy, _hyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)
     q = math.sqrt(1.0 + hx * hx + hy * hy)
-    cx = x - radius * hx / q
-    cy = y - radius * hy / q
-    cz = h + radius / q
-    nearest = radius
-    deep_x, deep_y = x, y
+    cx, cy, cz = x - radius * hx / q, y - radius * hy / q, h + radius / q
     step = radius / rings
-    for j in range(-rings, rings + 1):
-        for i in range(-rings, rings + 1):
-            px = cx + i * step
-            py = cy + j * step
-            flat2 = (px - cx) ** 2 + (py - cy) ** 2
-            if flat2 >= radius * radius:
-                continue
-            hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
-            if hp > cz:
-                return radius
-            away = math.sqrt(flat2 + (hp - cz) ** 2)
-            if away < nearest:
-                nearest, deep_x, deep_y = away, px, py
-    for _ in range(4):
-        step *= 0.5
-        mid_x, mid_y = deep_x, deep_y
-        for j in range(-2, 3):
-            for i in range(-2, 3):
-                px = mid_x + i * step
-                py = mid_y + j * step
-                hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
-                away = math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (hp - cz) ** 2)
-                if away < nearest:
-                    nearest, deep_x, deep_y = away, px, py
-    return radius - nearest
+    for close in (False, True):
+        for j in range(-rings, rings + 1):
+            for i in range(-rings, rings + 1):
+                if i * i + j * j >= rings * rings:
+                    continue
+                px, py = cx + i * step, cy + j * step
+                away = _away(coefs, x0, y0, inv_dx, inv_dy, cx, cy, cz, px, py)
+                if close and away < radius + _CLOSE_MM:
+                    finer = step
+                    for _ in range(4):
+                        finer *= 0.5
+                        mid_x, mid_y = px, py
+                        for b in range(-2, 3):
+                            for a in range(-2, 3):
+                                ax, ay = mid_x + a * finer, mid_y + b * finer
+                                found = _away(coefs, x0, y0, inv_dx, inv_dy, cx, cy, cz, ax, ay)
+                                if found < away:
+                                    away, px, py = found, ax, ay
+                if away < radius - _TOUCH_MM:
+                    return False
+    return True
 
 
 @njit(cache=True, nogil=True)
 def _reaches(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
     for k in range(x.size):
-        out[k] = _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k], radius, rings) <= _TOUCH_MM
+        out[k] = _touches_only(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k], radius, rings)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -209,9 +212,8 @@ def find_excess(
     cell = int(regular.argmax())
     excess_mm, uncut_mm = float(regular.flat[cell]), 0.0
     if forgotten.size:
-        beyond = left.over_mm.flat[forgotten] - _BESIDE_A_CREASE * left.cusp_mm.flat[forgotten]
-        cell = int(forgotten[beyond.argmax()])
-        excess_mm, uncut_mm = max(excess_mm, float(left.over_mm.flat[cell])), max(0.0, float(beyond.max()))
+        uncut_mm, cell = _worst_uncut(forgotten, left, heightfield, spec)
+        excess_mm = max(excess_mm, float(left.over_mm.flat[cell]))
     row, column = divmod(cell, left.over_mm.shape[1])
     whole = max(1, int(left.in_aperture.sum()))
     return ExcessFound(
@@ -222,6 +224,50 @@ def find_excess(
         unreached=_places(out_of_reach, left, stride),
         unreached_share=float(out_of_reach.sum()) * stride / whole,
     )
+
+
+def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, spec: PassSpec) -> tuple[float, int]:
+    """How far the worst of the cells stands above what tracks at the pass's pitch may leave there, and which it is.
+
+    On a rippled lens rows far apart leave more than cusps, as the ball rests on ridges beside a hollow that it touches
+    between them: where cusps do not explain a cell, the rows next to it are tried, wherever they may lie.
+    """
+    over_mm = left.over_mm.flat[cells]
+    beyond = over_mm - _BESIDE_A_CREASE * left.cusp_mm.flat[cells]
+    order = np.argsort(beyond)[::-1]
+    worst_mm, worst = 0.0, int(cells[order[0]])
+    if spec.strategy != "raster" or beyond[order[0]] <= 0.0:
+        return max(0.0, float(beyond[order[0]])), worst
+    tips = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    for first in range(0, order.size, _TRIED_AT_ONCE):
+        some = order[first : first + _TRIED_AT_ONCE]
+        some = some[beyond[some] > worst_mm]
+        if not some.size:
+            break
+        for k in some:
+            uncut_mm = min(float(beyond[k]), float(over_mm[k]) - _left_by_rows(int(cells[k]), left, tips, spec))
+            if uncut_mm > worst_mm:
+                worst_mm, worst = uncut_mm, int(cells[k])
+    return worst_mm, worst
+
+
+def _left_by_rows(cell: int, left: StockLeft, tips: ToolSurface, spec: PassSpec) -> float:
+    """The most that two rows a pitch apart, one on either side of the place, leave there: over_mm."""
+    row, column = divmod(cell, left.over_mm.shape[1])
+    at = np.array([left.grid.x_mm[column], left.grid.y_mm[row]])
+    wanted_mm = float(left.grid.top_mm.flat[cell] - left.over_mm.flat[cell])
+    contact = tips.contacts_mm(at[:1], at[1:])[0]  # of the ball straight above: near the one that touches the place
+    aside = np.linspace(-1.0, 1.0, 2 * _PHASES + 1) * spec.pitch_mm
+    along = np.linspace(-1.0, 1.0, _ALONG) * max(spec.pitch_mm, _ALONG_SHARE * spec.radius_mm)
+    middle = 2 * at - contact[:2]  # as far on the other side: where the ball stands that touches the place
+    lengthwise = 0 if spec.direction == "x" else 1
+    places = np.empty((aside.size, along.size, 2))
+    places[..., lengthwise] = middle[lengthwise] + along
+    places[..., 1 - lengthwise] = middle[1 - lengthwise] + aside[:, None]
+    centre_mm = tips.tip_heights_mm(places[..., 0], places[..., 1]).reshape(places.shape[:2]) + spec.radius_mm
+    below = spec.radius_mm**2 - np.square(places - at).sum(axis=-1)
+    lowest = np.where(below >= 0, centre_mm - np.sqrt(np.maximum(below, 0.0)), np.inf).min(axis=1)
+    return float(np.minimum(lowest[:-_PHASES], lowest[_PHASES:]).max()) - wanted_mm
 
 
 def _places(out_of_reach: np.ndarray, left: StockLeft, stride: int) -> tuple[Unreached, ...]:
