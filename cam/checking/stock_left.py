@@ -17,7 +17,6 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _JUDGED = 20_000  # cells whose reach is worked out, at most
 _NAMED = 8  # places out of reach that are named
 _TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
-_CLOSE_MM = 0.05  # what a ridge between two nodes may stand above them
 _TRIED_AT_ONCE, _PHASES, _ALONG, _ALONG_SHARE = 50, 8, 21, 0.3
 _BESIDE_A_CREASE = 4.0
 """Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
@@ -54,50 +53,50 @@ def _compare(top, x0, y0, cell, coefs, sx0, sy0, inv_dx, inv_dy, width, height, 
 
 
 @njit(cache=True, nogil=True)
-def _away(coefs, x0, y0, inv_dx, inv_dy, cx, cy, cz, px, py):  # type: ignore[no-untyped-def]
-    """Distance of the surface above a place from a ball's centre; -1 where it stands higher than that."""
-    hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
-    return -1.0 if hp > cz else math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (hp - cz) ** 2)
+def _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
+    """How far a ball touching the surface at (x, y) lies in it elsewhere, run-out included.
 
-
-@njit(cache=True, nogil=True)
-def _touches_only(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings):  # type: ignore[no-untyped-def]
-    """Whether a ball touching the surface at (x, y) lies in it nowhere else, run-out included.
-
-    Nodes of a lattice under the ball; then ever finer 5 x 5 lattices around each that is close to it, as a ridge may
-    stand between nodes.
+    The deepest node of a lattice, then of ever finer 5 x 5 lattices around it.
     """
     h, hx, hy, _hxx, _hxy, _hyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x, y)
     q = math.sqrt(1.0 + hx * hx + hy * hy)
-    cx, cy, cz = x - radius * hx / q, y - radius * hy / q, h + radius / q
+    cx = x - radius * hx / q
+    cy = y - radius * hy / q
+    cz = h + radius / q
+    nearest = radius
+    deep_x, deep_y = x, y
     step = radius / rings
-    for close in (False, True):
-        for j in range(-rings, rings + 1):
-            for i in range(-rings, rings + 1):
-                if i * i + j * j >= rings * rings:
-                    continue
-                px, py = cx + i * step, cy + j * step
-                away = _away(coefs, x0, y0, inv_dx, inv_dy, cx, cy, cz, px, py)
-                if close and away < radius + _CLOSE_MM:
-                    finer = step
-                    for _ in range(4):
-                        finer *= 0.5
-                        mid_x, mid_y = px, py
-                        for b in range(-2, 3):
-                            for a in range(-2, 3):
-                                ax, ay = mid_x + a * finer, mid_y + b * finer
-                                found = _away(coefs, x0, y0, inv_dx, inv_dy, cx, cy, cz, ax, ay)
-                                if found < away:
-                                    away, px, py = found, ax, ay
-                if away < radius - _TOUCH_MM:
-                    return False
-    return True
+    for j in range(-rings, rings + 1):
+        for i in range(-rings, rings + 1):
+            px = cx + i * step
+            py = cy + j * step
+            flat2 = (px - cx) ** 2 + (py - cy) ** 2
+            if flat2 >= radius * radius:
+                continue
+            hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
+            if hp > cz:
+                return radius
+            away = math.sqrt(flat2 + (hp - cz) ** 2)
+            if away < nearest:
+                nearest, deep_x, deep_y = away, px, py
+    for _ in range(4):
+        step *= 0.5
+        mid_x, mid_y = deep_x, deep_y
+        for j in range(-2, 3):
+            for i in range(-2, 3):
+                px = mid_x + i * step
+                py = mid_y + j * step
+                hp = spline_jet(coefs, x0, y0, inv_dx, inv_dy, px, py)[0]
+                away = math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (hp - cz) ** 2)
+                if away < nearest:
+                    nearest, deep_x, deep_y = away, px, py
+    return radius - nearest
 
 
 @njit(cache=True, nogil=True)
 def _reaches(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, rings, out):  # type: ignore[no-untyped-def]
     for k in range(x.size):
-        out[k] = _touches_only(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k], radius, rings)
+        out[k] = _deepest_in(coefs, x0, y0, inv_dx, inv_dy, x[k], y[k], radius, rings) <= _TOUCH_MM
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
