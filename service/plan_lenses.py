@@ -119,12 +119,13 @@ def simplify(settings: LensSettings) -> LensSettings:
 
 
 def finished_designs(target: Array, settings: LensSettings) -> Design:
-    """Coarse lenses for finishes, corrected as the job's."""
-    coarse, quick = _coarser(target), replace(simplify(settings), corrections=settings.corrections)
+    """Lenses for finishes, corrected as the job's; coarse ones, or as fine as the target."""
+    quick = replace(simplify(settings), corrections=settings.corrections)
 
-    def design(finish: Finish, radius_mm: float) -> tuple[Heightfield, Array]:
-        made = compute_passes(coarse, replace(quick, finish=finish, min_radius_mm=radius_mm))
-        return made.best.lens, coarse
+    def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
+        aim = target if fine else _coarser(target)
+        made = compute_passes(aim, replace(quick, finish=finish, min_radius_mm=radius_mm))
+        return made.best.lens, aim
 
     return design
 

@@ -219,7 +219,7 @@ def plan_for_lens(
     shop = shop_of(spec, load_tools(tools))
     bench = replace(bench_of(spec), branch=branch_of(spec, target))
     light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
-    return _planned(spec, shop, light, lambda finish, radius_mm: (lens, target), shapes_lens=False)
+    return _planned(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
 def mill_of(spec: JobSpec) -> MachineProfile:
@@ -262,7 +262,7 @@ def _planned(
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
         if finishings := list_finishings(spec):
-            finished = plan_finish(finishings, candidates, left_out, seen, design, goal)
+            finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=whole is None)
         milled = plan = plan_among(candidates, left_out, light, goal)
         if finished is not None and whole is not None:
             marks = replace(plan.chosen.marks, rest=None)

@@ -23,6 +23,7 @@ _NEAR = 3  # of such steps, within which a lens is as good a sample
 _FINER = 1.25  # minutes, from one that is tried to the next
 _LEAST_K0, _MOST_K0 = 1.2, 25.0  # rad/mm: beyond, no picture or no finish is left
 _WORTH_DB = 0.1
+_CLOSE_DB = 40.0  # very close to the target: nobody works by hand for more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,9 +85,12 @@ def plan_finish(
     milled: PictureLight,
     design: Design,
     goal: Goal,
+    *,
+    exactly: bool,
 ) -> FinishedPlan:
-    """The best plan of all finishings, its guesses corrected by a lens designed for the best of them.
+    """The best plan of all finishings, its guesses corrected by a lens designed for one of the best of them.
 
+    exactly    : and by one as fine as the picture for the best: creases cost more there than on a coarse one
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
     rows = [one for one in candidates if one.rest is None]
@@ -97,7 +101,11 @@ def plan_finish(
     for _, light in ways:
         if light is not first.light:
             light.trust(first.light)
-    return _best(rows, left_out, ways, goal)
+    best = _best(rows, left_out, ways, goal)
+    if not exactly:
+        return best
+    best.light.calibrate(best.plan.chosen.marks, design, fine=True)
+    return _best(rows, left_out, [(best.finishing, best.light)], goal)
 
 
 def _best(
@@ -137,4 +145,6 @@ def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
     """Whether finishing makes the picture better, or the same goal quicker to reach."""
     met, gain = merit(finished, goal)
     met_without, without = merit(milled, goal)
-    return (met, gain) > (met_without, without + (_WORTH_DB if goal.psnr_db is None and goal.blur_mm is None else 0.0))
+    if goal.psnr_db is not None or goal.blur_mm is not None:
+        return (met, gain) > (met_without, without)
+    return (met, min(gain, _CLOSE_DB)) > (met_without, min(without, _CLOSE_DB) + _WORTH_DB)

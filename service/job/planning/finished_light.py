@@ -31,8 +31,8 @@ _TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 4, 7
 _WAVE_NUMBERS = 1024  # of a picture, that are told apart
 _FINEST_RAD_PER_MM = 400.0  # periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them
 
-Design = Callable[[Finish, float], tuple[Heightfield, Array]]
-"""A coarse lens for a finish and a ball's radius, and the target (ny, nx) that it was made for."""
+Design = Callable[[Finish, float, bool], tuple[Heightfield, Array]]
+"""A lens for a finish and a ball's radius, coarse or fine, and the target (ny, nx) that it was made for."""
 
 
 class Spectra:
@@ -121,18 +121,21 @@ class FinishedLight(PictureLight):
         lot = np.random.default_rng(ny).standard_normal((ny, 1) if along_x else (1, nx))
         return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot, 0.0))
 
-    def calibrate(self, marks: Marks, design: Design) -> None:
-        """Correct both guesses by a coarse lens that is designed, milled in rows, finished and lit."""
-        lens, target = design(self.finish, marks.radius_mm)
+    def calibrate(self, marks: Marks, design: Design, *, fine: bool = False) -> None:
+        """Correct both guesses by a lens that is designed, milled in rows, finished and lit."""
+        lens, target = design(self.finish, marks.radius_mm, fine)
         finished = finish_surface(lens, self.finish)
         off_free = float(np.square(self._light_of(finished, target.shape) - target).mean())
         whole = self.target.shape  # half of the stripes are finer than a coarse pixel
         stripes = self._light_of(add_rows(finished, marks, self.finish), whole) - self._light_of(finished, whole)
-        fine = waves_of(self.target) ** 2
+        finer = waves_of(self.target) ** 2
         ny, nx = target.shape
-        fine[:ny, :nx] = 0.0  # waves that the coarse lens has no part in
-        off_fine = float((fine * np.square(1.0 - self._kept_waves)).mean())
-        self._lens_scale *= (off_free + off_fine) / self._lens_error(marks.radius_mm)
+        finer[:ny, :nx] = 0.0  # waves that the lens has no part in
+        off_fine = float((finer * np.square(1.0 - self._kept_waves)).mean())
+        unmarked = self._peak**2 * 10.0 ** (
+            -0.1 * self.lenses[marks.radius_mm].perfect_db
+        )  # no finish makes a lens better
+        self._lens_scale *= max(off_free + off_fine, unmarked) / self._lens_error(marks.radius_mm)
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
             self._stripe_scale *= float(np.square(stripes).mean()) / guessed
 
