@@ -110,8 +110,8 @@ def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
     if depth <= spec.step_down_mm:
         return LayerPlan(layers=(), exact_rows=True)
     if not stock.flat:
-        count = ceil(depth / spec.step_down_mm) - 1
-        parallel = (Layer(offset_mm=k * spec.step_down_mm, level_mm=-inf) for k in range(count, 0, -1))
+        count = ceil(depth / spec.layer_mm) - 1
+        parallel = (Layer(offset_mm=k * spec.layer_mm, level_mm=-inf) for k in range(count, 0, -1))
         return LayerPlan(layers=tuple(parallel), exact_rows=True)
     exact = spec.finishes or spec.strategy == "contour"
     keep = min(SKIM_MM, spec.step_down_mm / 2) if exact else 0.0

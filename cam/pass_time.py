@@ -223,7 +223,7 @@ def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
 
 def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:
     """Layers parallel to the lens, where more stock stands above it than one move of the pass may take."""
-    layers = ceil(depth_mm / spec.step_down_mm - 1e-9) - 1
+    layers = ceil(depth_mm / spec.layer_mm - 1e-9) - 1
     if layers <= 0:
         return 0.0
     feed = spec.feed_mm_per_min / 60
@@ -234,6 +234,6 @@ def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinem
 
 def layers_where_s(form: LensForm, spec: PassSpec, stock_mm: Array, mill: Kinematics) -> float:
     """The same layers where stock (ny, nx) of different heights stands above the lens."""
-    deepest = ceil(float(stock_mm.max()) / spec.step_down_mm - 1e-9)
-    share = sum(float((stock_mm > number * spec.step_down_mm).mean()) for number in range(1, deepest))
-    return share * finish_layers_s(form, spec, 2 * spec.step_down_mm, mill)
+    deepest = ceil(float(stock_mm.max()) / spec.layer_mm - 1e-9)
+    share = sum(float((stock_mm > number * spec.layer_mm).mean()) for number in range(1, deepest))
+    return share * finish_layers_s(form, spec, 2 * spec.layer_mm, mill)
