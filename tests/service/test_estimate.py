@@ -53,14 +53,14 @@ def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture
 
 @pytest.mark.thorough
 def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
-    """By the whole picture: on a coarse one a stronger finish would do."""
+    """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one."""
     values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
     spec = resolve_spec(preset="recommended", overrides=values)
     found = estimated(spec, "camera")
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
     planned = plan_for_picture(spec, target_irradiance(read.linear, viewed_from="lens"))
     assert planned.finishing is not None
-    assert found["psnr_db"] == pytest.approx(planned.chosen.psnr_db, abs=0.5)
+    assert found["psnr_db"] == pytest.approx(planned.chosen.psnr_db, abs=0.75)
     assert found["hours"] == pytest.approx(planned.chosen.hours, rel=0.1)
 
 

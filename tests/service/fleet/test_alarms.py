@@ -110,7 +110,15 @@ def test_after_an_alarm_a_person_gets_back_to_cutting(locked: Shop, number: int)
             mill.mill.press("close-door")
             fail_homing(mill, 0)
         home(floor, ada)
-        plan = seen(lambda: floor.get(f"{here}/recovery"), lambda plan: plan["ready"], every_s=0.1)
+
+        def recovery() -> Any:
+            """Homed again where the controller restarted by itself after it was homed: as the plan says."""
+            plan = floor.get(f"{here}/recovery")
+            if any(need["code"] == "position" for need in plan["needs"]):
+                home(floor, ada)
+            return plan
+
+        plan = seen(recovery, lambda plan: plan["ready"], every_s=0.1)
         checks = floor.get(here)["required_checks"]
         assert "position" in checks
         post(f"{here}:recover", 202, operator="Ada", checks=checks, plan=plan["plan"])
