@@ -48,8 +48,8 @@ class Person:
         return self.http.post(f"{HERE}/{name}", json=body, headers=self.headers)
 
     def until_taken(self, name: str, /, **body: Any) -> None:
-        """A controller that is busy, or has just restarted, refuses an order; the person tries again."""
-        wait = ("busy", "connecting")
+        """A controller that is busy, homes, or has just restarted refuses an order; the person tries again."""
+        wait = ("busy", "connecting", "homing")
         order = lambda: ((answer := self.order(name, **body)).status_code, answer.text)  # noqa: E731
         code, words = seen(order, lambda got: got[0] == 202 or not any(one in got[1] for one in wait))
         assert code == 202, words
