@@ -116,9 +116,9 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
 def what_shows_more(spec: JobSpec, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
     """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
     own = estimate(spec, path, limits=limits, name=path.name)
-    for change in (Change(**told) for told in own["changes"]):
+    for change in changes_of(spec, own["smallest_detail_mm"]):
         try:
-            found = estimate(change.taken(spec), path, limits=limits, name=path.name)
+            found = estimate(change.apply_to(spec), path, limits=limits, name=path.name)
         except InputError:
             continue
         if not found["refusals"] and (found["psnr_db"] or 0.0) >= (own["psnr_db"] or 0.0) + _WORTH_DB:

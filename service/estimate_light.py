@@ -18,9 +18,9 @@ from service.plan_light import PictureLight
 MOST_PIXELS = 512
 """Along the longer side of the picture that is compared: finer detail changes what one recognises little."""
 
-_FINER = (
-    0.7  # is what corrections bring back behind a finish: 0.25 and 0.31 mm on `camera` where 0.35 and 0.44 are told
-)
+_BROUGHT_BACK = 0.7
+"""Detail that corrections leave behind a finish, by that of its transfer function alone: 0.25 and 0.31 mm on `camera`
+where 0.35 and 0.44 are told."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,4 +54,4 @@ def foretell(
     seen = light.smooth_picture(marks)
     psnr_db = light.psnr_of(seen, light.grain(marks)) if by_hand is None else light.psnr_db(marks)
     detail_mm = smallest_detail_mm(seen, target, light.pixel_mm[1])
-    return Foretold(psnr_db=psnr_db, detail_mm=detail_mm if by_hand is None else _FINER * detail_mm)
+    return Foretold(psnr_db=psnr_db, detail_mm=detail_mm if by_hand is None else _BROUGHT_BACK * detail_mm)

@@ -52,7 +52,7 @@ def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> No
                 f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is shorter than one bite; allowed: at least the "
                 f"step-down of {spec.step_down_mm:g} mm"
             )
-        if flutes_mm >= heightfield.relief_mm:
+        if flutes_mm >= heightfield.relief_mm:  # nothing of the lens can stand above them
             continue
         over_mm = lens_over_flutes_mm(heightfield, spec)
         if over_mm > 0:

@@ -55,17 +55,16 @@ def lit_designs(
     """
     coarse = _coarser(target)
     quick = simplify(settings)
-
     solving = Lock()
 
     @cache
-    def solved() -> OpticalPath:
+    def solution() -> OpticalPath:
         return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
 
     def first() -> OpticalPath:
         """Of the picture itself: lenses for all balls begin with it."""
         with solving:
-            return solved()
+            return solution()
 
     def near_first(aim: Array) -> OpticalPath | None:
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())

@@ -64,11 +64,20 @@ class PictureLight:
     aims     : a lens can still be made sharper for the blur of its milling
     redesign : the lenses of those marks that aim at a picture of the target's size; what it returns puts them in
                place of the first ones
+    goal     : the target's waves, where they are known
     """
 
-    def __init__(self, target: Array, bench: Bench, *, aims: bool = False, redesign: Redesign | None = None) -> None:
+    def __init__(
+        self,
+        target: Array,
+        bench: Bench,
+        *,
+        aims: bool = False,
+        redesign: Redesign | None = None,
+        goal: Array | None = None,
+    ) -> None:
         self.target, self.bench, self.aims, self._redesign = target, bench, aims, redesign
-        self._goal = waves_of(target)
+        self.goal = waves_of(target) if goal is None else goal
         self._peak, self._square = float(target.max()), float(np.square(target).mean())
         ny, nx = target.shape
         self.pixel_mm = (bench.screen.height_mm / ny, bench.screen.width_mm / nx)
@@ -91,7 +100,7 @@ class PictureLight:
         error = resized(missed, self.target.shape)
         self.lenses[radius_mm] = Shown(
             form=form,
-            waves=self._goal + waves_of(error),
+            waves=self.goal + waves_of(error),
             perfect_db=self.psnr_of(self.target + error, 0.0),
             valleys=valleys and replace(valleys, shares_past=resized(valleys.shares_past, self.target.shape)),
         )
@@ -103,9 +112,13 @@ class PictureLight:
     def against(self, target: Array) -> PictureLight:
         """The same lenses against the picture at another size; what balls leave filled of them is not told."""
         light = PictureLight(target, self.bench, aims=self.aims)
-        errors = {id(shown): picture_of_waves(shown.waves - self._goal) for shown in self.lenses.values()}
+        first: dict[Shown, float] = {}
         for radius_mm, shown in self.lenses.items():
-            light.add(radius_mm, shown.form, errors[id(shown)])
+            if shown in first:
+                light.same(radius_mm, first[shown])
+                continue
+            light.add(radius_mm, shown.form, picture_of_waves(shown.waves - self.goal))
+            first[shown] = radius_mm
         return light
 
     def _seen(self, marks: Marks) -> RowSlopes:
@@ -207,16 +220,16 @@ class PictureLight:
         kept = self._kept(marks)
         lost = lost_when_sharpened(kept) if self.aims else 1.0 - kept
         if marks.rest is None:
-            return float(np.square(lost * self._goal - kept * (self.lenses[marks.radius_mm].waves - self._goal)).mean())
+            return float(np.square(lost * self.goal - kept * (self.lenses[marks.radius_mm].waves - self.goal)).mean())
         past, through = self._half_waves(marks)
         came = kept * past + self._kept(marks.rest) * through
-        return float(np.square(lost * self._goal - (came - kept * self._goal)).mean())
+        return float(np.square(lost * self.goal - (came - kept * self.goal)).mean())
 
     def _error_by_contours(self, marks: Marks) -> float:
         """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
         form, along = self.lenses[marks.radius_mm].form, self._along.by_blocks
         kept, squared = along.kept_by_contours(form, self._seen(marks), self.reach_mm(form))
-        goal, sums = self._goal, self._along.block_sums
+        goal, sums = self.goal, self._along.block_sums
         if marks.rest is None:
             own = self.lenses[marks.radius_mm].waves
             error = (squared * sums(own**2) - 2 * kept * sums(own * goal)).sum()

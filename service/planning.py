@@ -258,10 +258,10 @@ def _planned(
 ) -> Planned:
     goal = Goal(**spec.plan.model_dump())
     finished: FinishedPlan | None = None
-    seen = light if whole is None else light.against(whole)
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
         if finishings := list_finishings(spec):
+            seen = light if whole is None else light.against(whole)
             finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=whole is None)
         milled = plan = plan_among(candidates, left_out, light, goal)
         if finished is not None and whole is not None:

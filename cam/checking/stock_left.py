@@ -17,7 +17,7 @@ from optics.heightfield import Array, Heightfield, spline_jet
 _JUDGED = 20_000  # cells whose reach is worked out, at most
 _NAMED = 8  # places out of reach that are named
 _TOUCH_MM = 0.002  # a ball touching a place may be this far in the surface elsewhere and still count as reaching it
-_TRIED_AT_ONCE, _PHASES, _ALONG, _ALONG_SHARE = 50, 8, 21, 0.3
+_PHASES, _ALONG, _ALONG_SHARE = 8, 21, 0.3  # places across and along rows that are tried; how far along, in radii
 _BESIDE_A_CREASE = 4.0
 """Cusps that may stand beside a place out of reach. The ball changes flanks there, and the nearest row that touches may
 be a whole pitch away instead of half of one; that a row is missing is for `cam.checking.coverage` to say."""
@@ -238,15 +238,12 @@ def _worst_uncut(cells: np.ndarray, left: StockLeft, heightfield: Heightfield, s
     if spec.strategy != "raster" or beyond[order[0]] <= 0.0:
         return max(0.0, float(beyond[order[0]])), worst
     tips = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
-    for first in range(0, order.size, _TRIED_AT_ONCE):
-        some = order[first : first + _TRIED_AT_ONCE]
-        some = some[beyond[some] > worst_mm]
-        if not some.size:
+    for k in order:
+        if beyond[k] <= worst_mm:
             break
-        for k in some:
-            uncut_mm = min(float(beyond[k]), float(over_mm[k]) - _left_by_rows(int(cells[k]), left, tips, spec))
-            if uncut_mm > worst_mm:
-                worst_mm, worst = uncut_mm, int(cells[k])
+        uncut_mm = min(float(beyond[k]), float(over_mm[k]) - _left_by_rows(int(cells[k]), left, tips, spec))
+        if uncut_mm > worst_mm:
+            worst_mm, worst = uncut_mm, int(cells[k])
     return worst_mm, worst
 
 

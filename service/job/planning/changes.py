@@ -24,7 +24,7 @@ class Change:
     what: str
     values: dict[str, Any]
 
-    def taken(self, spec: JobSpec) -> JobSpec:
+    def apply_to(self, spec: JobSpec) -> JobSpec:
         """The job with it; SpecError where that is none."""
         data = without_derived(spec)
         for key, value in self.values.items():
@@ -41,10 +41,10 @@ def changes_of(spec: JobSpec, detail_mm: float) -> Iterator[Change]:
         yield Change(what="passes as recommended", values={"preset": "recommended"})
     elif spec.finish.process == "none":
         yield Change(what="finished by hand", values={"finish.process": "best"})
-    width_mm, height_mm = (_rounded(_LARGER * side) for side in (spec.optics.width_mm, spec.optics.height_mm))
+    width_mm, height_mm = (_to_fives(_LARGER * side) for side in (spec.optics.width_mm, spec.optics.height_mm))
     larger = {"optics.width_mm": width_mm, "optics.height_mm": height_mm}
     yield Change(what=f"a lens of {width_mm:g} x {height_mm:g} mm", values=larger)
-    throw_mm = _rounded(_NEARER * spec.optics.throw_mm)
+    throw_mm = _to_fives(_NEARER * spec.optics.throw_mm)
     if throw_mm >= _LEAST_THROW * spec.optics.width_mm:
         yield Change(what=f"the wall {throw_mm:g} mm away", values={"optics.throw_mm": throw_mm})
     if spec.plan.hours is not None:
@@ -57,7 +57,7 @@ def changes_of(spec: JobSpec, detail_mm: float) -> Iterator[Change]:
         yield Change(what="a picture that is prepared for what shows", values=coarser)
 
 
-def _rounded(length_mm: float) -> float:
+def _to_fives(length_mm: float) -> float:
     return _ROUND_MM * round(length_mm / _ROUND_MM)
 
 

@@ -21,7 +21,7 @@ from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.finish import GIVEN_UP, Finish, finish_surface
 from optics.heightfield import Array, Heightfield
-from service.plan_light import PictureLight, Shown, picture_of_waves, waves_of
+from service.plan_light import PictureLight, Shown, picture_of_waves
 
 _EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
@@ -38,7 +38,7 @@ Design = Callable[[Finish, float, bool], tuple[Heightfield, Array]]
 class Spectra:
     """Mean squares of a picture's waves, and of what lenses for balls miss of them, by wave number.
 
-    k_rad_per_mm, goal : (n,)
+    k_rad_per_mm, wanted : (n,)
     """
 
     def __init__(self, light: PictureLight) -> None:
@@ -46,17 +46,17 @@ class Spectra:
         step = float(k[-1, -1]) / _WAVE_NUMBERS
         self._bin = np.ravel((k / step).astype(np.int64))
         self.k_rad_per_mm = np.asarray((np.arange(_WAVE_NUMBERS + 1) + 0.5) * step, dtype=np.float64)
-        self._goal = waves_of(light.target)
-        self.goal = self._summed(self._goal)
-        self._missed: dict[int, Array] = {}
+        self._waves = light.goal
+        self.wanted = self._sum_squares(light.goal)
+        self._lacks: dict[Shown, Array] = {}
 
-    def missed(self, shown: Shown) -> Array:
-        """(n,) of a lens as it is unmilled."""
-        if id(shown) not in self._missed:
-            self._missed[id(shown)] = self._summed(shown.waves - self._goal)
-        return self._missed[id(shown)]
+    def lack_of(self, shown: Shown) -> Array:
+        """(n,) of what a lens misses as it is unmilled."""
+        if shown not in self._lacks:
+            self._lacks[shown] = self._sum_squares(shown.waves - self._waves)
+        return self._lacks[shown]
 
-    def _summed(self, waves: Array) -> Array:
+    def _sum_squares(self, waves: Array) -> Array:
         squares = np.ravel(waves) ** 2 / waves.size
         return np.asarray(np.bincount(self._bin, squares, minlength=_WAVE_NUMBERS + 1), dtype=np.float64)
 
@@ -68,7 +68,7 @@ class FinishedLight(PictureLight):
     """
 
     def __init__(self, milled: PictureLight, finish: Finish, spectra: Spectra | None = None) -> None:
-        super().__init__(milled.target, milled.bench)
+        super().__init__(milled.target, milled.bench, goal=milled.goal)
         self.lenses, self.finish = dict(milled.lenses), finish  # its own: the other settles its lenses anew
         self._spectra = spectra or Spectra(milled)
         self._lens_scale = self._stripe_scale = 1.0
@@ -76,7 +76,8 @@ class FinishedLight(PictureLight):
 
     @cached_property
     def _kept_waves(self) -> Array:
-        return kept_of_picture(self.finish, self.target.shape, self.bench)
+        """(ny, nx) part of each wave of the picture that is kept by a lens that foresees the finish."""
+        return _kept_of(self.finish, _picture_wave_numbers(self.target.shape, self.bench))
 
     def psnr_db(self, marks: Marks) -> float:
         return self.db_of_error(self._lens_error(marks.radius_mm) + self.grain(marks) ** 2 * self._square)
@@ -111,7 +112,7 @@ class FinishedLight(PictureLight):
 
     def smooth_picture(self, marks: Marks) -> Array:
         """Without stripes."""
-        return np.maximum(picture_of_waves(self._kept_waves * self._goal), 0.0)
+        return np.maximum(picture_of_waves(self._kept_waves * self.goal), 0.0)
 
     def picture(self, marks: Marks) -> Array:
         """Irradiance (ny, nx) on the screen, work frame: what is kept of the picture, stripes along the rows by lot."""
@@ -125,16 +126,17 @@ class FinishedLight(PictureLight):
         """Correct both guesses by a lens that is designed, milled in rows, finished and lit."""
         lens, target = design(self.finish, marks.radius_mm, fine)
         finished = finish_surface(lens, self.finish)
-        off_free = float(np.square(self._light_of(finished, target.shape) - target).mean())
         whole = self.target.shape  # half of the stripes are finer than a coarse pixel
-        stripes = self._light_of(add_rows(finished, marks, self.finish), whole) - self._light_of(finished, whole)
-        finer = waves_of(self.target) ** 2
+        plain = self._light_of(finished, whole)
+        stripes = self._light_of(add_rows(finished, marks, self.finish), whole) - plain
+        seen = plain if target.shape == whole else self._light_of(finished, target.shape)
+        off_free = float(np.square(seen - target).mean())
+        finer = self.goal**2
         ny, nx = target.shape
         finer[:ny, :nx] = 0.0  # waves that the lens has no part in
         off_fine = float((finer * np.square(1.0 - self._kept_waves)).mean())
-        unmarked = self._peak**2 * 10.0 ** (
-            -0.1 * self.lenses[marks.radius_mm].perfect_db
-        )  # no finish makes a lens better
+        # No finish makes a lens better than it is without marks.
+        unmarked = self._peak**2 * 10.0 ** (-0.1 * self.lenses[marks.radius_mm].perfect_db)
         self._lens_scale *= max(off_free + off_fine, unmarked) / self._lens_error(marks.radius_mm)
         if (guessed := self.grain(marks) ** 2 * self._square) > 0:
             self._stripe_scale *= float(np.square(stripes).mean()) / guessed
@@ -152,15 +154,10 @@ class FinishedLight(PictureLight):
         """Mean square of what the picture of the lens for a ball lacks."""
         if radius_mm not in self._errors:
             kept = _kept_of(self.finish, self._spectra.k_rad_per_mm)
-            lost = np.square(1.0 - kept) @ self._spectra.goal
-            closed = np.square(kept) @ self._spectra.missed(self.lenses[radius_mm])
+            lost = np.square(1.0 - kept) @ self._spectra.wanted
+            closed = np.square(kept) @ self._spectra.lack_of(self.lenses[radius_mm])
             self._errors[radius_mm] = float(_EDGES * lost + _CLOSING * closed)
         return self._lens_scale * self._errors[radius_mm]
-
-
-def kept_of_picture(finish: Finish, shape: tuple[int, ...], bench: Bench) -> Array:
-    """(ny, nx) part of each wave of the picture that is kept by a lens that foresees the finish."""
-    return _kept_of(finish, _picture_wave_numbers(shape, bench))
 
 
 def _picture_wave_numbers(shape: tuple[int, ...], bench: Bench) -> Array:

@@ -29,7 +29,7 @@ specs = st.builds(
 @given(specs)
 def test_each_change_is_a_job_with_those_values_and_is_not_offered_where_it_is_taken(spec: JobSpec) -> None:
     for change in changes_of(spec, 1.234):
-        taken = change.taken(spec)
+        taken = change.apply_to(spec)
         told = taken.model_dump()
         for key, value in change.values.items():
             table, _, name = key.rpartition(".")
