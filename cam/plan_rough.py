@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from math import atan, ceil, cos, sqrt
+from dataclasses import dataclass, replace
+from math import atan, ceil, cos, floor, sqrt
 
 import numpy as np
 
@@ -15,6 +15,8 @@ from cam.tools import Tool, tool_pass
 
 _ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
 _SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
+_LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
+"""What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +52,7 @@ class Roughing:
         rough = self._roughed(finish)
         if rough is None:
             return None
-        ways = [rough, *self._with_second(rough, finish)]
+        ways = [rough, *self._leaving_less(rough, finish), *self._with_second(rough, finish)]
         return min(
             ways,
             key=lambda way: sum(way.seconds) + finish_layers_s(self.form, finish, way.depth_mm, self.shop.mill),
@@ -74,34 +76,46 @@ class Roughing:
     def _first(self, tool: Tool) -> Before:
         if tool not in self._firsts:
             pitch_mm = _ROUGH_PITCH_SHARE * tool.radius_mm
-            self._firsts[tool] = self._way((), tool, pitch_mm=pitch_mm, leaves_mm=_rough_leaves(tool))
+            self._firsts[tool] = self._way((), self._spec(tool, pitch_mm, _rough_leaves(tool)))
         return self._firsts[tool]
+
+    def _leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
+        """The same first pass, where with a little less left the finish needs no layers."""
+        spec = rough.passes[0]
+        left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
+        left_mm = floor(left_mm * 100 + 1e-9) / 100
+        if _LEAST_LEFT_MM <= left_mm < spec.stock_to_leave_mm:
+            yield self._way((), replace(spec, stock_to_leave_mm=left_mm))
 
     def _with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         for tool in self.shop.tools:
             if finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
-                yield self._way(
-                    (rough,), tool, pitch_mm=sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM), leaves_mm=_SEMI_LEAVES_MM
-                )
+                pitch_mm = sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM)
+                yield self._way((rough,), self._spec(tool, pitch_mm, _SEMI_LEAVES_MM))
 
-    def _way(self, after: tuple[Before, ...], tool: Tool, *, pitch_mm: float, leaves_mm: float) -> Before:
+    def _spec(self, tool: Tool, pitch_mm: float, leaves_mm: float) -> PassSpec:
         speeds = self.shop.speeds(tool)
         pitch_mm = max(0.01, ceil(pitch_mm * 100 - 1e-9) / 100)
-        spec = tool_pass(
+        return tool_pass(
             "rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=speeds.step_down_mm
         )
+
+    def _way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
         if after:
             depth_mm = after[0].depth_mm
             seconds = rows_s(self.form, spec, self.shop.mill)
             seconds += finish_layers_s(self.form, spec, depth_mm, self.shop.mill)
         else:
             seconds = layers_s(self.form, spec, self.shop.mill)
-        cusp_mm = spec.pitch_mm**2 / (8 * spec.radius_mm)
         return Before(
             passes=(*(spec for way in after for spec in way.passes), spec),
             seconds=(*(part for way in after for part in way.seconds), seconds),
-            depth_mm=(leaves_mm + cusp_mm) / self._steep,
+            depth_mm=(spec.stock_to_leave_mm + _cusp_mm(spec)) / self._steep,
         )
+
+
+def _cusp_mm(spec: PassSpec) -> float:
+    return spec.pitch_mm**2 / (8 * spec.radius_mm)
 
 
 def _rough_leaves(tool: Tool) -> float:

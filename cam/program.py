@@ -34,6 +34,10 @@ from optics.heightfield import Heightfield
 Progress = Callable[[float], None]
 
 SLOPE_ERROR_RAD = 0.5e-3
+SHAPED_SLOPE_ERROR_RAD = 2e-3
+"""Of a path whose heights are shaped: a finish levels waves as short as a move. `camera` in steps of 4 um: 25.94 dB at
+0.5 mrad and 25.93 at 2, with two thirds of the lines."""
+
 SAFE_Z_MM = 5.0
 CHUNK_BYTES = 1_000_000
 CUSP_MM = 0.05
@@ -94,13 +98,15 @@ def generate_parts(
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts
     shaped  : the lens will be finished by hand, so errors of these steps alternate from track to track (`cam.shaping`)
     """
+    rounding = Rounding(digits=post.digits.coarsened(step_mm), pitch_mm=spec.pitch_mm)
+    shaped = shaped and spec.finishes and rounding.matters
     paths = pass_paths(
         heightfield,
         spec,
         stock,
         stock_top=stock_top,
         safe_z_mm=safe_z_mm,
-        slope_error_rad=slope_error_rad,
+        slope_error_rad=max(slope_error_rad, SHAPED_SLOPE_ERROR_RAD) if shaped else slope_error_rad,
         on_progress=on_progress,
     )
     frame = PassFrame(
@@ -113,9 +119,10 @@ def generate_parts(
         setup=setup or ProgramSetup(),
         trace=trace,
     )
-    rounding = Rounding(digits=post.digits.coarsened(step_mm), pitch_mm=spec.pitch_mm)
-    if spec.finishes and rounding.matters:
-        paths = shape_heights(paths, rounding, _region(spec, stock)) if shaped else on_raster(paths, rounding)
+    if shaped:
+        paths = shape_heights(paths, rounding, _region(spec, stock))
+    elif spec.finishes and rounding.matters:
+        paths = on_raster(paths, rounding)
     return map(_gathered, programs(paths, post, frame, limits))
 
 

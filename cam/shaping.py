@@ -44,6 +44,8 @@ LONGEST_MM = 0.15
 _DETAIL_MM = 0.1  # two errors this near along a track are as bad as none: what a vertex's height weighs against slope
 _SAMPLE_MM = 0.02  # of a track, when its error is written down
 _FARTHEST = 2.2  # sigmas
+_PER_SQUARE = 512  # entries of the Gaussian, for each square of a sigma
+_GAUSSIAN = np.exp(-0.5 * (np.arange(math.ceil(_FARTHEST**2) * _PER_SQUARE) + 0.5) / _PER_SQUARE)
 _NEIGHBOUR_CELL_MM = 0.035
 _CELLS_ASIDE = math.sqrt(2.0)  # so far aside another cell begins, whatever the direction
 _TURN_RAD = math.pi / 4  # a track that has turned so far may soon lie beside itself
@@ -140,14 +142,13 @@ def _error_owed(m, x, y, ux, uy):  # type: ignore[no-untyped-def]
     column, row = int((x - m.x0) / CELL_MM), int((y - m.y0) / CELL_MM)
     total = 0.0
     for j in range(max(0, row - reach), min(m.owed.shape[0], row + reach + 1)):
+        dy = m.y0 + (j + 0.5) * CELL_MM - y
         for i in range(max(0, column - reach), min(m.owed.shape[1], column + reach + 1)):
-            if m.owed[j, i] == 0.0:
-                continue
-            dx, dy = m.x0 + (i + 0.5) * CELL_MM - x, m.y0 + (j + 0.5) * CELL_MM - y
+            dx = m.x0 + (i + 0.5) * CELL_MM - x
             along, across = (dx * ux + dy * uy) / ALONG_MM, (dy * ux - dx * uy) / ACROSS_MM
             square = along * along + across * across
             if square < _FARTHEST**2:
-                total += m.owed[j, i] * math.exp(-0.5 * square)
+                total += m.owed[j, i] * _GAUSSIAN[int(square * _PER_SQUARE)]
     return total / (math.sqrt(2.0 * math.pi) * ALONG_MM)
 
 

@@ -25,6 +25,7 @@ BESIDE_MM = 0.1
 """This near the aperture the run-out is followed like the lens; beyond, a ball of R = 5 mm clears the rim by 1 µm."""
 
 RUN_OUT_SAG_MM = 0.5e-3
+_SAG_MM_PER_RAD = 0.024
 
 
 class VertexRule(NamedTuple):
@@ -47,10 +48,10 @@ class VertexRule(NamedTuple):
 def finish_rule(
     slope_error_rad: float, probe_mm: float, *, aperture_x_mm: tuple[float, float] = (-math.inf, math.inf)
 ) -> VertexRule:
-    """For the optical surface. A sag of 12 nm is 9 nm rms over a chord; it rules where the lens is nearly flat."""
+    """For the optical surface. At 0.5 mrad the sag is 12 nm, 9 nm rms over a chord; it rules where the lens is flat."""
     return VertexRule(
         slope_rad=slope_error_rad,
-        sag_mm=12e-6,
+        sag_mm=_SAG_MM_PER_RAD * slope_error_rad,
         run_out_sag_mm=RUN_OUT_SAG_MM,
         optical_from_mm=aperture_x_mm[0] - BESIDE_MM,
         optical_to_mm=aperture_x_mm[1] + BESIDE_MM,

@@ -18,6 +18,7 @@ from scipy.ndimage import binary_dilation
 
 from optics.heightfield import Heightfield
 from optics.spline import Array, slope_weights, spline_jet, spline_weights
+from optics.threads import over_rows
 
 Mask = NDArray[np.bool_]
 _TILE = 16  # points along its side
@@ -93,10 +94,15 @@ def _relax_point(c: Array, y: float, x: float, inv_dy: float, inv_dx: float, lim
 
 
 @njit(cache=True, nogil=True)
-def _sweep(c: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask, tight: Mask) -> None:
-    """Relax the points of the marked tiles; tight tells in which of them there was any to relax."""
+def _sweep(
+    low: int, high: int, odd: int, c: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask, tight: Mask
+) -> None:
+    """Relax the points of the marked tiles of odd or even rows from low to high; tight tells in which there were any.
+
+    Two such rows change no coefficient in common.
+    """
     rows, columns = 2 * c.shape[0] - 1, 2 * c.shape[1] - 1
-    for b in range(tiles.shape[0]):
+    for b in range(low + (low + odd) % 2, high, 2):
         for a in range(tiles.shape[1]):
             tight[b, a] = False
             if not tiles[b, a]:
@@ -122,7 +128,8 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
     while done < sweeps:
         fresh = not tight.any()
         tiles = _suspects(coefs, inv_dy, inv_dx, limit, tight) if fresh else _and_neighbours(tight)
-        _sweep(coefs, inv_dy, inv_dx, limit, tiles, tight)
+        for odd in (0, 1):
+            over_rows(_sweep, len(tiles), odd, coefs, inv_dy, inv_dx, limit, tiles, tight)
         if fresh and not tight.any():
             break
         done += 1

@@ -1,10 +1,11 @@
 """How far a milled surface departs from its lens, cell by cell: what a finish levels.
 
 Theory of operation. The surface is the lowest of all balls on their ways. A ball cuts near its contact with the lens
-only, within `reach_of` it, so each chord lowers the few places around its contact; a place of the aperture that no
-contact comes near (a valley where the ball does not fit) is asked for again with twice the reach. A cell is the mean of
-four places, each anywhere in its quarter by lot: on a lattice of places the grooves of rows would beat against it and
-make long waves where there are none; so they make a little noise between neighbouring cells, which a finish levels.
+only, within `reach_of` it, so each chord lowers the few places around its contact. Where a lens is tight the contact is
+not sharp, and where the ball does not fit there is none: a place that is left high is asked for again with twice the
+reach. A cell is the mean of four places, each anywhere in its quarter by lot: on a lattice of places the grooves of
+rows would beat against it and make long waves where there are none; so they make a little noise between neighbouring
+cells, which a finish levels.
 """
 
 from __future__ import annotations
@@ -17,6 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from cam.as_milled.facets import slopes_at_contact
 from cam.as_milled.surface import reach_of
@@ -27,8 +30,10 @@ from optics.heightfield import Heightfield, spline_jet
 _PER_CELL = 2  # places along a side
 _STRIPS = 8  # of rows of cells; a fixed number
 _THREADS = 2
-_LEAST_REACH, _MOST_REACH = 0.1, 2.0  # in radii of the largest ball; where a lens is tight the contact is not sharp
+_MOST_REACH = 2.0  # in radii of the largest ball
+_TALL = 4.0  # standard deviations; what is left higher is asked again
 _LONGEST_MM = 0.5  # of a chord whose contact is looked up once
+_BLOCK_MM = 1.0  # of chords that are passed over together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -71,7 +76,8 @@ def map_departure(
     corner = (float(heightfield.x_mm[0]) - (beyond + 0.5) * dx, float(heightfield.y_mm[0]) - (beyond + 0.5) * dy)
     places = _Places(*corner, dx / _PER_CELL, dy / _PER_CELL)
     chords = [one.divided(_LONGEST_MM) for one in tracks]
-    reach_mm = max(reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm), _LEAST_REACH * radius_mm)
+    reach_mm = reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm)
+    tall_mm = _TALL * error_mm + pitch_mm**2 / radius_mm
     bounds = np.linspace(0, ny, _STRIPS + 1).astype(int)
     departure, is_cut = np.zeros((ny, nx)), np.zeros((ny, nx), dtype=np.bool_)
     inner = slice(beyond * _PER_CELL, (nx - beyond) * _PER_CELL)
@@ -79,16 +85,22 @@ def map_departure(
     def strip(number: int) -> None:
         first, last = int(bounds[number]), int(bounds[number + 1])
         low = np.full(((last - first) * _PER_CELL, nx * _PER_CELL), np.inf)
+        lots = np.empty((*low.shape, 2), dtype=np.float32)
+        _draw_lots(first * _PER_CELL, lots)
         rows = slice(max(0, (beyond - first) * _PER_CELL), max(0, (ny - beyond - first) * _PER_CELL))
-        reach = reach_mm
+        base = np.empty(low.shape)
+        _draw_lens(lens, places, first * _PER_CELL, lots, base)
+        reach, wanted = reach_mm, np.ones(low.shape, dtype=np.bool_)
         while True:
-            wanted = np.isinf(low)
+            onward, row = _next_wanted(wanted), first * _PER_CELL
             for one in chords:
-                _lower(one.tips_mm, one.joined, one.radius_mm, lens, reach, places, first * _PER_CELL, wanted, low)
+                near = _blocks_near(wanted, places, row, reach + one.radius_mm + _LONGEST_MM)
+                _lower(one.tips_mm, one.joined, one.radius_mm, lens, reach, places, row, lots, near, onward, low)
+            wanted &= low - base > tall_mm
             reach *= 2.0
-            if reach > _MOST_REACH * radius_mm or np.isfinite(low[rows, inner]).all():
+            if reach > _MOST_REACH * radius_mm or not wanted[rows, inner].any():
                 break
-        _subtract_lens(low, lens, places, first * _PER_CELL)
+        low -= base
         cells = low.reshape(last - first, _PER_CELL, nx, _PER_CELL).mean(axis=(1, 3))
         is_cut[first:last] = np.isfinite(cells)
         departure[first:last] = np.where(is_cut[first:last], cells, 0.0)
@@ -99,19 +111,65 @@ def map_departure(
     return DepartureMap(departure_mm=departure, finer=finer, beyond_cells=beyond, cut_share=float(aperture.mean()))
 
 
-@njit(cache=True, nogil=True)
-def _lot(j, i):  # type: ignore[no-untyped-def]
-    """Two numbers from 0 to 1, the same for the same place (a finaliser of hashes, after Mueller)."""
-    h = np.uint64(j) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(i)
-    h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    h = h ^ (h >> np.uint64(31))
-    return float(h & np.uint64(0xFFFFFFFF)) / 4294967296.0, float(h >> np.uint64(32)) / 4294967296.0
+class _Blocks(NamedTuple):
+    """near[row, column]: whether a place that is wanted is near that block of side `side`; blocks from (x0, y0) on."""
+
+    near: NDArray[np.bool_]
+    x0: float
+    y0: float
+    side: float
+
+
+def _blocks_near(wanted: NDArray[np.bool_], places: _Places, first: int, margin_mm: float) -> _Blocks:
+    """Blocks up to margin_mm from places wanted (ny, nx), rows from `first` on, and a ring around them that is not."""
+    rows, columns = np.nonzero(wanted)
+    ring = math.ceil(margin_mm / _BLOCK_MM) + 1
+    at = [
+        (index * step / _BLOCK_MM).astype(np.int64) + ring for index, step in ((rows, places.dy), (columns, places.dx))
+    ]
+    shape = [
+        int(n * step / _BLOCK_MM) + 1 + 2 * ring for n, step in zip(wanted.shape, (places.dy, places.dx), strict=True)
+    ]
+    near = np.zeros(shape, dtype=np.bool_)
+    near[at[0], at[1]] = True
+    return _Blocks(
+        near=maximum_filter(near, 2 * ring - 1, mode="constant"),
+        x0=places.x0 - ring * _BLOCK_MM,
+        y0=places.y0 + first * places.dy - ring * _BLOCK_MM,
+        side=_BLOCK_MM,
+    )
 
 
 @njit(cache=True, nogil=True)
-def _lower(tips, joined, radius, lens, reach, places, first, wanted, low):  # type: ignore[no-untyped-def]
-    """Lower places, of rows from `first` on, to the ball on its way; only where wanted."""
+def _next_wanted(wanted):  # type: ignore[no-untyped-def]
+    """(ny, nx + 1) the first column from each place on that is wanted, nx where there is none."""
+    ny, nx = wanted.shape
+    out = np.empty((ny, nx + 1), dtype=np.int32)
+    for j in range(ny):
+        out[j, nx] = nx
+        for i in range(nx - 1, -1, -1):
+            out[j, i] = i if wanted[j, i] else out[j, i + 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _draw_lots(first, lots):  # type: ignore[no-untyped-def]
+    """Two numbers from 0 to 1 for each place (ny, nx, 2), rows from `first` on; the same for the same place (a
+    finaliser of hashes, after Mueller).
+    """
+    for j in range(lots.shape[0]):
+        for i in range(lots.shape[1]):
+            h = np.uint64(first + j) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(i)
+            h = (h ^ (h >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+            h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+            h = h ^ (h >> np.uint64(31))
+            lots[j, i, 0] = float(h & np.uint64(0xFFFFFFFF)) / 4294967296.0
+            lots[j, i, 1] = float(h >> np.uint64(32)) / 4294967296.0
+
+
+@njit(cache=True, nogil=True)
+def _lower(tips, joined, radius, lens, reach, places, first, lots, blocks, onward, low):  # type: ignore[no-untyped-def]
+    """Lower places, of rows from `first` on, to the ball on its way; only those that are met by going `onward`."""
     ny, nx = low.shape
     px = py = 0.0
     steps = 8
@@ -121,13 +179,11 @@ def _lower(tips, joined, radius, lens, reach, places, first, wanted, low):  # ty
             continue
         ax, ay, az = tips[k - 1, 0], tips[k - 1, 1], tips[k - 1, 2]
         bx, by, bz = tips[k, 0], tips[k, 1], tips[k, 2]
-        margin = reach + radius
-        j_most = (max(ay, by) + margin - places.y0) / places.dy - first
-        j_least = (min(ay, by) - margin - places.y0) / places.dy - first
-        if j_most < 0.0 or j_least > ny:
+        x, y = 0.5 * (ax + bx), 0.5 * (ay + by)
+        row, column = int((y - blocks.y0) / blocks.side), int((x - blocks.x0) / blocks.side)
+        if not (0 <= row < blocks.near.shape[0] and 0 <= column < blocks.near.shape[1] and blocks.near[row, column]):
             steps = 8
             continue
-        x, y = 0.5 * (ax + bx), 0.5 * (ay + by)
         if steps == 8:
             px, py = x, y
         px, py, _, _ = slopes_at_contact(lens, x, y, radius, px, py, steps)
@@ -137,18 +193,27 @@ def _lower(tips, joined, radius, lens, reach, places, first, wanted, low):  # ty
         ex, ey, slope = (bx - ax) / length, (by - ay) / length, (bz - az) / length
         q = math.sqrt(1.0 + slope * slope)
         tilt = slope / q
+        lowest, bulge = min(az, bz), 0.5 / radius
         j0 = max(0, int(math.floor((min(ay, by) + sy - reach - places.y0) / places.dy)) - first)
         j1 = min(ny - 1, int(math.floor((max(ay, by) + sy + reach - places.y0) / places.dy)) - first)
-        i0 = max(0, int(math.floor((min(ax, bx) + sx - reach - places.x0) / places.dx)))
-        i1 = min(nx - 1, int(math.floor((max(ax, bx) + sx + reach - places.x0) / places.dx)))
+        low_y, high_y = min(ay, by) + sy, max(ay, by) + sy
         for j in range(j0, j1 + 1):
-            for i in range(i0, i1 + 1):
-                if not wanted[j, i]:
-                    continue
-                lot_x, lot_y = _lot(first + j, i)
-                dx = places.x0 + (i + lot_x) * places.dx - ax
-                dy = places.y0 + (first + j + lot_y) * places.dy - ay
+            y = places.y0 + (first + j + 0.5) * places.dy
+            aside = max(0.0, low_y - y, y - high_y)
+            half = math.sqrt(max(0.0, reach * reach - aside * aside))
+            i0 = max(0, int(math.floor((min(ax, bx) + sx - half - places.x0) / places.dx)))
+            i1 = min(nx - 1, int(math.floor((max(ax, bx) + sx + half - places.x0) / places.dx)))
+            i = i0 - 1
+            while i < i1:
+                i = onward[j, i + 1]
+                if i > i1:
+                    break
+                dx = places.x0 + (i + lots[j, i, 0]) * places.dx - ax
+                dy = places.y0 + (first + j + lots[j, i, 1]) * places.dy - ay
                 u, w = dx * ex + dy * ey, dx * ey - dy * ex
+                off = max(0.0, -u, u - length)
+                if lowest + bulge * (w * w + off * off) >= low[j, i]:
+                    continue  # a ball is above its parabola
                 rho2 = radius * radius - w * w
                 if rho2 <= 0.0:
                     continue
@@ -164,9 +229,10 @@ def _lower(tips, joined, radius, lens, reach, places, first, wanted, low):  # ty
 
 
 @njit(cache=True, nogil=True)
-def _subtract_lens(low, lens, places, first):  # type: ignore[no-untyped-def]
-    for j in range(low.shape[0]):
-        for i in range(low.shape[1]):
-            lot_x, lot_y = _lot(first + j, i)
-            x, y = places.x0 + (i + lot_x) * places.dx, places.y0 + (first + j + lot_y) * places.dy
-            low[j, i] -= spline_jet(lens[0], lens[1], lens[2], lens[3], lens[4], x, y)[0]
+def _draw_lens(lens, places, first, lots, out):  # type: ignore[no-untyped-def]
+    """Heights of the lens (ny, nx) at the places, rows from `first` on."""
+    for j in range(out.shape[0]):
+        for i in range(out.shape[1]):
+            x = places.x0 + (i + lots[j, i, 0]) * places.dx
+            y = places.y0 + (first + j + lots[j, i, 1]) * places.dy
+            out[j, i] = spline_jet(lens[0], lens[1], lens[2], lens[3], lens[4], x, y)[0]

@@ -15,7 +15,7 @@ from cam.moves import Array
 from optics.heightfield import Heightfield
 
 CHORDS_PER_PART = 20_000
-_LONGEST_MM = 0.1  # half a pixel of 512 on 100 mm
+_LONGEST_MM = 0.2  # a pixel of 512 on 100 mm; half as long changes the light by 63 dB
 _BOX_MM = 0.03  # smaller ones cost more memory than they save time
 _SIGMAS = 3.0
 _CROSSED = 1 / 6  # of the pitch: parts of a strip that other tracks cross
@@ -24,9 +24,11 @@ _CROSSED = 1 / 6  # of the pitch: parts of a strip that other tracks cross
 def reach_of(radius_mm: float, *, pitch_mm: float, error_mm: float) -> float:
     """How far from its contact a ball cuts anything that no neighbour cuts deeper.
 
-    error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around.
+    error_mm : standard deviation of the tips' heights. One that lies d deeper hides others sqrt(2 R d) around. (Half as
+    far again changes the light of rows of a 4 mm ball, 0.03 mm apart and off by 1.5 um, by 60 dB, and takes twice as
+    long.)
     """
-    return 1.5 * pitch_mm + 1.5 * math.sqrt(2.0 * radius_mm * _SIGMAS * error_mm)
+    return 1.5 * pitch_mm + math.sqrt(2.0 * radius_mm * _SIGMAS * error_mm)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

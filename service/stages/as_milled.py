@@ -60,7 +60,9 @@ def as_milled(shop: Workshop) -> None:
     del surface
     with shop.watch.stage("as milled: causes") as reached:
         designed = simulate_caustic(surface_in_light(heightfield, finish_of(shop.spec)), bench, pixels=shape)
-        gains = _gains(shop, passes[0][1], heightfield, target, designed, reached)
+        # A finish takes the marks off: what each of them alone would bring is no advice.
+        finishes = shop.spec.finish.finishes
+        gains = {} if finishes else _gains(shop, passes[0][1], heightfield, target, designed, reached)
     _tell(shop, target, seen, designed, found, gains)
     _draw(shop, target, designed.irradiance, seen.irradiance)
 

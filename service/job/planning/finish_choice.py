@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.planner import Candidate, Goal, Plan, plan_among
+from cam.planner import Candidate, Goal, Marks, Plan, plan_as_scored
 from optics.finish import Finish
 from service.job.finishing import Process, load_processes
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
@@ -114,24 +114,21 @@ def _best(
     ways: list[tuple[Finishing, FinishedLight]],
     goal: Goal,
 ) -> FinishedPlan:
-    found = (
-        FinishedPlan(
-            plan=plan_among(_rescore(light, candidates), left_out, light, goal), finishing=finishing, light=light
-        )
-        for finishing, light in ways
-    )
-    return max(found, key=lambda one: _rank_plan(one, goal))
+    by_time = goal.psnr_db is not None or goal.blur_mm is not None
+    found: list[tuple[tuple[bool, float], FinishedPlan]] = []
+    for finishing, light in ways:
+        scored = _rescore(light, candidates, light.psnr_db if by_time else light.liking_db)
+        plan = plan_as_scored(scored, left_out, goal)
+        rank = merit(plan, goal)
+        if not by_time:
+            front = tuple(_rescore(light, list(plan.front), light.psnr_db))
+            plan = replace(plan, chosen=front[plan.front.index(plan.chosen)], front=front)
+        found.append((rank, FinishedPlan(plan=plan, finishing=finishing, light=light)))
+    return max(found, key=lambda one: one[0])[1]
 
 
-def _rank_plan(one: FinishedPlan, goal: Goal) -> tuple[bool, float]:
-    """As `merit`, but pictures compared with stripes counted for more."""
-    met, value = merit(one.plan, goal)
-    by_time = met and (goal.psnr_db is not None or goal.blur_mm is not None)
-    return met, value if by_time else one.light.liking_db(one.plan.chosen.marks)
-
-
-def _rescore(light: FinishedLight, candidates: list[Candidate]) -> list[Candidate]:
-    return [replace(one, psnr_db=light.psnr_db(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
+def _rescore(light: FinishedLight, candidates: list[Candidate], score: Callable[[Marks], float]) -> list[Candidate]:
+    return [replace(one, psnr_db=score(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
 
 
 def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:
