@@ -8,7 +8,7 @@ come last over everything. No layer takes off more than step_down plus the cusps
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import ceil, inf, pi, sqrt
 
@@ -36,6 +36,8 @@ LAYER_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.01
 SLOT_FEED = 0.5
 """Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
 on the way from row to row and along the walls it may."""
+
+_HERE_AND_THERE = 0.1
 
 SLOT_DEPTH_SHARE = 0.3
 """Of the step-down: stock that stands this much higher on both sides makes a slot."""
@@ -81,6 +83,17 @@ class Field:
     @property
     def step_mm(self) -> float:
         return float(self.x_mm[1] - self.x_mm[0])
+
+    def settled(self, stock: StockTouch, most_mm: float) -> Field:
+        """The same with exact heights where more than most_mm of stock seems to stand, if that is here and there only:
+        beside walls that another ball has left.
+        """
+        rows, columns = np.nonzero(self.stock_mm - self.target_mm > most_mm)
+        if stock.flat or not 0 < rows.size <= _HERE_AND_THERE * self.stock_mm.size:
+            return self
+        exact = self.stock_mm.copy()
+        exact[rows, columns] = stock.exactly(self.x_mm[columns], self.rows.y_mm[rows])
+        return replace(self, stock_mm=exact)
 
     def coarser(self, distance_mm: float) -> Field:
         """Rows no farther apart than distance_mm; the stock over each is the most that stands up to its neighbours, so

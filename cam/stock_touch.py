@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from math import ceil
 
 import numpy as np
 from numba import njit
@@ -23,6 +23,7 @@ class StockTouch:
 
     height_mm (ny, nx) : D on a lattice whose node [0, 0] stands at (x0_mm, y0_mm)
     slack_mm           : the most D can be too low, as cells and lattice only sample the ball: s^2 / 4R
+    stock, radius_mm   : what it was made of
     """
 
     x0_mm: float
@@ -31,13 +32,15 @@ class StockTouch:
     height_mm: Array
     slack_mm: float
     flat: bool
+    stock: StockGrid
+    radius_mm: float
 
     @classmethod
     def of(cls, stock_top: StockGrid, radius_mm: float) -> StockTouch:
         top, cell = stock_top.top_mm, stock_top.cell_mm
         stride = max(1, int(radius_mm / 10 / cell))
-        step, pad = stride * cell, ceil(radius_mm / (stride * cell)) + 1
-        nx, ny = (ceil(n / stride) + 2 * pad for n in (top.shape[1], top.shape[0]))
+        step, pad = stride * cell, math.ceil(radius_mm / (stride * cell)) + 1
+        nx, ny = (math.ceil(n / stride) + 2 * pad for n in (top.shape[1], top.shape[0]))
         x0 = stock_top.x0_mm + cell / 2 - pad * step
         y0 = stock_top.y0_mm + cell / 2 - pad * step
         flat = bool(np.ptp(top) == 0)
@@ -49,7 +52,7 @@ class StockTouch:
             met = left > 0
             height[met] = float(top[0, 0]) - radius_mm + np.sqrt(left[met])
         else:
-            wide = ceil(top.shape[1] / stride) * stride
+            wide = math.ceil(top.shape[1] / stride) * stride
             by_column = np.full((top.shape[0], wide), AIR_MM)
             by_column[:, : top.shape[1]] = top
             phases = by_column.reshape(top.shape[0], -1, stride).transpose(2, 0, 1)
@@ -61,12 +64,22 @@ class StockTouch:
             height_mm=height,
             slack_mm=0.0 if flat else step**2 / (4 * radius_mm),
             flat=flat,
+            stock=stock_top,
+            radius_mm=radius_mm,
         )
 
     def over(self, x_mm: Array, y_mm: Array) -> Array:
         """(ny, nx) D at the grid points x (nx,), y (ny,), bilinear between lattice nodes."""
         out = np.empty((y_mm.size, x_mm.size))
         _sample(self.height_mm, self.x0_mm, self.y0_mm, 1.0 / self.step_mm, x_mm, y_mm, out)
+        return out
+
+    def exactly(self, x_mm: Array, y_mm: Array) -> Array:
+        """(n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice tells of stock
+        that the ball only passes by.
+        """
+        stock, out = self.stock, np.empty(x_mm.size)
+        _touch(stock.top_mm, stock.x0_mm, stock.y0_mm, stock.cell_mm, self.radius_mm, x_mm, y_mm, out)
         return out
 
     def under(self, points_mm: Array) -> Array:
@@ -108,6 +121,21 @@ def _dilate(phases, cell, radius, pad, out):  # type: ignore[no-untyped-def]
                     height = row[i] - bump
                     here = below[first + i]
                     below[first + i] = height if height > here else here
+
+
+@njit(cache=True, nogil=True)
+def _touch(top, x0, y0, cell, radius, x, y, out):  # type: ignore[no-untyped-def]
+    ny, nx = top.shape
+    for n in range(out.size):
+        out[n] = AIR_MM
+        column, row = (x[n] - x0) / cell - 0.5, (y[n] - y0) / cell - 0.5  # in cells, from the centre of the first
+        reach = radius / cell
+        for j in range(max(0, int(math.ceil(row - reach))), min(ny - 1, int(math.floor(row + reach))) + 1):
+            half = math.sqrt(max(0.0, reach * reach - (j - row) ** 2))
+            for i in range(max(0, int(math.ceil(column - half))), min(nx - 1, int(math.floor(column + half))) + 1):
+                left = radius * radius - ((i - column) ** 2 + (j - row) ** 2) * cell * cell
+                if left > 0.0:
+                    out[n] = max(out[n], top[j, i] - radius + math.sqrt(left))
 
 
 @njit(cache=True, nogil=True)

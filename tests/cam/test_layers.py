@@ -81,6 +81,8 @@ def test_a_ball_meets_shaped_stock(make_bumps):
     for x, y in np.random.default_rng(7).uniform((0, 0), (8, 6), (40, 2)):
         exact = (spline.heights_mm(x + dx, y + dy) - bump).max()
         assert exact - touch.slack_mm <= touch.at(x, y) <= exact + touch.slack_mm
+        settled = touch.exactly(np.array([x]), np.array([y]))[0]
+        assert exact - 2 * touch.slack_mm <= settled <= exact + 1e-4
 
 
 def field(lens, spec, top) -> tuple[Field, StockTouch]:
@@ -189,6 +191,21 @@ def test_a_second_rough_pass_goes_where_the_first_one_really_left_stock(make_bum
     assert max(d.max() for d in drops) <= 1.06 * second.step_down_mm + 0.05
     in_layers = [layer.offset_mm for layer in plan.layers]
     assert in_layers == sorted(in_layers, reverse=True)
+
+
+def test_a_ball_meets_no_wall_that_one_of_its_size_has_left(make_bumps):
+    """Deeper than its radius the wall of a pass before stands at the ball's equator: it passes by and takes off
+    nothing, so that nothing has to be taken off before.
+    """
+    lens, left = rest_of(ROUGH, 0.8, make_bumps)
+    finish = replace(FINISH, radius_mm=0.8)
+    spread, met = field(lens, finish, left)
+    assert (spread.stock_mm - spread.target_mm).max() > finish.step_down_mm  # as the lattice tells
+    plan = plan_layers(spread.settled(met, finish.step_down_mm - met.slack_mm), met, finish)
+    assert plan.layers == ()
+    grid = RemovalGrid(left, radius_mm=finish.radius_mm)
+    text = generate_program(lens, finish, STOCK, stock_top=left, post=GRBL)
+    assert max(grid.cut(batch).depth_mm.max() for batch in read_program(text)) <= finish.step_down_mm
 
 
 def test_a_bigger_first_ball_leaves_the_second_one_more_to_do(make_bumps):
