@@ -21,6 +21,7 @@ from optics.spline import Array, slope_weights, spline_jet, spline_weights
 from optics.threads import over_rows
 
 Mask = NDArray[np.bool_]
+Rows = NDArray[np.int64]
 _TILE = 16  # points along its side
 _ROUNDING = 1e-6
 _AIM = 0.97  # of the curvature allowed: a little under it, so that the steps come to an end
@@ -95,16 +96,12 @@ def _relax_point(c: Array, y: float, x: float, inv_dy: float, inv_dx: float, lim
 
 @njit(cache=True, nogil=True)
 def _sweep(
-    low: int, high: int, odd: int, c: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask, tight: Mask
+    first: int, last: int, which: Rows, c: Array, inv_dy: float, inv_dx: float, limit: float, tiles: Mask, tight: Mask
 ) -> None:
-    """Relax the points of the marked tiles of odd or even rows from low to high; tight tells in which there were any.
-
-    Two such rows change no coefficient in common.
-    """
+    """Relax the points of the marked tiles in rows which[first:last]; tight tells in which tiles there were any."""
     rows, columns = 2 * c.shape[0] - 1, 2 * c.shape[1] - 1
-    for b in range(low + (low + odd) % 2, high, 2):
+    for b in which[first:last]:
         for a in range(tiles.shape[1]):
-            tight[b, a] = False
             if not tiles[b, a]:
                 continue
             for j in range(b * _TILE, min((b + 1) * _TILE, rows)):
@@ -128,8 +125,11 @@ def fit_ball(lens: Heightfield, radius_mm: float, *, sweeps: int = SWEEPS) -> He
     while done < sweeps:
         fresh = not tight.any()
         tiles = _suspects(coefs, inv_dy, inv_dx, limit, tight) if fresh else _and_neighbours(tight)
-        for odd in (0, 1):
-            over_rows(_sweep, len(tiles), odd, coefs, inv_dy, inv_dx, limit, tiles, tight)
+        tight[:] = False
+        marked = np.flatnonzero(tiles.any(axis=1))
+        for odd in (0, 1):  # two rows of either change no coefficient in common
+            which = marked[marked % 2 == odd]
+            over_rows(_sweep, which.size, which, coefs, inv_dy, inv_dx, limit, tiles, tight)
         if fresh and not tight.any():
             break
         done += 1

@@ -27,7 +27,8 @@ from optics.transport import OpticalPath, solve_transport
 _CLOSING_PER_BALL = 1.25  # wider than the ball, for what a closing lets through; 1 or 1.5 score less after the fit
 _CLOSING_UNDER_FINISH = 0.6  # which rounds the rest; k0 2.7 rad/mm, ball 1.5 mm: 28.9 dB, 1.25: 28.4, none: 27.9
 _MOST_LOST = 0.05  # of the light, for a lens that counts as converged
-_MORE_FOR_FINISH = 2  # passes: what a finish blurs is won back step by step
+_MORE_FOR_FINISH = 2  # passes at most: what a finish blurs is won back step by step
+_WORTH_DB = 0.1  # of such a pass, for another one
 _TUBES_PER_PIXEL = 4
 
 
@@ -108,6 +109,8 @@ def corrected(
     aim = target
     passes = settings.corrections + (_MORE_FOR_FINISH if settings.finish is not None and settings.corrections else 0)
     for number in range(1, passes + 1):
+        if number > settings.corrections + 1 and history[-1]["psnr_db"] < history[-2]["psnr_db"] + _WORTH_DB:
+            break
         report("corrections", (number - 1) / passes)
         aim = np.maximum(aim + target - latest.caustic.irradiance, 0.0)
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=latest.path)

@@ -3,9 +3,9 @@
 Theory of operation. The surface is the lowest of all balls on their ways. A ball cuts near its contact with the lens
 only, within `reach_of` it, so each chord lowers the few places around its contact. Where a lens is tight the contact is
 not sharp, and where the ball does not fit there is none: a place that is left high is asked for again with twice the
-reach. A cell is the mean of four places, each anywhere in its quarter by lot: on a lattice of places the grooves of
-rows would beat against it and make long waves where there are none; so they make a little noise between neighbouring
-cells, which a finish levels.
+reach. A cell is the mean of two places, each anywhere by lot in one of two quarters of it that touch at their corners:
+on a lattice of places the grooves of rows would beat against it and make long waves where there are none; so they make
+a little noise between neighbouring cells, which a finish levels.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from optics.heightfield import Heightfield, spline_jet
 
-_PER_CELL = 2  # places along a side
-_STRIPS = 8  # of rows of cells; a fixed number
+_PER_CELL = 2  # places
+_STRIPS = 4  # of rows of cells; a fixed number
 _THREADS = 2
 _MOST_REACH = 2.0  # in radii of the largest ball
 _TALL = 4.0  # standard deviations; what is left higher is asked again
@@ -74,7 +74,7 @@ def map_departure(
     radius_mm = max(one.radius_mm for one in tracks)
     lens = heightfield.spline_with_run_out(beyond_mm + radius_mm + 1.0).kernel_arguments
     corner = (float(heightfield.x_mm[0]) - (beyond + 0.5) * dx, float(heightfield.y_mm[0]) - (beyond + 0.5) * dy)
-    places = _Places(*corner, dx / _PER_CELL, dy / _PER_CELL)
+    places = _Places(*corner, dx / _PER_CELL, dy)
     chords = [one.divided(_LONGEST_MM) for one in tracks]
     reach_mm = reach_of(radius_mm, pitch_mm=pitch_mm, error_mm=error_mm)
     tall_mm = _TALL * error_mm + pitch_mm**2 / radius_mm
@@ -84,24 +84,24 @@ def map_departure(
 
     def strip(number: int) -> None:
         first, last = int(bounds[number]), int(bounds[number + 1])
-        low = np.full(((last - first) * _PER_CELL, nx * _PER_CELL), np.inf)
+        low = np.full((last - first, nx * _PER_CELL), np.inf)
         lots = np.empty((*low.shape, 2), dtype=np.float32)
-        _draw_lots(first * _PER_CELL, lots)
-        rows = slice(max(0, (beyond - first) * _PER_CELL), max(0, (ny - beyond - first) * _PER_CELL))
+        _draw_lots(first, lots)
+        rows = slice(max(0, beyond - first), max(0, ny - beyond - first))
         base = np.empty(low.shape)
-        _draw_lens(lens, places, first * _PER_CELL, lots, base)
+        _draw_lens(lens, places, first, lots, base)
         reach, wanted = reach_mm, np.ones(low.shape, dtype=np.bool_)
         while True:
-            onward, row = _next_wanted(wanted), first * _PER_CELL
+            onward = _next_wanted(wanted)
             for one in chords:
-                near = _blocks_near(wanted, places, row, reach + one.radius_mm + _LONGEST_MM)
-                _lower(one.tips_mm, one.joined, one.radius_mm, lens, reach, places, row, lots, near, onward, low)
+                near = _blocks_near(wanted, places, first, reach + one.radius_mm + _LONGEST_MM)
+                _lower(one.tips_mm, one.joined, one.radius_mm, lens, reach, places, first, lots, near, onward, low)
             wanted &= low - base > tall_mm
             reach *= 2.0
             if reach > _MOST_REACH * radius_mm or not wanted[rows, inner].any():
                 break
         low -= base
-        cells = low.reshape(last - first, _PER_CELL, nx, _PER_CELL).mean(axis=(1, 3))
+        cells = low.reshape(last - first, nx, _PER_CELL).mean(axis=2)
         is_cut[first:last] = np.isfinite(cells)
         departure[first:last] = np.where(is_cut[first:last], cells, 0.0)
 
@@ -154,8 +154,8 @@ def _next_wanted(wanted):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _draw_lots(first, lots):  # type: ignore[no-untyped-def]
-    """Two numbers from 0 to 1 for each place (ny, nx, 2), rows from `first` on; the same for the same place (a
-    finaliser of hashes, after Mueller).
+    """Where places lie in their halves of cells, from 0 to 1 in x and y (ny, nx, 2), rows from `first` on: by lot, the
+    same for the same place (a finaliser of hashes, after Mueller), in the lower quarter or in the upper one by turns.
     """
     for j in range(lots.shape[0]):
         for i in range(lots.shape[1]):
@@ -164,7 +164,8 @@ def _draw_lots(first, lots):  # type: ignore[no-untyped-def]
             h = (h ^ (h >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
             h = h ^ (h >> np.uint64(31))
             lots[j, i, 0] = float(h & np.uint64(0xFFFFFFFF)) / 4294967296.0
-            lots[j, i, 1] = float(h >> np.uint64(32)) / 4294967296.0
+            upper = (i + i // 2 + first + j) % 2
+            lots[j, i, 1] = 0.5 * (upper + float(h >> np.uint64(32)) / 4294967296.0)
 
 
 @njit(cache=True, nogil=True)
@@ -184,10 +185,9 @@ def _lower(tips, joined, radius, lens, reach, places, first, lots, blocks, onwar
         if not (0 <= row < blocks.near.shape[0] and 0 <= column < blocks.near.shape[1] and blocks.near[row, column]):
             steps = 8
             continue
-        if steps == 8:
-            px, py = x, y
+        px, py = (x, y) if steps == 8 else (px + bx - ax, py + by - ay)
         px, py, _, _ = slopes_at_contact(lens, x, y, radius, px, py, steps)
-        steps = 3
+        steps = 2
         sx, sy = px - x, py - y
         length = math.hypot(bx - ax, by - ay)
         ex, ey, slope = (bx - ax) / length, (by - ay) / length, (bz - az) / length

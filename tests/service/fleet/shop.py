@@ -102,9 +102,9 @@ class Shop:
         assert answer.status_code == status, answer.text
         return answer.json()
 
-    def park(self, job: str, status: int = 201, **more: Any) -> Any:
+    def park(self, job: str, status: int = 201, *, machine: str = MACHINE, **more: Any) -> Any:
         """A run that could not be parked in time (kernels that have to be compiled first) is waited for."""
-        answer = self.operator.post(f"/v1/machines/{MACHINE}/runs", json={"job": job, **more})
+        answer = self.operator.post(f"/v1/machines/{machine}/runs", json={"job": job, **more})
         if answer.status_code == 202 and status == 201:
             return self.until_state(answer.json(), "parked")
         assert answer.status_code == status, answer.text

@@ -129,8 +129,7 @@ def test_agents_elsewhere_come_from_a_file(tmp_path: Path, monkeypatch: pytest.M
             with floor.client("jobs:read", "machine:run") as floor.operator:
                 (seen,) = floor.get("/v1/machines")["machines"]
                 assert (seen["name"], seen["remote"], seen["agent"]["reachable"]) == ("grbl", True, True)
-                run = floor.post("/v1/machines/grbl/runs", 201, job=floor.job())
-                floor.start(run)
+                floor.start(run := floor.park(floor.job(), machine="grbl"))
                 floor.until_state(run, "finished")
                 listing.write_text("[[agents]]\n")
                 assert "agents file" in floor.get("/v1/machines")["problems"][0]
