@@ -32,6 +32,7 @@ from service.job.coupon.piece import (
     finishing_programs,
     sheet_lines,
 )
+from service.job.spec.finish import FinishSpec
 from service.passes import cam_passes_of, machine_of
 from service.pipeline import Job
 from service.progress import Reporter, Stopwatch
@@ -69,7 +70,8 @@ def make_coupon(output: Path, spec: JobSpec, *, reporter: Reporter, force: bool 
     job_files.require_usable_output(output, force=force)
     coupon = coupon_of(spec)
     with job_files.staging_folder(output) as folder, PictureQueue() as queue:
-        job = Job(spec=spec, folder=folder, reporter=reporter, picture_queue=queue)
+        plain_cuts = spec.model_copy(update={"finish": FinishSpec()})  # one half stays as it is milled
+        job = Job(spec=plain_cuts, folder=folder, reporter=reporter, picture_queue=queue)
         job.desk[job_files.HEIGHTFIELD] = lens = coupon.heightfield()
         job_files.write_bytes(folder / job_files.HEIGHTFIELD, arrays.heightfield_bytes(lens))
         job.run(*(f"pass-{number}" for number in range(1, len(spec.passes) + 1)))
