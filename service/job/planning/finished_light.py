@@ -73,7 +73,7 @@ class FinishedLight(PictureLight):
         self._spectra = spectra or Spectra(milled)
         self._lens_scale = self._stripe_scale = 1.0
         self._errors: dict[float, float] = {}  # of the guess, by radius
-        self._seen: dict[float, Array] = {}  # (ny, nx) through a lens as fine as the picture, unmarked, by radius
+        self._lit: dict[float, Array] = {}  # (ny, nx) through a lens as fine as the picture, unmarked, by radius
 
     @cached_property
     def _kept_waves(self) -> Array:
@@ -113,7 +113,7 @@ class FinishedLight(PictureLight):
 
     def smooth_picture(self, marks: Marks) -> Array:
         """Without stripes: as a lens was seen to make it, or what is kept of the picture."""
-        if (seen := self._seen.get(marks.radius_mm)) is not None:
+        if (seen := self._lit.get(marks.radius_mm)) is not None:
             return seen
         return np.maximum(picture_of_waves(self._kept_waves * self.goal), 0.0)
 
@@ -134,7 +134,7 @@ class FinishedLight(PictureLight):
         stripes = self._light_of(add_rows(finished, marks, self.finish), whole) - plain
         seen = plain if target.shape == whole else self._light_of(finished, target.shape)
         if fine and target.shape == whole:
-            self._seen[marks.radius_mm] = plain
+            self._lit[marks.radius_mm] = plain
         off_free = float(np.square(seen - target).mean())
         finer = self.goal**2
         ny, nx = target.shape
