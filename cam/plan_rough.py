@@ -80,12 +80,13 @@ class Roughing:
         return self._firsts[tool]
 
     def _leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
-        """The same first pass, where with a little less left the finish needs no layers."""
+        """The same first pass, where the finish needs no layers if a little less is left. It takes as long."""
         spec = rough.passes[0]
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
         left_mm = floor(left_mm * 100 + 1e-9) / 100
         if _LEAST_LEFT_MM <= left_mm < spec.stock_to_leave_mm:
-            yield self._way((), replace(spec, stock_to_leave_mm=left_mm))
+            spec = replace(spec, stock_to_leave_mm=left_mm)
+            yield replace(rough, passes=(spec,), depth_mm=self._depth_mm(spec))
 
     def _with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         for tool in self.shop.tools:
@@ -110,8 +111,12 @@ class Roughing:
         return Before(
             passes=(*(spec for way in after for spec in way.passes), spec),
             seconds=(*(part for way in after for part in way.seconds), seconds),
-            depth_mm=(spec.stock_to_leave_mm + _cusp_mm(spec)) / self._steep,
+            depth_mm=self._depth_mm(spec),
         )
+
+    def _depth_mm(self, spec: PassSpec) -> float:
+        """The deepest stock after a pass, along Z."""
+        return (spec.stock_to_leave_mm + _cusp_mm(spec)) / self._steep
 
 
 def _cusp_mm(spec: PassSpec) -> float:

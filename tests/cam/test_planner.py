@@ -17,6 +17,7 @@ from cam.duration import DurationModel, Kinematics
 from cam.materials import PMMA
 from cam.pass_time import LensForm, layers_s, rows_s
 from cam.passes import PAPER_PASSES, PassSpec, Stock, ball_pass
+from cam.plan_rough import Roughing
 from cam.planner import TOLERATED_DB, Goal, Marks, NoPlanError, Plan, choose, make_plan
 from cam.program import pass_paths
 from cam.row_slopes import RowSlopes
@@ -74,6 +75,17 @@ def planned(goal: Goal, *tools: Tool, **changes: float) -> Plan:
     given = tools or tuple(tool(radius) for radius in (0.5, 1.5, 3.0, 4.0))
     form = LensForm.of(bumps())
     return make_plan(shop(*given, **changes), {one.radius_mm: form for one in given}, Blur(), goal, fillings={})
+
+
+def test_a_first_pass_leaves_less_where_that_spares_the_finish_its_layers() -> None:
+    roughing = Roughing(form=LensForm.of(bumps(1.0)), shop=shop(tool(6.0), margin_mm=16.0))
+    for step_down_mm, spared in ((0.394, True), (0.2, False), (1.0, False)):
+        finish = ball_pass("finish", radius_mm=2.0, pitch_mm=0.05, stock_to_leave_mm=0.0, step_down_mm=step_down_mm)
+        before = roughing.before(finish)
+        assert before is not None
+        assert before.depth_mm <= finish.layer_mm
+        assert (before.passes[0].stock_to_leave_mm < 0.2) is spared
+        assert len(before.passes) == (2 if step_down_mm == 0.2 else 1)
 
 
 def test_the_choice_is_nearly_the_best_and_nothing_quicker_is(plan: Plan) -> None:
