@@ -37,10 +37,11 @@ SLOT_FEED = 0.5
 """Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
 on the way from row to row and along the walls it may."""
 
-_HERE_AND_THERE = 0.1
-
 SLOT_DEPTH_SHARE = 0.3
 """Of the step-down: stock that stands this much higher on both sides makes a slot."""
+
+_HERE_AND_THERE = 0.1
+"""Of all samples: where more of them have too much stock above them, walls are not what layers are for."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -84,7 +85,7 @@ class Field:
     def step_mm(self) -> float:
         return float(self.x_mm[1] - self.x_mm[0])
 
-    def settled(self, stock: StockTouch, most_mm: float) -> Field:
+    def refine(self, stock: StockTouch, most_mm: float) -> Field:
         """The same with exact heights where more than most_mm of stock seems to stand, if that is here and there only:
         beside walls that another ball has left.
         """

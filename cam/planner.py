@@ -179,10 +179,10 @@ def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...
     near = _near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
     light.settle(one.marks for one in best.values())
-    return plan_as_scored([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], left_out, goal)
+    return plan_by_score([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], left_out, goal)
 
 
-def plan_as_scored(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
+def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
     """The choice among candidates by what they say of themselves."""
     front = _front(candidates, _WORTH_DB)
     chosen, met = choose(front, goal)

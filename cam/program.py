@@ -196,7 +196,7 @@ def _paths_along_x(
     met = StockTouch.of(stock_top, spec.radius_mm)
     if spec.where == "rest" and met.flat:
         raise PassValueError(name="where", value="rest", allowed="only after a pass that has left its shape")
-    field = Field.along(rows, surface, met).settled(met, spec.step_down_mm - met.slack_mm)
+    field = Field.along(rows, surface, met).refine(met, spec.step_down_mm - met.slack_mm)
     plan = plan_layers(field, met, spec)
     if plan.layers and plan.exact_rows:
         field = field.coarser(layer_row_distance_mm(spec))  # only the exact rows need the pitch

@@ -92,7 +92,7 @@ def map_departure(
         _draw_lens(lens, places, first, lots, base)
         reach, wanted = reach_mm, np.ones(low.shape, dtype=np.bool_)
         while True:
-            onward = _next_wanted(wanted)
+            onward = _find_next(wanted)
             for one in chords:
                 near = _blocks_near(wanted, places, first, reach + one.radius_mm + _LONGEST_MM)
                 _lower(one.tips_mm, one.joined, one.radius_mm, lens, reach, places, first, lots, near, onward, low)
@@ -141,7 +141,7 @@ def _blocks_near(wanted: NDArray[np.bool_], places: _Places, first: int, margin_
 
 
 @njit(cache=True, nogil=True)
-def _next_wanted(wanted):  # type: ignore[no-untyped-def]
+def _find_next(wanted):  # type: ignore[no-untyped-def]
     """(ny, nx + 1) the first column from each place on that is wanted, nx where there is none."""
     ny, nx = wanted.shape
     out = np.empty((ny, nx + 1), dtype=np.int32)

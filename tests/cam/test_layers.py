@@ -81,8 +81,8 @@ def test_a_ball_meets_shaped_stock(make_bumps):
     for x, y in np.random.default_rng(7).uniform((0, 0), (8, 6), (40, 2)):
         exact = (spline.heights_mm(x + dx, y + dy) - bump).max()
         assert exact - touch.slack_mm <= touch.at(x, y) <= exact + touch.slack_mm
-        settled = touch.exactly(np.array([x]), np.array([y]))[0]
-        assert exact - 2 * touch.slack_mm <= settled <= exact + 1e-4
+        refined = touch.exactly(np.array([x]), np.array([y]))[0]
+        assert exact - 2 * touch.slack_mm <= refined <= exact + 1e-4
 
 
 def field(lens, spec, top) -> tuple[Field, StockTouch]:
@@ -201,7 +201,7 @@ def test_a_ball_meets_no_wall_that_one_of_its_size_has_left(make_bumps):
     finish = replace(FINISH, radius_mm=0.8)
     spread, met = field(lens, finish, left)
     assert (spread.stock_mm - spread.target_mm).max() > finish.step_down_mm  # as the lattice tells
-    plan = plan_layers(spread.settled(met, finish.step_down_mm - met.slack_mm), met, finish)
+    plan = plan_layers(spread.refine(met, finish.step_down_mm - met.slack_mm), met, finish)
     assert plan.layers == ()
     grid = RemovalGrid(left, radius_mm=finish.radius_mm)
     text = generate_program(lens, finish, STOCK, stock_top=left, post=GRBL)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.planner import Candidate, Goal, Marks, Plan, plan_as_scored
+from cam.planner import Candidate, Goal, Plan, plan_by_score
 from optics.finish import Finish
 from service.job.finishing import Process, load_processes
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
@@ -117,18 +117,15 @@ def _best(
     by_time = goal.psnr_db is not None or goal.blur_mm is not None
     found: list[tuple[tuple[bool, float], FinishedPlan]] = []
     for finishing, light in ways:
-        scored = _rescore(light, candidates, light.psnr_db if by_time else light.liking_db)
-        plan = plan_as_scored(scored, left_out, goal)
+        score = light.psnr_db if by_time else light.liking_db
+        scored = [replace(one, psnr_db=score(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
+        plan = plan_by_score(scored, left_out, goal)
         rank = merit(plan, goal)
         if not by_time:
-            front = tuple(_rescore(light, list(plan.front), light.psnr_db))
+            front = tuple(replace(one, psnr_db=light.psnr_db(one.marks)) for one in plan.front)
             plan = replace(plan, chosen=front[plan.front.index(plan.chosen)], front=front)
         found.append((rank, FinishedPlan(plan=plan, finishing=finishing, light=light)))
     return max(found, key=lambda one: one[0])[1]
-
-
-def _rescore(light: FinishedLight, candidates: list[Candidate], score: Callable[[Marks], float]) -> list[Candidate]:
-    return [replace(one, psnr_db=score(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
 
 
 def merit(plan: Plan, goal: Goal) -> tuple[bool, float]:

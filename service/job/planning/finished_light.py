@@ -10,7 +10,7 @@ shone through it, which tells by how much both guesses are off.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -88,9 +88,6 @@ class FinishedLight(PictureLight):
     def liking_db(self, marks: Marks) -> float:
         """The same with stripes counted for more, by which finishes are chosen: eyes mind them more."""
         return self.db_of_error(self._lens_error(marks.radius_mm) + _MINDED * self.grain(marks) ** 2 * self._square)
-
-    def settle(self, several: Iterable[Marks]) -> None:
-        """Nothing: `calibrate` makes the one lens that is needed."""
 
     def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
         """None: the finish takes off what rows blur."""
