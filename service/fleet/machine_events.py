@@ -13,7 +13,7 @@ from collections.abc import AsyncGenerator
 from dataclasses import replace
 
 from service.fleet.agent_feed import Message
-from service.fleet.agent_link import AgentAwayError
+from service.fleet.agent_link import AgentAwayError, AgentLink
 from service.fleet.agent_words import json_object, run_view, table
 from service.fleet.core import FleetCore
 from service.fleet.following import AGAIN_S, FIRST, PING, Json, event_bytes, known_id, until
@@ -65,13 +65,13 @@ class MachineEvents:
         link = self._core.link(self._machine)
         self._status = await link.get("/v1/status")
         yield await self._state("", fresh=True)
-        for entry in self._history():
-            yield entry
         messages = until(self._core.ending, link.feed.messages(self._last_id), tick_s=_TICK_S)
         async with contextlib.aclosing(messages):
             async for message in messages:
                 self._failures = 0
                 if message is not None:
+                    for entry in await self._history(link):
+                        yield entry
                     self._last_id = known_id(message.get("id", "")) or self._last_id
                 if piece := await self._piece(message):
                     yield piece
@@ -87,12 +87,14 @@ class MachineEvents:
 
     # ------------------------------------------------------------------ what happened
 
-    def _history(self) -> list[bytes]:
-        """What the agent remembers, for a reader who is new."""
-        entries = (self._status or {}).get("events", [])
-        if self._remembered or not isinstance(entries, list):
+    async def _history(self, link: AgentLink) -> list[bytes]:
+        """What the agent remembers, for a reader who is new. Asked for when its stream is open: nothing is lost."""
+        if self._remembered:
             return []
+        entries = (await link.get("/v1/status")).get("events", [])
         self._remembered = True
+        if not isinstance(entries, list):
+            return []
         return [piece for entry in entries if isinstance(entry, dict) and (piece := self._entry(entry))]
 
     def _entry(self, entry: Json, event_id: str = "") -> bytes:

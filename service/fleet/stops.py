@@ -37,11 +37,24 @@ class Stops:
         self._core.stopped_s[machine] = context.arrived_s
         path = f"/v1/control/{stop.value}"
         known = self._core.known_link(machine)
-        sending = None if known is None else self._go_on(known.urgent(path, headers=context.headers()))
-        present = await self._present_link(machine, known)
-        if sending is None or present is not known:
-            sending = self._go_on(present.urgent(path, headers=context.headers()))
+        if known is None:
+            known = await self._present_link(machine, None)
+            answer = await require_answer(known.urgent(path, headers=context.headers()), stop)
+            return order_json(machine, stop.value, answer)
+        sending = self._go_on(known.urgent(path, headers=context.headers()))
+        moved = self._go_on(self._stop_where_moved(machine, known, path, context))
+        waiting: set[asyncio.Future[Any]] = {sending, moved}
+        await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
+        if not sending.done() or sending.exception() is not None:
+            sending = await moved or sending
         return order_json(machine, stop.value, await require_answer(sending, stop))
+
+    async def _stop_where_moved(
+        self, machine: str, known: AgentLink, path: str, context: OrderContext
+    ) -> asyncio.Future[Json] | None:
+        """The stop on its way to where the mill's agent is now; None where that is the known one."""
+        present = await self._present_link(machine, known)
+        return None if present is known else self._go_on(present.urgent(path, headers=context.headers()))
 
     async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Seen:
         """As `stop_machine`, for the mill that has this run. Problem 404, 409 where the run is not on its mill.

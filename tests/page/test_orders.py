@@ -252,6 +252,17 @@ def test_a_stop_without_an_answer_goes_the_other_way_too(opened: Opened, answer:
 
 
 @pytest.mark.thorough
+def test_a_hold_is_not_said_again_after_a_stop(opened: Opened) -> None:
+    """It would come when the mill has been cleared, and hold it."""
+    page, way = watching(opened, None)
+    sent = record_orders(page)
+    page.get_by_role("button", name="HOLD").click()
+    page.get_by_role("button", name="STOP").click()
+    until(lambda: (page.wait_for_timeout(500), sent)[1], what="the stop by the other way")
+    assert (way.stops(), [name for name, *_ in sent]) == ([f"{MILL} hold", f"{MILL} abort"], ["abort"])
+
+
+@pytest.mark.thorough
 def test_an_order_after_our_own_stop_is_no_order_before_it(opened: Opened) -> None:
     """The answer to the stop counts, where what the mill says comes later."""
     page = at_mill(opened, "held")

@@ -33,6 +33,7 @@ export class MillLink {
     this.urgentWords = "";
     this.urgentRun = ""; // that was on the mill when a stop did not arrive
     this.urgentLost = false; // whether the mill was out of reach since
+    this.aborts = 0; // how often STOP was pressed
     this.listeners = new Set();
     this.sending = false;
     this.unanswered = -1; // number of commands that had ended when an order was taken
@@ -214,7 +215,10 @@ export class MillLink {
     }
   }
 
-  /** Both ways, the second where the first one does not answer at once: a stop that comes twice does no harm. */
+  /**
+   * Both ways, the second where the first one does not answer at once: a stop that comes twice does no harm. Where STOP
+   * was pressed since it is not said again: a HOLD that comes after it would hold a mill that has been cleared.
+   */
   sendStop(what) {
     const patience = new Error("No answer in time.");
     const note = ({ mill }) => (this.stopped = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
@@ -224,7 +228,9 @@ export class MillLink {
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
     let answered = false;
     first.then(() => (answered = true)).catch(() => {});
-    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || post());
+    if (what === "abort") this.aborts += 1;
+    const { aborts } = this;
+    const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || aborts !== this.aborts || post());
     return Promise.any([first, second]);
   }
 }

@@ -75,7 +75,9 @@ def test_a_key_moves_the_mill_only_while_the_pad_is_armed_and_only_once(at_mill:
 @pytest.mark.thorough
 def test_without_control_nothing_that_moves_can_be_pressed_but_what_stops_can(opened: Opened, shop: Shop) -> None:
     page = opened(SCREEN, key="Ada")
-    expect(page.get_by_text("Nobody has control.")).to_be_visible()
+    take_control(page)
+    homed(page)
+    release(page)
     for name in ("X minus", "Home", "Unlock", "X = 0 here", "Send"):
         expect(page.get_by_role("button", name=name, exact=True)).to_be_disabled()
     for name in ("HOLD", "STOP"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import time
 from collections.abc import Callable, Iterator
@@ -11,6 +12,7 @@ from typing import Any
 import httpx
 import pytest
 
+from service.fleet.agent_link import AgentLink
 from service.fleet.launching import start_agents
 from tests.service.fleet.shop import MACHINE, Shop, await_agent, kill_agents, shop
 from tests.service.mills import Bench
@@ -44,6 +46,7 @@ class Reader:
     def __init__(self) -> None:
         self.last_id = ""
         self.logs: list[int] = []
+        self.words: list[str] = []
         self.states: list[Any] = []
 
     def follow(self, floor: Shop, good: Callable[[Any], bool], then: Callable[[], None] | None = None) -> Any:
@@ -60,6 +63,7 @@ class Reader:
             self.last_id = event_id or self.last_id
             if name == "log":
                 self.logs.append(data.get("number", 0))
+                self.words.append(data.get("words", ""))
             else:
                 assert name == "status"
                 self.states.append(data)
@@ -83,6 +87,27 @@ def test_the_first_event_is_how_it_stands_and_the_latest_log_follows(floor: Shop
         assert name == "status" and first == floor.get(HERE)
         _, name, entry = next(found)
         assert name == "log" and entry["number"] == 1 and {"at_s", "kind", "words"} <= entry.keys()
+
+
+def test_what_happens_while_a_reader_comes_is_told(floor: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
+    """After the server has asked how the mill stands, and before it hears of what is new."""
+    ask = AgentLink.get
+    coming = [True]
+
+    async def held_meanwhile(link: AgentLink, path: str, **how: Any) -> Any:
+        answer = await ask(link, path, **how)
+        if path == "/v1/status" and coming:
+            coming.clear()
+            await link.urgent("/v1/control/hold")
+            await asyncio.sleep(0.5)  # the agent tells whoever listens by then
+        return answer
+
+    seen(lambda: floor.get(HERE), state("idle"), what="a mill that stands")
+    monkeypatch.setattr(AgentLink, "get", held_meanwhile)
+    reader = Reader()
+    reader.follow(floor, lambda now: now["mill"]["stops"] == 2, lambda: floor.post(f"{HERE}/control/abort", 202))
+    assert "hold" in reader.words
+    assert reader.logs == list(range(1, len(reader.logs) + 1))
 
 
 def test_orders_and_control_are_told(floor: Shop) -> None:
