@@ -152,7 +152,12 @@ class LensForm:
 
     def usual_chord_mm(self, spec: PassSpec) -> float:
         """Path by number of vertices, to the micrometre."""
-        return round(1 / float((1 / self.chords_mm(spec)).mean()), 3)
+        ways = self.tip_ways(spec)
+        return round(float(ways.mean() / (ways / self.chords_mm(spec)).mean()), 3)
+
+    def tip_ways(self, spec: PassSpec) -> Array:
+        """(n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds it."""
+        return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
 
 
 @lru_cache(maxsize=32)  # asked again for every pitch
@@ -189,7 +194,8 @@ def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> floa
     acceleration, chords = min(mill.acceleration_mm_per_s2[:2]), form.chords_mm(spec)
     speeds = np.minimum(spec.feed_mm_per_min / 60, chords * mill.lines_per_s)
     speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
-    return float(np.sqrt(1.0 + form.slopes**2 / 2).mean() * (1 / speeds).mean())
+    ways = form.tip_ways(spec)
+    return float(np.sqrt(1.0 + form.slopes**2 / 2).mean() * (ways / speeds).mean() / ways.mean())
 
 
 def turn_s(spec: PassSpec, mill: Kinematics) -> float:

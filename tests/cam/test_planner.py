@@ -164,6 +164,23 @@ def test_rows_take_as_long_as_their_program(radius_mm: float) -> None:
     assert rows_s(LensForm.of(lens), spec, MILL) == pytest.approx(_measured_s(lens, spec, top_mm=-20.0), rel=0.05)
 
 
+@pytest.mark.parametrize("hollow_mm", [3.3, 4.0])
+def test_a_crease_that_just_holds_the_ball_takes_its_tip_no_time(hollow_mm: float) -> None:
+    """Two slopes that meet in a hollow: all of its chords are short, and there are few of them. Within 5 %."""
+    spec = ball_pass("finish", radius_mm=3.0, pitch_mm=0.25, stock_to_leave_mm=0.0, step_down_mm=50.0)
+    lens = crease(hollow_mm, slope=0.3)
+    assert rows_s(LensForm.of(lens), spec, MILL) == pytest.approx(_measured_s(lens, spec, top_mm=-20.0), rel=0.05)
+
+
+def crease(hollow_mm: float, slope: float) -> Heightfield:
+    """Two planes that meet along Y in an arc of this radius."""
+    x = np.abs(np.linspace(-SIDE_MM / 2, SIDE_MM / 2, 401))
+    half_mm = hollow_mm * slope / np.hypot(1.0, slope)
+    arc = hollow_mm - np.sqrt(hollow_mm**2 - np.minimum(x, half_mm) ** 2)
+    z = np.tile(arc + slope * np.maximum(x - half_mm, 0.0), (401, 1))
+    return Heightfield.on_aperture(z - z.max() - 0.1, width_mm=SIDE_MM, height_mm=SIDE_MM)
+
+
 def test_layers_take_about_as_long_as_their_program() -> None:
     """Within a quarter on a part this small, where entries count for most; a tenth at 100 mm."""
     spec = ball_pass("rough", radius_mm=3.0, pitch_mm=1.0, stock_to_leave_mm=0.2, step_down_mm=0.5)

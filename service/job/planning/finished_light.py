@@ -27,7 +27,7 @@ _EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway
 _STRIPES = 1.6  # bright places, whose stripes are stronger than their share
 _MINDED = 1.3  # stripes, when a finish is chosen: 2 gives 0.6 dB away for 0.03 of SSIM on a mill that is off by 1 um
-_TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 4, 7
+_TUBES, _TUBES_PER_PIXEL, _BEAMS = 2, 2, 7
 _WAVE_NUMBERS = 1024  # of a picture, that are told apart
 _FINEST_RAD_PER_MM = 400.0  # periods of 0.016 mm: of k0 = 25 at order 1 a ten-millionth is left of them
 
