@@ -23,7 +23,8 @@ from service.fleet.views import order_json
 from service.web.problems import Problem
 
 T = TypeVar("T")
-_RENEW_S = 1.0  # for a look at the profiles, after the stop has left
+_LOOK_S = 0.2  # for a look at the profiles before the answer: a page that has none after 0.3 s says a stop again
+_RENEW_S = 1.0  # for that look where the known agent does not answer
 _BOOK_S = 0.3  # for the database, after the stop has left
 
 
@@ -42,14 +43,15 @@ class Stops:
             answer = await require_answer(known.urgent(path, headers=context.headers()), stop)
             return order_json(machine, stop.value, answer)
         sending = self._go_on(known.urgent(path, headers=context.headers()))
-        moved = self._go_on(self._stop_where_moved(machine, known, path, context))
-        waiting: set[asyncio.Future[Any]] = {sending, moved}
+        present = self._go_on(self._stop_present(machine, known, path, context))
+        await asyncio.wait({present}, timeout=_LOOK_S)
+        waiting: set[asyncio.Future[Any]] = {sending, present}
         await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
-        if not sending.done() or sending.exception() is not None:
-            sending = await moved or sending
+        if present.done() or sending.exception() is not None:
+            sending = await present or sending
         return order_json(machine, stop.value, await require_answer(sending, stop))
 
-    async def _stop_where_moved(
+    async def _stop_present(
         self, machine: str, known: AgentLink, path: str, context: OrderContext
     ) -> asyncio.Future[Json] | None:
         """The stop on its way to where the mill's agent is now; None where that is the known one."""

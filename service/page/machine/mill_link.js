@@ -220,6 +220,8 @@ export class MillLink {
    * was pressed since it is not said again: a HOLD that comes after it would hold a mill that has been cleared.
    */
   sendStop(what) {
+    if (what === "abort") this.aborts += 1;
+    const { aborts } = this;
     const patience = new Error("No answer in time.");
     const note = ({ mill }) => (this.stopped = { count: mill?.stops ?? 0, until: Date.now() + BEHIND_MS });
     const first = Promise.race([this.stops.send(this.name, what), after(URGENT_MS).then(() => Promise.reject(patience))]).then(note);
@@ -228,8 +230,6 @@ export class MillLink {
     if (document.hidden || globalThis.event?.type === "pagehide") return Promise.any([first, post()]); // no time is left
     let answered = false;
     first.then(() => (answered = true)).catch(() => {});
-    if (what === "abort") this.aborts += 1;
-    const { aborts } = this;
     const second = Promise.race([after(OTHER_WAY_MS), first.catch(() => {})]).then(() => answered || aborts !== this.aborts || post());
     return Promise.any([first, second]);
   }
