@@ -184,9 +184,7 @@ def _histogram(low: Array, high: Array) -> tuple[Array, Array]:
     """Share of slopes of facets that are even from low to high; symmetric, as its law is."""
     most = float(max(-low.min(), high.max()))
     edges = np.linspace(-most, most, _BINS + 1)
-    below = np.clip(edges[:, None] - np.sort(low)[None, :], 0.0, None).sum(axis=1)
-    below -= np.clip(edges[:, None] - np.sort(high)[None, :], 0.0, None).sum(axis=1)
-    share = np.diff(below)
+    share = np.diff(_passed(low, edges) - _passed(high, edges))
     share = (share + share[::-1]) / 2
     return share / share.sum(), edges
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cam.materials import PMMA
-from cam.planner import Candidate, Goal, NoPlanError, Plan, find_candidates, plan_among
+from cam.planner import Candidate, Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
 from cam.posts.dialects import POSTS
 from cam.shop import CLEAR_MM, Shop
 from cam.tools import Tool
@@ -18,7 +18,14 @@ from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
 from optics.metrics import CausticScore
 from service.errors import InputError
-from service.job.planning.finish_choice import FinishedPlan, Finishing, is_worth_it, list_finishings, plan_finish
+from service.job.planning.finish_choice import (
+    FinishedPlan,
+    Finishing,
+    is_surely_worth_it,
+    is_worth_it,
+    list_finishings,
+    plan_finish,
+)
 from service.job.planning.finished_light import Design
 from service.job.spec.finish import NONE
 from service.passes import machine_of
@@ -222,6 +229,12 @@ def plan_for_lens(
     return _planned(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
+def _seen_by(light: PictureLight, plan: Plan) -> Plan:
+    """What another light says of the plan's choice, without its rest pass."""
+    seen_db = light.aimed_db(replace(plan.chosen.marks, rest=None))
+    return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
+
+
 def mill_of(spec: JobSpec) -> MachineProfile:
     """The mill as a plan has it run: heights in whole steps where these are coarse, unless the job says otherwise."""
     machine = machine_of(spec)
@@ -263,10 +276,14 @@ def _planned(
         if finishings := list_finishings(spec):
             seen = light if whole is None else light.against(whole)
             finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=whole is None)
-        milled = plan = plan_among(candidates, left_out, light, goal)
-        if finished is not None and whole is not None:
-            marks = replace(plan.chosen.marks, rest=None)
-            milled = replace(plan, chosen=replace(plan.chosen, psnr_db=seen.aimed_db(marks)))
+        if finished is None or whole is None:
+            milled = plan = plan_among(candidates, left_out, light, goal)
+        else:
+            plan = plan_by_score(candidates, left_out, goal)
+            milled = _seen_by(seen, plan)
+            if not is_surely_worth_it(finished.plan, milled, goal):
+                plan = plan_among(candidates, left_out, light, goal)
+                milled = _seen_by(seen, plan)
     except NoPlanError as error:
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)

@@ -61,19 +61,22 @@ class Collisions:
 def lens_over_flutes_mm(heightfield: Heightfield, spec: PassSpec) -> float:
     """How far the finished lens itself would stand above the flutes beside the cutter, at worst; known before any work.
 
-    The least that can happen: stock that is still to come off only stands higher. Below 0 it is clear by that much.
+    The least that can happen: stock that is still to come off only stands higher. Below 0 it is clear by at least that.
     """
     shank = shank_of(spec)
     if shank is None:
         return -np.inf
     reach_mm, flutes_mm = shank
-    surface = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
     step_mm = max(max(heightfield.width_mm, heightfield.height_mm) / _SAMPLES, reach_mm / 20)
     x_mm, y_mm = (np.arange(0.0, size + step_mm / 2, step_mm) for size in (heightfield.width_mm, heightfield.height_mm))
     x_mm, y_mm = np.minimum(x_mm, heightfield.width_mm), np.minimum(y_mm, heightfield.height_mm)
-    tips_mm = surface.tip_rows_mm(x_mm, y_mm)
-    highest_mm = _within(heightfield.spline().heights_mm(x_mm[None, :], y_mm[:, None]), reach_mm / step_mm)
-    return float((highest_mm - tips_mm).max()) - flutes_mm
+    heights_mm = heightfield.spline().heights_mm(x_mm[None, :], y_mm[:, None])
+    highest_mm = _within(heights_mm, reach_mm / step_mm)
+    at_most_mm = float((highest_mm - heights_mm).max()) - flutes_mm  # no tip is below the lens
+    if at_most_mm <= 0:
+        return at_most_mm
+    surface = ToolSurface.over(heightfield, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    return float((highest_mm - surface.tip_rows_mm(x_mm, y_mm)).max()) - flutes_mm
 
 
 def _within(heights: Array, cells: float) -> Array:
