@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d
 from cam.entries import Pocket, enter, leave
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
-from cam.raster import Rows, climbs_rightward, on_ticks, ordered
+from cam.raster import Rows, climbs_rightward, on_ticks
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
 from cam.vertices import rough_sag_mm, thinned

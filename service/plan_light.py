@@ -21,6 +21,7 @@ from scipy.fft import dctn, idctn
 from scipy.ndimage import gaussian_filter1d
 
 from cam.pass_time import LensForm
+from cam.passes import PassSpec
 from cam.plan_rest import Filled
 from cam.planner import Marks
 from cam.row_slopes import RowSlopes, chord_grain, row_grain
@@ -186,9 +187,13 @@ class PictureLight:
         through = float(picture_of_waves(self._half_waves(marks)[1]).mean())
         return sqrt((1.0 - through) * own**2 + through * self._grain_of(marks.rest) ** 2)
 
+    def across_mm(self, spec: PassSpec) -> float:
+        """A pixel's side across the rows of a pass."""
+        return self.pixel_mm[0 if spec.direction == "x" else 1]
+
     def _grain_of(self, marks: Marks) -> float:
-        (pixel_y_mm, pixel_x_mm), spec, slopes = self.pixel_mm, marks.spec, marks.slopes
-        across_mm, along_mm = (pixel_y_mm, pixel_x_mm) if spec.direction == "x" else (pixel_x_mm, pixel_y_mm)
+        spec, slopes = marks.spec, marks.slopes
+        across_mm, along_mm = self.across_mm(spec), self.pixel_mm[1 if spec.direction == "x" else 0]
         reach_mm = round(self.reach_mm(self.lenses[spec.radius_mm].form), 1)
         rows = row_grain(spec.radius_mm, spec.pitch_mm, slopes.off_mm, reach_mm, across_mm)
         return hypot(rows, chord_grain(slopes, radius_mm=spec.radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))

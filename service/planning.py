@@ -4,6 +4,7 @@ in words."""
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -273,14 +274,17 @@ def _planned(
     finished: FinishedPlan | None = None
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
-        if finishings := list_finishings(spec):
-            seen = light if whole is None else light.against(whole)
-            finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=whole is None)
-        if finished is None or whole is None:
+        finishings = list_finishings(spec)
+        if not finishings or whole is None:
+            if finishings:
+                finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
             milled = plan = plan_among(candidates, left_out, light, goal)
         else:
-            plan = plan_by_score(candidates, left_out, goal)
-            milled = _seen_by(seen, plan)
+            seen, plan = light.against(whole), plan_by_score(candidates, left_out, goal)
+            with ThreadPoolExecutor(1) as beside:
+                guessed = beside.submit(_seen_by, seen, plan)
+                finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
+                milled = guessed.result()
             if not is_surely_worth_it(finished.plan, milled, goal):
                 plan = plan_among(candidates, left_out, light, goal)
                 milled = _seen_by(seen, plan)

@@ -94,7 +94,7 @@ def plan_finish(
     exactly    : and by one as fine as the picture for the best: creases cost more there than on a coarse one
     candidates : of milling, whose time and marks they take over; those with a rest pass are passed over
     """
-    rows = [one for one in candidates if one.rest is None]
+    rows = _quickest_alike(candidates, milled)
     spectra = Spectra(milled)
     ways = [(one, FinishedLight(milled, one.finish, spectra)) for one in finishings]
     first = _best(rows, left_out, ways[::_NEAR], goal)
@@ -107,6 +107,16 @@ def plan_finish(
         return best
     best.light.calibrate(best.plan.chosen.marks, design, fine=True)
     return _best(rows, left_out, [(best.finishing, best.light)], goal)
+
+
+def _quickest_alike(candidates: list[Candidate], light: PictureLight) -> list[Candidate]:
+    """Without a rest pass, and of those that a finish leaves the same of, the quickest: directions and strategies."""
+    found: dict[tuple[float, ...], Candidate] = {}
+    for one in sorted(candidates, key=lambda one: -one.hours):
+        if one.rest is None:
+            pixel_mm = light.across_mm(one.finish)
+            found[one.finish.radius_mm, one.finish.pitch_mm, one.slopes.off_mm, pixel_mm] = one
+    return list(found.values())
 
 
 def _best(

@@ -105,8 +105,8 @@ class FinishedLight(PictureLight):
     def grain(self, marks: Marks) -> float:
         """Standard deviation of the light over its mean, by what is left of the rows."""
         spec, form = marks.spec, self.lenses[marks.radius_mm].form
-        pixel_mm = self.pixel_mm[0] if spec.direction == "x" else self.pixel_mm[1]
-        bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, round(marks.slopes.off_mm, 6), self.finish, pixel_mm)
+        off_mm, pixel_mm = round(marks.slopes.off_mm, 6), self.across_mm(spec)
+        bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, off_mm, self.finish, pixel_mm)
         return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
 
     def smooth_picture(self, marks: Marks) -> Array:

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from optics.heightfield import Array
 from optics.irradiance import target_irradiance
+from service import planning
 from service.errors import SpecError
 from service.passes import with_plan
 from service.planning import Planned, plan_for_picture
@@ -15,11 +17,15 @@ SIZE = ("optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "imag
 ROUGH, FINE = ("machine.z_noise_mm=0.002",), ("machine.z_noise_mm=0.0", "machine.step_mm=0.00001")
 
 
-def planned(*overrides: str) -> Planned:
-    y, x = np.mgrid[0:64, 0:64] / 64
+def target_of(pixels: int) -> Array:
+    y, x = np.mgrid[0:pixels, 0:pixels] / pixels
     picture = 0.3 + 0.4 * (np.hypot(x - 0.4, y - 0.6) < 0.25) + 0.2 * np.sin(2 * np.pi * 4 * x)
+    return target_irradiance(np.clip(picture, 0, 1), viewed_from="lens")
+
+
+def planned(*overrides: str, whole: Array | None = None) -> Planned:
     spec = resolve_spec(preset="recommended", overrides=[*SIZE, *overrides])
-    return plan_for_picture(spec, target_irradiance(np.clip(picture, 0, 1), viewed_from="lens"))
+    return plan_for_picture(spec, target_of(64), whole=whole)
 
 
 @pytest.fixture(scope="module")
@@ -39,6 +45,18 @@ def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     plan = planned("finish.process=best", *FINE)
     assert plan.finishing is None
     assert plan.finish_table() == {"process": "none"}
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.0005, 0.002])
+def test_a_guess_of_milling_alone_decides_as_sharpened_lenses_do(
+    monkeypatch: pytest.MonkeyPatch, noise_mm: float
+) -> None:
+    asked = (f"machine.z_noise_mm={noise_mm}", "finish.process=best")
+    quick = planned(*asked, whole=target_of(128))
+    monkeypatch.setattr(planning, "is_surely_worth_it", lambda *_: False)
+    slow = planned(*asked, whole=target_of(128))
+    assert quick.finish_table() == slow.finish_table()
+    assert quick.rows() == slow.rows()
 
 
 def test_a_finish_of_ones_own_figures_is_kept_whatever_it_does() -> None:
