@@ -47,14 +47,14 @@ def test_a_finish_that_makes_it_worse_is_not_planned() -> None:
     assert plan.finish_table() == {"process": "none"}
 
 
-@pytest.mark.parametrize("noise_mm", [0.0, 0.0005, 0.002])
+@pytest.mark.parametrize("asked", [("best", *FINE), ("best", *ROUGH), ("flame", "plan.hours=2", *ROUGH)])
 def test_a_guess_of_milling_alone_decides_as_sharpened_lenses_do(
-    monkeypatch: pytest.MonkeyPatch, noise_mm: float
+    monkeypatch: pytest.MonkeyPatch, asked: tuple[str, ...]
 ) -> None:
-    asked = (f"machine.z_noise_mm={noise_mm}", "finish.process=best")
-    quick = planned(*asked, whole=target_of(128))
+    process, *others = asked
+    quick = planned(f"finish.process={process}", *others, whole=target_of(128))
     monkeypatch.setattr(planning, "is_surely_worth_it", lambda *_: False)
-    slow = planned(*asked, whole=target_of(128))
+    slow = planned(f"finish.process={process}", *others, whole=target_of(128))
     assert quick.finish_table() == slow.finish_table()
     assert quick.rows() == slow.rows()
 
