@@ -73,7 +73,7 @@ _ROUTERS = (
     routes_root,
     routes_page,
 )
-_WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos)")
+_WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos|profiles/[^/]+/coupon/photos)")
 _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}
 
 

@@ -25,7 +25,7 @@ _NOBODY = ""  # no caller's name
 _WEDGE_PIXELS = 1 << 16
 _MODULE, LOOKING = "service.api.estimating_child", "service.api.looking_child"
 _MOST_WAITING = 8
-_START_S, _FIRST_S, _ANSWER_S = 60.0, 300.0, 30.0  # after an update the first one waits for kernels to be compiled
+_START_S, _FIRST_S = 60.0, 300.0  # after an update the first one waits for kernels to be compiled
 _RETRY = {"Retry-After": "5"}
 _log = structlog.get_logger("api")
 
@@ -46,13 +46,17 @@ class _Ask:
 class Estimator:
     """`ask` from any thread; `close` ends the process.
 
-    module : of the process
-    what   : it makes, as people call it; in its answers, too
+    module   : of the process
+    what     : it makes, as people call it; in its answers, too
+    answer_s : after which it is taken for hung
     """
 
-    def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate") -> None:
+    def __init__(
+        self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate", answer_s: float = 30.0
+    ) -> None:
         self._what = what
         self._idle_s = idle_s
+        self._answer_s = answer_s
         self._module = module
         self._bell = threading.Condition()
         self._waiting: list[_Ask] = []
@@ -150,7 +154,7 @@ class Estimator:
     def _answered(self, asked: dict[str, Any]) -> dict[str, Any]:
         if self._child is None:
             self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
-        found = self._child.ask(asked, _ANSWER_S if self._warm else _FIRST_S)
+        found = self._child.ask(asked, self._answer_s if self._warm else _FIRST_S)
         self._warm = True
         return found
 

@@ -1,30 +1,38 @@
-"""POST /v1/jobs/{id}/photos: what a photograph of a lens's light on the wall tells. Nothing is kept of it."""
+"""What photographs tell: of a lens's light on the wall, and of a test piece, which is to be had here, too.
+
+Nothing is kept of a photograph.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import json
 import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import Path as InPath
+from starlette.responses import FileResponse, JSONResponse, Response
 
+from machines.profiles import profile_names
 from service import job_files
-from service.api.answers import answers, example
+from service.api.answers import Responses, answers, example, refusals
 from service.api.auth import Writer
-from service.api.form import JobForm, received_form
+from service.api.form import received_form
 from service.api.routes_jobs import JobId
-from service.api.schemas_photos import LOOK_EXAMPLE, LookView
+from service.api.schemas_photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
 from service.api.services import Services, services_of
 from service.api.space import Space
-from service.errors import PictureError
+from service.errors import InputError, PictureError
 from service.job.photo.names import FORETOLD
 from service.web.problems import Kind, Problem
 
 router = APIRouter()
 
+ProfileName = Annotated[str, InPath(min_length=1, max_length=64, description="name of a machine profile")]
 _PART = "photo"
 _PHOTO_FORM: dict[str, Any] = {
     "requestBody": {
@@ -48,6 +56,13 @@ _PHOTO_FORM: dict[str, Any] = {
         },
     }
 }
+_ZIP_ANSWERS: Responses = {
+    200: {
+        "description": "the archive",
+        "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
+    },
+    **refusals(409, 507),
+}
 
 
 @router.post(
@@ -63,31 +78,81 @@ async def looked(request: Request, principal: Writer, job_id: JobId) -> Response
     nothing is refused with what to do. A caller who asks again of the same job ends the request before with 409.
     """
     services = services_of(request)
-    settings, space = services.settings, Space(services.settings)
-    await asyncio.to_thread(space.require)
-    limit = int(settings.max_upload_mb * 1e6)
-    uploads = settings.data / "uploads"
-    async with received_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
-        with tempfile.TemporaryDirectory(prefix="causticmill-look-") as folder:
+    with tempfile.TemporaryDirectory(prefix="causticmill-look-") as folder:
+        async with _received_photo(request) as photo:
             await asyncio.to_thread(_fetch, services, str(job_id), Path(folder))
-            asked = {
-                "path": str(form.path),
-                "name": form.image_name,
-                "max_pixels": int(settings.max_megapixels * 1e6),
-                "job": folder,
-            }
-            try:
-                async with services.accepting:
-                    await asyncio.to_thread(_check_picture, services, form)
-                caller = f"{principal.id or principal.name} {job_id}"
-                found = await asyncio.wrap_future(services.looks.ask(caller, asked))
-            except PictureError as error:
-                raise Problem(422, str(error), field=_PART, kind=Kind.PICTURE) from None
+            found = await _looked_at(services, f"{principal.id or principal.name} {job_id}", {**photo, "job": folder})
     return JSONResponse(found, headers={"Cache-Control": "no-store"})
 
 
-def _check_picture(services: Services, form: JobForm) -> None:
-    services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))
+@router.get(
+    "/v1/profiles/{profile}/coupon.zip",
+    tags=["machines"],
+    summary="Download a machine's test piece",
+    operation_id="coupon",
+    response_class=Response,
+    responses=_ZIP_ANSWERS,
+)
+async def coupon(request: Request, principal: Writer, profile: ProfileName) -> Response:
+    """Programs, setup sheet and the light foretold of a piece that measures the mill and a finish. The first request
+    for a machine waits until the piece is made; a caller who asks for another one meanwhile ends it with 409.
+    """
+    services = services_of(request)
+    await asyncio.to_thread(_require_profile, profile)
+    await asyncio.to_thread(Space(services.settings).require)
+    found = await _looked_at(services, f"{principal.id or principal.name} coupon", _piece(services, profile))
+    return FileResponse(found["archive"], media_type="application/zip", filename=f"coupon-{profile}.zip")
+
+
+@router.post(
+    "/v1/profiles/{profile}/coupon/photos",
+    tags=["machines"],
+    summary="Measure a mill and a finish",
+    response_model=CouponView,
+    responses=answers({200: example(COUPON_EXAMPLE)}, 408, 409, 415, 507),
+    openapi_extra=_PHOTO_FORM,
+)
+async def measured(request: Request, principal: Writer, profile: ProfileName) -> Response:
+    """What a photograph of the test piece's light says of the mill and the finish, and what that means for a job's
+    spec. A photograph that says nothing is refused with what to do. A caller who asks again ends the request before
+    with 409.
+    """
+    services = services_of(request)
+    await asyncio.to_thread(_require_profile, profile)
+    async with _received_photo(request) as photo:
+        caller = f"{principal.id or principal.name} coupon"
+        found = await _looked_at(services, caller, {**_piece(services, profile), **photo})
+    return JSONResponse(found, headers={"Cache-Control": "no-store"})
+
+
+@asynccontextmanager
+async def _received_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
+    """The request's photograph, as the process that looks is asked for it; its file is removed at the end."""
+    services = services_of(request)
+    settings, space = services.settings, Space(services.settings)
+    await asyncio.to_thread(space.require)
+    limit, most = int(settings.max_upload_mb * 1e6), int(settings.max_megapixels * 1e6)
+    uploads = settings.data / "uploads"
+    async with received_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
+        try:
+            async with services.accepting:
+                await asyncio.to_thread(services.pictures.check, form.path, form.image_name, most)
+            yield {"path": str(form.path), "name": form.image_name, "max_pixels": most}
+        except (PictureError, InputError) as error:
+            raise Problem(422, str(error), field=_PART, kind=Kind.PICTURE) from None
+
+
+async def _looked_at(services: Services, caller: str, asked: dict[str, Any]) -> dict[str, Any]:
+    return await asyncio.wrap_future(services.looks.ask(caller, asked))
+
+
+def _piece(services: Services, profile: str) -> dict[str, Any]:
+    return {"machine": profile, "pieces": str(services.settings.data / "coupons"), "max_pixels": 0}
+
+
+def _require_profile(name: str) -> None:
+    if name not in (known := profile_names()):
+        raise Problem(404, f"there is no machine profile {name!r}; allowed: {', '.join(known)}")
 
 
 def _fetch(services: Services, job_id: str, folder: Path) -> None:

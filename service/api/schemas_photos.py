@@ -1,4 +1,4 @@
-"""What POST /v1/jobs/{id}/photos answers, as the OpenAPI document says it."""
+"""What photographs of walls and of test pieces tell, as the OpenAPI document says it."""
 
 from __future__ import annotations
 
@@ -144,3 +144,97 @@ class LookView(Body):
     likeness: LikenessView
     findings: Annotated[list[FindingView], Field(description="in the order in which a person acts")]
     picture: Annotated[str, Field(description="base64 of a PNG: photograph, foretold, difference")]
+
+
+COUPON_EXAMPLE: dict[str, Any] = {
+    "finish": {
+        "k0_rad_per_mm": 8.1,
+        "k0_range_rad_per_mm": [7.6, 8.7],
+        "order": 1.0,
+        "order_range": [0.9, 1.1],
+        "finished_half": "left",
+        "ripples": [{"period_mm": 1.0, "k_rad_per_mm": 6.28, "share": 0.46, "error": 0.02}],
+    },
+    "mill": {
+        "z_noise_mm": 0.0011,
+        "z_noise_range_mm": [0.0009, None],
+        "amplitude_over_programs": 1.01,
+        "ripples": [{"period_mm": 1.0, "k_rad_per_mm": 6.28, "share": 1.0, "error": 0.01}],
+    },
+    "wall": {"throw_mm": 20.4, "error_mm": 0.1},
+    "photograph": {
+        "blur_mm": 0.05,
+        "pixels_per_mm": 38.0,
+        "straight_light": 0.21,
+        "confidence": 1.0,
+        "mirrored": False,
+        "misfit": 1.1,
+    },
+    "notes": [{"code": "mirrored", "values": {}, "sentence": "the photograph was taken from the other side"}],
+    "values": {
+        "finish.process": "none",
+        "finish.k0_rad_per_mm": 8.1,
+        "finish.order": 1.0,
+        "machine.z_noise_mm": 0.0011,
+    },
+    "picture": LOOK_EXAMPLE["picture"],
+}
+
+
+class RippleView(Body):
+    """One ripple of the test piece."""
+
+    period_mm: float
+    k_rad_per_mm: float
+    share: Annotated[float, Field(description="of its amplitude that is left")]
+    error: Annotated[float, Field(description="standard deviation of the share")]
+
+
+class FinishFitView(Body):
+    """H(k) = exp(-(k / k0)^order); ranges hold 68 % of the trials."""
+
+    k0_rad_per_mm: float
+    k0_range_rad_per_mm: list[float]
+    order: float
+    order_range: list[float]
+    finished_half: Literal["left", "right"]
+    ripples: list[RippleView]
+
+
+class MillFitView(Body):
+    z_noise_mm: Annotated[float, Field(description="standard deviation of a row's height")]
+    z_noise_range_mm: Annotated[list[float | None], Field(description="null: no upper bound")]
+    amplitude_over_programs: float
+    ripples: list[RippleView]
+
+
+class CouponWallView(Body):
+    throw_mm: float
+    error_mm: float
+
+
+class CouponPhotoView(Body):
+    blur_mm: float
+    pixels_per_mm: float
+    straight_light: Annotated[float, Field(description="light that goes straight, of the camera's white")]
+    confidence: float
+    mirrored: bool
+    misfit: Annotated[float, Field(description="what is left over what was expected; about 1 where the model holds")]
+
+
+class NoteView(Body):
+    code: str
+    values: dict[str, float]
+    sentence: str
+
+
+class CouponView(Body):
+    finish: FinishFitView
+    mill: MillFitView
+    wall: CouponWallView
+    photograph: CouponPhotoView
+    notes: list[NoteView]
+    values: Annotated[dict[str, Any], Field(description="for a job's spec, by dotted key")]
+    picture: Annotated[
+        str, Field(description="base64 of a PNG: the photograph set straight, and what is left of ripples")
+    ]

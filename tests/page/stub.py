@@ -26,7 +26,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from service.api import routes_page, routes_root
 from service.api.problems import install_problems
 from service.api.schemas_estimates import ESTIMATE_EXAMPLE
-from service.api.schemas_photos import LOOK_EXAMPLE
+from service.api.schemas_photos import COUPON_EXAMPLE, LOOK_EXAMPLE
 from service.host import address
 from service.web.problems import Problem
 from tests.page import canned_job
@@ -158,6 +158,7 @@ class Stub:
             ("GET", f"{job}/events", self.job_events),
             ("POST", "/v1/estimates", lambda _: ESTIMATE_EXAMPLE),
             ("POST", f"{job}/photos", lambda _request, _job: LOOK_EXAMPLE),
+            ("POST", "/v1/profiles/([^/]+)/coupon/photos", lambda _request, _profile: COUPON_EXAMPLE),
             ("GET", "/v1/machines", lambda _: {"machines": [_SIMULATED, MACHINE], "problems": []}),
             ("GET", machine, lambda _request, name: _SIMULATED if name == "simulated" else MACHINE),
             ("GET", f"{machine}/events", self.machine_events),

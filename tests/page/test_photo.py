@@ -1,14 +1,19 @@
-"""The card of a job that looks at a photograph of the wall."""
+"""Photographs that the page takes: of the wall, and of a test piece."""
 
 from __future__ import annotations
 
 import re
+from typing import Any
 
-from playwright.sync_api import FilePayload, expect
+from playwright.sync_api import FilePayload, Route, expect
 
+from service.api.schemas_estimates import ESTIMATE_EXAMPLE
+from service.api.schemas_photos import COUPON_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import problem
 from tests.page.conftest import Opened
+from tests.page.form import choose, parts, picture
+from tests.page.machine_states import NAME
 from tests.page.stub import GOING
 
 NOTE_PARTS = """() => {
@@ -44,3 +49,31 @@ def test_without_a_lens_no_photograph_is_asked_for(opened: Opened) -> None:
     page = opened(f"#/jobs/{GOING}")
     expect(page.locator(".job-progress")).to_be_visible()
     expect(page.locator(".job-photo")).to_be_hidden()
+
+
+def test_the_test_piece_is_that_of_the_chosen_machine_and_its_figures_go_into_the_job(opened: Opened) -> None:
+    """Another machine's archive is another, and what was measured of the first is not said of it."""
+    page = opened("#/new")
+    asked: list[dict[str, Any]] = []
+
+    def note(route: Route) -> None:
+        asked.append(parts(route)[0])
+        route.fulfill(json=ESTIMATE_EXAMPLE)
+
+    page.route("**/v1/estimates", note)
+    choose(page, picture())
+    piece = page.locator("details.coupon")
+    piece.locator("summary").click()
+    archive = piece.get_by_role("link", name="Programs and sheet")
+    expect(archive).to_have_attribute("href", f"/v1/profiles/{NAME}/coupon.zip")
+    photo: FilePayload = {"name": "piece.png", "mimeType": "image/png", "buffer": canned_job.files()["target.png"]}
+    piece.locator("input[type=file]").set_input_files(photo)
+    expect(piece.get_by_role("listitem").first).to_contain_text("1.1 mm")
+    with page.expect_response("**/v1/estimates"):
+        piece.get_by_role("button", name="Use these figures for this job").click()
+    values = COUPON_EXAMPLE["values"]
+    assert asked[-1]["finish"]["k0_rad_per_mm"] == values["finish.k0_rad_per_mm"]
+    assert asked[-1]["machine"]["z_noise_mm"] == values["machine.z_noise_mm"]
+    page.get_by_label("Machine", exact=True).select_option(label="grbl-3018: engraver")
+    expect(archive).to_have_attribute("href", "/v1/profiles/grbl-3018/coupon.zip")
+    expect(piece.get_by_role("listitem")).to_have_count(0)

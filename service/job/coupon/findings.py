@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
@@ -19,6 +20,7 @@ from service.errors import InputError
 from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
+from service.job.spec.finish import NONE
 from service.passes import cam_passes_of
 from service.spec import JobSpec
 
@@ -87,6 +89,15 @@ class CouponResult:
     finished: Half
     placed: Placed
     notes: tuple[Finding, ...]
+
+    def values(self) -> dict[str, Any]:
+        """What it means for a job's spec, by dotted key."""
+        return {
+            "finish.process": NONE,
+            "finish.k0_rad_per_mm": float(f"{self.fit.k0_rad_per_mm:.3g}"),
+            "finish.order": float(f"{self.fit.order:.2g}"),
+            "machine.z_noise_mm": float(f"{self.rows.z_noise_mm:.2g}"),
+        }
 
     def report(self) -> dict[str, Any]:
         """As coupon-fit.json holds it."""
@@ -223,11 +234,12 @@ def _notes(fit: FinishFit, placed: Placed, finished: Half, spec: JobSpec) -> Ite
 
 def snippet(result: CouponResult) -> str:
     """Figures ready for a job's spec."""
-    fit = result.fit
-    return (
-        f"# measured on a test piece\n[finish]\nk0_rad_per_mm = {fit.k0_rad_per_mm:.3g}\norder = {fit.order:.2g}\n\n"
-        f"[machine]\nz_noise_mm = {result.rows.z_noise_mm:.2g}\n"
-    )
+    lines, table = ["# measured on a test piece"], ""
+    for key, value in result.values().items():
+        before, table = table, key.partition(".")[0]
+        lines += [f"[{table}]"] if table != before else []
+        lines.append(f"{key.partition('.')[2]} = {json.dumps(value)}")
+    return "\n".join(lines) + "\n"
 
 
 def finding_lines(result: CouponResult) -> Iterator[str]:

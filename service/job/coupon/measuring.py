@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import numpy as np
 from optics.irradiance import picture_from_irradiance
 from service import job_files
 from service.job.coupon.findings import CouponResult, measure_photo, snippet
-from service.job.coupon.photograph import read_photo
+from service.job.coupon.photograph import Photo, read_photo
 from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
 from service.job.coupon.programs import load_foretold
 from service.progress import Reporter, Stopwatch
+from service.spec_files import stored_spec
 from service.stages.plain import plain
 
 
@@ -23,14 +25,22 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
     with watch.stage("photograph"):
         shot = read_photo(photo)
     with watch.stage("fit") as reached:
-        foretold = load_foretold(folder / PROFILES, coupon_of(spec))
-        result = measure_photo(str(photo), shot, foretold, spec, on_progress=reached)
+        result = fit_photo(str(photo), shot, folder, on_progress=reached)
     with watch.stage("figure"):
         picture = fit_picture(result, viewed_from_lens=spec.optics.viewed_from == "lens")
     job_files.write_bytes(folder / FIT_PICTURE, picture)
     job_files.write_bytes(folder / FIT_SNIPPET, snippet(result).encode())
     job_files.write_json(folder / FIT, plain({"photo": photo.name, **result.report()}))
     return result
+
+
+def fit_photo(
+    name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
+) -> CouponResult:
+    """What a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
+    spec = stored_spec(folder)
+    foretold = load_foretold(folder / PROFILES, coupon_of(spec))
+    return measure_photo(name, shot, foretold, spec, on_progress=on_progress)
 
 
 def fit_picture(result: CouponResult, *, viewed_from_lens: bool) -> bytes:

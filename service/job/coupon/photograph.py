@@ -60,9 +60,9 @@ def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
     return sizes[0], sizes[1]
 
 
-def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE) -> Photo:
-    """A photograph from a file; PictureError where it cannot be read."""
-    name = str(path)
+def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> Photo:
+    """A photograph from a file; PictureError where it cannot be read, which calls it by `name`, by default its path."""
+    name = name or str(path)
     image = decoded(path, limits, name)
     try:
         light = linear_strip(image, image.info, tone="srgb", scale=value_scale(image))

@@ -16,7 +16,7 @@ export function saveLink({ url, name, size, words, plain = false }) {
     event.preventDefault();
     if (link.dataset.busy) return;
     link.dataset.busy = "yes";
-    fetchAndSave({ url, name, size, link }).finally(() => delete link.dataset.busy);
+    fetchAndSave({ url: link.getAttribute("href"), name: link.download, size, link }).finally(() => delete link.dataset.busy);
   });
   return link;
 }

@@ -5,6 +5,7 @@ import { toast } from "../lib/dialog.js";
 import { freshId, h, replace, sheet, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { foretell } from "../job/foretold.js";
+import { couponPart } from "./coupon.js";
 import { estimateCard, estimateLine, estimator } from "./estimate.js";
 import { specForm } from "./form.js";
 import { MACHINE_USUAL } from "./fields.js";
@@ -14,6 +15,7 @@ import { keepDraft, take, takeDraft } from "./picked.js";
 import { pictureSide } from "./picture_side.js";
 import { priorityRow } from "./priority.js";
 import { sourceOf } from "./source.js";
+import { valueAt } from "./spec.js";
 import { jobForm, sender } from "./submit.js";
 
 const ESTIMATE_SIDE = 1024; // pixels: enough for what it is asked for
@@ -70,6 +72,7 @@ function newJob(profiles, app) {
   const priority = priorityRow();
   const card = estimateCard();
   const asks = estimator({ make: estimateForm, tell: told });
+  const coupon = couponPart({ take: takeChange });
   const improve = improvements({ make: estimateForm, take: takeChange });
   const foot = submitBar();
   const sending = sender({ onWait: foot.wait });
@@ -80,6 +83,7 @@ function newJob(profiles, app) {
     group("Lens", form.lens),
     group("Light", form.light),
     group("Milling", form.mill),
+    coupon.element,
     h("details", { class: "card" }, h("summary", {}, "Expert: passes, optics, stock, machine"), expert),
   ];
   const element = h(
@@ -100,6 +104,7 @@ function newJob(profiles, app) {
 
   /** No button for what cannot be made: why not stands beside it. */
   function ready() {
+    coupon.show(valueAt(form.read().spec, "machine.profile") ?? MACHINE_USUAL);
     foot.ready(!side.has() ? NO_PICTURE : side.fault() ? BAD_PICTURE : "");
   }
 

@@ -1,12 +1,14 @@
-"""POST /v1/jobs/{id}/photos over the wire: the same door as for a job's picture, and what the wall tells behind it."""
+"""Photographs over the wire: the same door as for a job's picture, and what walls and test pieces tell behind it."""
 
 from __future__ import annotations
 
 import base64
 import io
 import json
+import zipfile
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 
 import httpx
 import numpy as np
@@ -14,8 +16,10 @@ import pytest
 from PIL import Image
 
 from optics.caustic import simulate_caustic
+from optics.finish import Finish
 from service.api.estimating import Estimator
-from service.api.schemas_photos import LookView
+from service.api.schemas_photos import CouponView, LookView
+from service.job_files import COUPON_FILES
 from service.spec_files import resolve_spec
 from service.stages.arrays import heightfield_bytes, target_bytes
 from service.stages.optical_task import bench_of
@@ -23,6 +27,7 @@ from tests.optics.photograph.test_wall import PIXELS, RIM, SIDE_MM, THROW_MM, li
 from tests.optics.photographs import camera, photographed
 from tests.service.api.server import ApiServer, api_server, encoded, problem
 from tests.service.api.test_estimating import STUB
+from tests.service.job.coupon.wall import photograph
 from tests.waiting import PATIENCE_S
 
 SPEC = {
@@ -111,3 +116,33 @@ def test_the_process_that_looks_is_not_the_one_that_estimates(
         said = problem(server.client.post(f"/v1/jobs/{job_id}/photos", files=files), 503)
         assert "the process for looks has ended" in said["detail"]
         assert server.services.estimates.child_pid is None
+
+
+@pytest.mark.thorough
+def test_a_mill_and_a_finish_are_measured_by_the_test_piece_that_was_downloaded(
+    looking: ApiServer, tmp_path: Path
+) -> None:
+    """The archive has what it takes to mill it; the finish comes out as it was; the second archive is the first."""
+    coupon = "/v1/profiles/grbl/coupon"
+    archive = looking.client.get(f"{coupon}.zip", timeout=PATIENCE_S)
+    assert archive.status_code == 200, archive.text
+    with zipfile.ZipFile(io.BytesIO(archive.content)) as files:
+        assert {"pass-1-rough.nc", "pass-2-finish.nc", *COUPON_FILES} < set(files.namelist())
+        files.extractall(tmp_path)
+    shot = photograph(tmp_path, Finish(k0_rad_per_mm=8.0, order=1.0), throw_mm=20.4)
+    photo = {"photo": ("wall.jpg", encoded(shot, "JPEG", quality=95))}
+    answer = looking.client.post(f"{coupon}/photos", files=photo, timeout=PATIENCE_S)
+    assert answer.status_code == 200, answer.text
+    found = CouponView.model_validate(answer.json())
+    assert found.values["finish.k0_rad_per_mm"] == pytest.approx(8.0, rel=0.15)
+    spec = resolve_spec(preset="recommended", overrides=[f"{key}={value}" for key, value in found.values.items()])
+    assert spec.finish.finishes
+    assert looking.client.get(f"{coupon}.zip", timeout=PATIENCE_S).content == archive.content
+    grey = {"photo": ("grey.png", encoded(Image.linear_gradient("L")))}
+    refused = problem(looking.client.post(f"{coupon}/photos", files=grey, timeout=PATIENCE_S), 422, "photo")
+    assert "no test piece is found" in refused["detail"]
+
+
+def test_there_is_no_test_piece_for_a_mill_that_nobody_knows(looking: ApiServer) -> None:
+    for send in (looking.client.get("/v1/profiles/lathe/coupon.zip"), sent(looking, "/v1/profiles/lathe/coupon", b"")):
+        assert "grbl" in problem(send, 404)["detail"]

@@ -5,20 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
-from PIL import Image
 
 from optics.finish import Finish
-from optics.irradiance import picture_from_irradiance
 from service.cli import run
 from service.job.coupon.piece import coupon_spec, sheet_lines
-from service.job.coupon.programs import milled_piece, predict_light
 from service.job_files import COUPON_FILES, COUPON_FIT_FILES
 from service.passes import machine_of
-from service.spec_files import stored_spec
-from service.tone import linear_to_srgb
-from tests.optics.photographs import camera, photographed
+from tests.service.job.coupon.wall import photograph
 
 
 @pytest.mark.parametrize(
@@ -71,15 +65,8 @@ def test_from_programs_to_a_measured_finish(tmp_path: Path, capfd: pytest.Captur
     assert set(COUPON_FILES) < {path.name for path in folder.iterdir()}
     report = json.loads((folder / "report.json").read_text())
     assert sum(row["time_s"] for row in report["passes"]) < 30 * 60
-    spec = stored_spec(folder)
-    made = milled_piece(folder, spec, seed=12)
-    whole = predict_light(spec, made, [finish.transfer], throw_mm=throw_mm, pixels_per_mm=30)[0]
-    seen = picture_from_irradiance(whole, viewed_from="behind")
-    place = camera(aside_deg=30.0, quarter_turns=1, aspect=48 / 28, shape=(1500, 2200), filling=0.75)
-    metered = np.log2(0.18 * np.quantile(seen, 0.99) / 0.8)
-    shot = photographed(seen, place, shape=(1500, 2200), stops=metered - 1.0, blur_px=2.0, background=0.003)
     photo = tmp_path / "wall.png"
-    Image.fromarray(np.rint(255 * linear_to_srgb(shot.photo)).astype(np.uint8)).save(photo)
+    photograph(folder, finish, throw_mm=throw_mm).save(photo)
     assert run(["coupon", "--photo", str(photo), "-o", str(folder)]) == 0
     assert "k0" in capfd.readouterr().out
     assert set(COUPON_FIT_FILES) < {path.name for path in folder.iterdir()}

@@ -1,0 +1,51 @@
+/** A photograph taken with the phone or chosen, sent to the server and shown with what it tells. */
+import { api } from "./api.js";
+import { h, replace, write } from "./dom.js";
+import { sentence } from "./words.js";
+
+const BUSY = "Looking at the photograph…";
+
+/**
+ * {button, node, clear()}: node holds what was told. address(): where it is sent; lines(told): texts or elements of a
+ * list; alt(): of the picture that comes with them.
+ */
+export function photograph({ words = "Take or choose a photograph", address, lines, alt }) {
+  const said = h("p", { class: "photo-said", "aria-live": "polite" });
+  const found = h("ul", { class: "photo-findings" });
+  const picture = h("img", { class: "photo-picture", alt: "", hidden: true });
+  const input = h("input", { type: "file", accept: "image/*", capture: "environment", hidden: true, onchange: chosen });
+  const button = h("button", { type: "button", onclick: () => input.click() }, words);
+
+  function chosen() {
+    const [file] = input.files;
+    input.value = ""; // the same file may be chosen again
+    if (file) look(file);
+  }
+  async function look(file) {
+    const form = new FormData();
+    form.append("photo", file);
+    button.disabled = true;
+    show(BUSY);
+    try {
+      if (!(await api.need("jobs:write"))) return show("");
+      const told = await api.upload(address(), form, { quiet: true });
+      show("", lines(told), `data:image/png;base64,${told.picture}`);
+    } catch (error) {
+      show(sentence(error.detail ?? error.message));
+    } finally {
+      button.disabled = false;
+    }
+  }
+  function show(words, told = [], source = "") {
+    write(said, words);
+    said.hidden = !words;
+    replace(found, told.map((one) => h("li", {}, one)));
+    found.hidden = told.length === 0;
+    picture.hidden = !source;
+    picture.alt = source ? alt() : "";
+    if (source) picture.src = source;
+    else picture.removeAttribute("src");
+  }
+  show("");
+  return { button: [button, input], node: [said, found, picture], clear: () => show("") };
+}

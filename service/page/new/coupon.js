@@ -1,0 +1,52 @@
+/** A test piece that measures the mill and a finish: its programs, its photograph, and figures for this job. */
+
+import { saveLink } from "../job/save.js";
+import { h } from "../lib/dom.js";
+import { photograph } from "../lib/photograph.js";
+import { sentence } from "../lib/words.js";
+
+const TITLE = "Measure your mill and your finish";
+const INTRO =
+  "Mill a piece of 40 x 20 mm in half an hour, finish one half of it, and photograph its light: how exact the mill is and what your finish takes off come out. The sheet in the archive says how.";
+const WAIT = "The archive takes about a quarter of a minute the first time.";
+
+/** {element, show(profile)}: of the machine that the job is for. take({what, values}): a person wants the figures. */
+export function couponPart({ take }) {
+  let profile = "";
+  const address = () => `/v1/profiles/${encodeURIComponent(profile)}/coupon`;
+  const link = saveLink({ url: "", name: "", words: "Programs and sheet (zip)" });
+  const photo = photograph({
+    words: "Photograph of its light",
+    address: () => `${address()}/photos`,
+    lines,
+    alt: () => "The photograph, set straight, and how much of each ripple is left",
+  });
+
+  function show(chosen) {
+    if (chosen === profile) return;
+    profile = chosen;
+    link.href = `${address()}.zip`;
+    link.download = `coupon-${profile}.zip`;
+    photo.clear(); // it was another mill's
+  }
+  function lines({ finish, mill, notes, values }) {
+    const use = () => take({ what: "the figures of the test piece", values });
+    return [
+      `Of a wave of ${round(halfMm(finish))} mm, the finish leaves half (k0 ${round(finish.k0_rad_per_mm)} rad/mm, order ${round(finish.order)}).`,
+      `The mill's rows are off by ${round(1000 * mill.z_noise_mm)} µm.`,
+      ...notes.map((note) => sentence(note.sentence)),
+      h("button", { type: "button", onclick: use }, "Use these figures for this job"),
+    ];
+  }
+  const summary = h("summary", {}, TITLE);
+  const buttons = h("div", { class: "row" }, link, photo.button);
+  const element = h("details", { class: "card coupon" }, summary, h("p", { class: "dim" }, `${INTRO} ${WAIT}`), buttons, photo.node);
+  return { element, show };
+}
+
+/** Period of which half is left [mm]: H(k) = exp(-(k / k0)^order) = 1/2. */
+function halfMm({ k0_rad_per_mm, order }) {
+  return (2 * Math.PI) / (k0_rad_per_mm * Math.log(2) ** (1 / order));
+}
+
+const round = (value) => String(Number(value.toPrecision(2)));
