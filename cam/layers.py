@@ -19,7 +19,7 @@ from scipy.ndimage import maximum_filter1d
 from cam.entries import Pocket, enter, leave
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
-from cam.raster import Rows, climbs_rightward, on_ticks
+from cam.raster import Rows, climbs_rightward, on_ticks, ordered
 from cam.stock_touch import StockTouch
 from cam.tool_surface import ToolSurface
 from cam.vertices import rough_sag_mm, thinned
@@ -74,8 +74,12 @@ class Field:
         left, right = rows.left_mm - rows.turn_mm, rows.right_mm + rows.turn_mm
         count = ceil((right - left) / surface.kernel.node_step) + 1
         x = on_ticks(np.linspace(left, right, count))
-        target_mm = surface.tip_rows_mm(x, rows.y_mm)
-        return cls(rows=rows, x_mm=x, target_mm=target_mm, stock_mm=stock.over(x, rows.y_mm))
+        target = np.empty((rows.y_mm.size, x.size))
+        blocks = np.array_split(np.arange(rows.y_mm.size), max(1, rows.y_mm.size // 64))
+        heights = ordered(lambda block: surface.tip_rows_mm(x, rows.y_mm[block]), blocks)
+        for block, part in zip(blocks, heights, strict=True):
+            target[block] = part
+        return cls(rows=rows, x_mm=x, target_mm=target, stock_mm=stock.over(x, rows.y_mm))
 
     @property
     def step_mm(self) -> float:

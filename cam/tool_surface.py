@@ -13,7 +13,6 @@ from scipy import ndimage
 from cam.contact import TILE, Ball, touch_points, touch_rows
 from cam.moves import Array
 from optics.heightfield import Heightfield, spline_jet
-from optics.threads import over_rows
 
 GUARD_SHARE = 0.6
 """Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
@@ -89,7 +88,7 @@ class ToolSurface:
     def tip_rows_mm(self, x_mm: Array, y_mm: Array) -> Array:
         """(ny, nx) tip heights on rows y (ny,) at x (nx,)."""
         out = np.empty((y_mm.size, x_mm.size))
-        over_rows(lambda low, high: touch_rows(self.kernel, x_mm, y_mm[low:high], out[low:high]), y_mm.size)
+        touch_rows(self.kernel, x_mm, y_mm, out)
         return out
 
 
