@@ -230,8 +230,8 @@ def plan_for_lens(
     return _planned(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
-def _seen_by(light: PictureLight, plan: Plan) -> Plan:
-    """What another light says of the plan's choice, without its rest pass."""
+def _score_by(light: PictureLight, plan: Plan) -> Plan:
+    """The plan, its choice scored by another light, without its rest pass."""
     seen_db = light.aimed_db(replace(plan.chosen.marks, rest=None))
     return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
 
@@ -274,20 +274,20 @@ def _planned(
     finished: FinishedPlan | None = None
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
-        finishings = list_finishings(spec)
-        if not finishings or whole is None:
-            if finishings:
-                finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
-            milled = plan = plan_among(candidates, left_out, light, goal)
-        else:
+        finishings, given = list_finishings(spec), spec.finish.k0_rad_per_mm is not None
+        if finishings and whole is None:
+            finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
+        if finishings and whole is not None:
             seen, plan = light.against(whole), plan_by_score(candidates, left_out, goal)
             with ThreadPoolExecutor(1) as beside:
-                guessed = beside.submit(_seen_by, seen, plan)
+                guessed = beside.submit(_score_by, seen, plan)
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
                 milled = guessed.result()
-            if not is_surely_worth_it(finished.plan, milled, goal):
+            if not given and not is_surely_worth_it(finished.plan, milled, goal):
                 plan = plan_among(candidates, left_out, light, goal)
-                milled = _seen_by(seen, plan)
+                milled = _score_by(seen, plan)
+        else:
+            milled = plan = plan_among(candidates, left_out, light, goal)
     except NoPlanError as error:
         raise InputError(
             "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
@@ -299,6 +299,6 @@ def _planned(
     planned = Planned(
         plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
     )
-    if finished is None or (spec.finish.k0_rad_per_mm is None and not is_worth_it(finished.plan, milled, goal)):
+    if finished is None or not (given or is_worth_it(finished.plan, milled, goal)):
         return planned
-    return replace(planned, plan=finished.plan, light=finished.light, finishing=finished.finishing, unfinished=plan)
+    return replace(planned, plan=finished.plan, light=finished.light, finishing=finished.finishing, unfinished=milled)

@@ -29,7 +29,7 @@ from optics.coupon.reading import Fold
 from optics.finish import Finish
 from optics.heightfield import Array
 
-K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.4, 8.0)
+K0_RANGE, ORDER_RANGE = (0.3, 200.0), (0.5, 8.0)
 _FLOOR, _SLOPE_FLOOR = 0.012, 0.05  # what the model misses: of the mean light, and of what fringes differ from it
 _BLUR_RANGE_MM = (0.004, 0.4)
 _SHIFT_MM = 0.03  # how well a photograph is laid over the piece

@@ -17,7 +17,7 @@ from typing import Any
 import structlog
 
 from service.api.line_child import ChildDied, ChildLate, LineChild
-from service.errors import InputError, PictureError
+from service.errors import FailedError, InputError, PictureError
 from service.kernel_cache import ESTIMATES, ready_mark
 from service.web.problems import Problem
 
@@ -25,7 +25,8 @@ _NOBODY = ""  # no caller's name
 _WEDGE_PIXELS = 1 << 16
 _MODULE, LOOKING = "service.api.estimating_child", "service.api.looking_child"
 _MOST_WAITING = 8
-_START_S, _FIRST_S = 60.0, 300.0  # after an update the first one waits for kernels to be compiled
+_START_S, _ANSWER_S = 60.0, 30.0
+LONG_S = 300.0  # after an update the first one waits for kernels to be compiled
 _RETRY = {"Retry-After": "5"}
 _log = structlog.get_logger("api")
 
@@ -36,6 +37,7 @@ Answer = dict[str, Any]
 class _Ask:
     caller: str
     asked: dict[str, Any]
+    is_long: bool
     answer: Future[Answer] = field(default_factory=Future)
 
     def end(self, problem: Exception) -> None:
@@ -46,17 +48,13 @@ class _Ask:
 class Estimator:
     """`ask` from any thread; `close` ends the process.
 
-    module   : of the process
-    what     : it makes, as people call it; in its answers, too
-    answer_s : after which it is taken for hung
+    module : of the process
+    what   : it makes, as people call it; in its answers, too
     """
 
-    def __init__(
-        self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate", answer_s: float = 30.0
-    ) -> None:
+    def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate") -> None:
         self._what = what
         self._idle_s = idle_s
-        self._answer_s = answer_s
         self._module = module
         self._bell = threading.Condition()
         self._waiting: list[_Ask] = []
@@ -66,13 +64,19 @@ class Estimator:
         self._child: LineChild | None = None
         self._warm = False
 
-    def ask(self, caller: str, asked: dict[str, Any]) -> Future[Answer]:
-        """What `estimating_child` answers. Ends the caller's earlier asks; Problem where too many others wait."""
-        ask = _Ask(caller=caller, asked=asked)
+    def ask(self, caller: str, asked: dict[str, Any], *, is_long: bool = False) -> Future[Answer]:
+        """What the process answers. Ends the caller's earlier asks, or joins the same one; Problem where too many wait.
+
+        is_long : the answer may take LONG_S
+        """
+        ask = _Ask(caller=caller, asked=asked, is_long=is_long)
         with self._bell:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
-            for older in [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]:
+            own = [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
+            if (same := next((one for one in own if one.asked == asked), None)) is not None:
+                return same.answer
+            for older in own:
                 older.end(Problem(409, f"a newer {self._what} was asked for"))
             self._waiting = [one for one in self._waiting if one.caller != caller]
             if len(self._waiting) >= _MOST_WAITING:
@@ -135,7 +139,7 @@ class Estimator:
 
     def _finish(self, ask: _Ask) -> None:
         try:
-            found = self._answered(ask.asked)
+            found = self._answered(ask)
         except (ChildLate, ChildDied, OSError) as error:
             self._drop()
             late = isinstance(error, ChildLate)
@@ -151,10 +155,10 @@ class Estimator:
         with suppress(InvalidStateError):
             ask.answer.set_result(found[self._what])
 
-    def _answered(self, asked: dict[str, Any]) -> dict[str, Any]:
+    def _answered(self, ask: _Ask) -> dict[str, Any]:
         if self._child is None:
             self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
-        found = self._child.ask(asked, self._answer_s if self._warm else _FIRST_S)
+        found = self._child.ask(ask.asked, LONG_S if ask.is_long or not self._warm else _ANSWER_S)
         self._warm = True
         return found
 
@@ -167,7 +171,11 @@ class Estimator:
             self._child = None
 
     def _problem(self, found: dict[str, Any]) -> Exception | None:
-        kinds: dict[str, Callable[..., Exception]] = {"picture": PictureError, "input": InputError}
+        kinds: dict[str, Callable[..., Exception]] = {
+            "picture": PictureError,
+            "input": InputError,
+            "failed": FailedError,
+        }
         if "refused" in found:
             return kinds[found["kind"]](*found["refused"])
         if "fault" in found:

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from service.errors import JobError, PictureError
+from service.errors import FailedError, JobError, PictureError
 from service.process_priority import give_way
 from service.worker.linux import address_space_bytes, die_with_parent, name_process
 
@@ -46,11 +46,13 @@ def answer_lines(
 
 
 def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What `answer` gives; in its place {"refused", "kind"} for what the person can mend, {"fault"} for all else."""
+    """What `answer` gives; in its place {"refused", "kind"} for what people can mend, {"fault"} for all else."""
     try:
         return answer()
     except PictureError as error:
         return {"refused": str(error).split("\n"), "kind": "picture"}
+    except (FailedError, OSError) as error:
+        return {"refused": str(error).split("\n"), "kind": "failed"}
     except JobError as error:
         return {"refused": str(error).split("\n"), "kind": "input"}
     except Exception as error:  # the process that asked says so and goes on

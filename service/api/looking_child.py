@@ -17,9 +17,10 @@ use_current_kernels()  # before numba is imported
 import base64  # noqa: E402
 
 from service.api.line_answers import answer_lines, answer_or_refuse  # noqa: E402
-from service.job.coupon.kept import ARCHIVE, keep_coupon  # noqa: E402
-from service.job.coupon.measuring import fit_photo, fit_picture  # noqa: E402
+from service.job.coupon.kept import keep_coupon  # noqa: E402
+from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
 from service.job.coupon.photograph import read_photo  # noqa: E402
+from service.job.coupon.piece import ARCHIVE  # noqa: E402
 from service.job.photo.foretold import foretold_of  # noqa: E402
 from service.job.photo.looking import look_at  # noqa: E402
 from service.job.photo.reading import read_wall_photo  # noqa: E402
@@ -35,7 +36,7 @@ def main() -> None:
 
 
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
-    return answer_or_refuse(lambda: {"look": _look(asked) if "job" in asked else _piece(asked)})
+    return answer_or_refuse(lambda: {"look": _look(asked) if "job" in asked else _measure(asked)})
 
 
 def _look(asked: dict[str, Any]) -> dict[str, Any]:
@@ -44,12 +45,12 @@ def _look(asked: dict[str, Any]) -> dict[str, Any]:
     return {**found.figures, "picture": _as_text(found.png(with_words=False))}
 
 
-def _piece(asked: dict[str, Any]) -> dict[str, Any]:
+def _measure(asked: dict[str, Any]) -> dict[str, Any]:
     if "path" not in asked:
         return {"archive": str(keep_coupon(Path(asked["pieces"]), asked["machine"]) / ARCHIVE)}
     shot = read_photo(Path(asked["path"]), limits=_limits(asked), name=asked["name"])
     found = fit_photo(asked["name"], shot, keep_coupon(Path(asked["pieces"]), asked["machine"]))
-    picture = _as_text(fit_picture(found, viewed_from_lens=False))
+    picture = _as_text(draw_fit(found, viewed_from_lens=False))
     return {**plain(found.report()), "values": found.values(), "picture": picture}
 
 

@@ -53,7 +53,6 @@ _THREADS = 40
 _CONNECTIONS = 1000
 _SOCKET_BYTES = 4096  # of one message about a stop
 _FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
-_LOOK_S = 120.0  # a test piece is made in 10 s where nothing else runs
 _CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
 _TURN_S = 0.5
 _STUCK_S = 10.0
@@ -108,7 +107,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         stack.callback(pictures.close)
         estimates = Estimator()
         stack.callback(estimates.close)
-        looks = Estimator(module=LOOKING, what="look", answer_s=_LOOK_S)
+        looks = Estimator(module=LOOKING, what="look")
         stack.callback(looks.close)
         stop_access = StopAccess(tokens)
         stack.callback(stop_access.close)

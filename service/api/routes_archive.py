@@ -17,14 +17,12 @@ from service.api.conditions import matches
 from service.api.download import in_threads
 from service.api.routes_jobs import JobId
 from service.api.services import services_of
-from service.job_files import is_drawing
+from service.job_files import is_drawing, zip_entry
 from service.jobs.records import Artifact
 from service.store.store import Store
 
 router = APIRouter(tags=["artifacts"])
 
-_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest that zip knows: the archive depends on the files alone
-_MODE = 0o644 << 16
 _ZIP: dict[str, Any] = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 _ANSWERS: Responses = {
     200: {"description": "the archive, stored without compression", "content": _ZIP},
@@ -96,9 +94,7 @@ def _zipped(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
     outlet = _Outlet()
     with zipfile.ZipFile(outlet, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:  # type: ignore[call-overload]
         for file in files:
-            entry = zipfile.ZipInfo(file.name, _DATE)
-            entry.external_attr = _MODE
-            with archive.open(entry, "w", force_zip64=True) as target:
+            with archive.open(zip_entry(file.name), "w", force_zip64=True) as target:
                 for piece in store.open_range(file.sha256):
                     target.write(piece)
                     yield outlet.taken()

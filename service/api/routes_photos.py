@@ -15,7 +15,7 @@ from typing import Annotated, Any
 
 from fastapi import APIRouter, Request
 from fastapi import Path as InPath
-from starlette.responses import FileResponse, JSONResponse, Response
+from starlette.responses import JSONResponse, Response
 
 from machines.profiles import profile_names
 from service import job_files
@@ -26,7 +26,8 @@ from service.api.routes_jobs import JobId
 from service.api.schemas_photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
 from service.api.services import Services, services_of
 from service.api.space import Space
-from service.errors import InputError, PictureError
+from service.errors import PictureError
+from service.job.coupon.piece import ARCHIVE
 from service.job.photo.names import FORETOLD
 from service.web.problems import Kind, Problem
 
@@ -61,7 +62,7 @@ _ZIP_ANSWERS: Responses = {
         "description": "the archive",
         "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
     },
-    **refusals(409, 507),
+    **refusals(507),
 }
 
 
@@ -79,9 +80,10 @@ async def looked(request: Request, principal: Writer, job_id: JobId) -> Response
     """
     services = services_of(request)
     with tempfile.TemporaryDirectory(prefix="causticmill-look-") as folder:
-        async with _received_photo(request) as photo:
+        async with _receive_photo(request) as photo:
             await asyncio.to_thread(_fetch, services, str(job_id), Path(folder))
-            found = await _looked_at(services, f"{principal.id or principal.name} {job_id}", {**photo, "job": folder})
+            caller = f"{principal.id or principal.name} {job_id}"
+            found = await asyncio.wrap_future(services.looks.ask(caller, {**photo, "job": folder}))
     return JSONResponse(found, headers={"Cache-Control": "no-store"})
 
 
@@ -93,15 +95,25 @@ async def looked(request: Request, principal: Writer, job_id: JobId) -> Response
     response_class=Response,
     responses=_ZIP_ANSWERS,
 )
-async def coupon(request: Request, principal: Writer, profile: ProfileName) -> Response:
+async def download_coupon(request: Request, principal: Writer, profile: ProfileName) -> Response:
     """Programs, setup sheet and the light foretold of a piece that measures the mill and a finish. The first request
-    for a machine waits until the piece is made; a caller who asks for another one meanwhile ends it with 409.
+    for a machine waits until the piece is made.
     """
     services = services_of(request)
     await asyncio.to_thread(_require_profile, profile)
     await asyncio.to_thread(Space(services.settings).require)
-    found = await _looked_at(services, f"{principal.id or principal.name} coupon", _piece(services, profile))
-    return FileResponse(found["archive"], media_type="application/zip", filename=f"coupon-{profile}.zip")
+    caller = f"{principal.id or principal.name} coupon {profile}"
+    making = services.looks.ask(caller, _piece_of(services, profile), is_long=True)
+    found = await asyncio.shield(asyncio.wrap_future(making))  # others may wait for it, too
+    try:
+        archive = await asyncio.to_thread(Path(found["archive"]).read_bytes)
+    except FileNotFoundError:
+        raise Problem(503, "the test piece is being made anew; try again", headers={"Retry-After": "5"}) from None
+    headers = {
+        "Cache-Control": "private, no-cache",
+        "Content-Disposition": f'attachment; filename="{ARCHIVE}"',
+    }
+    return Response(archive, headers=headers, media_type="application/zip")
 
 
 @router.post(
@@ -112,21 +124,22 @@ async def coupon(request: Request, principal: Writer, profile: ProfileName) -> R
     responses=answers({200: example(COUPON_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=_PHOTO_FORM,
 )
-async def measured(request: Request, principal: Writer, profile: ProfileName) -> Response:
+async def measure(request: Request, principal: Writer, profile: ProfileName) -> Response:
     """What a photograph of the test piece's light says of the mill and the finish, and what that means for a job's
     spec. A photograph that says nothing is refused with what to do. A caller who asks again ends the request before
     with 409.
     """
     services = services_of(request)
     await asyncio.to_thread(_require_profile, profile)
-    async with _received_photo(request) as photo:
-        caller = f"{principal.id or principal.name} coupon"
-        found = await _looked_at(services, caller, {**_piece(services, profile), **photo})
+    async with _receive_photo(request) as photo:
+        caller = f"{principal.id or principal.name} photo {profile}"
+        asked = {**_piece_of(services, profile), **photo}
+        found = await asyncio.wrap_future(services.looks.ask(caller, asked, is_long=True))
     return JSONResponse(found, headers={"Cache-Control": "no-store"})
 
 
 @asynccontextmanager
-async def _received_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
+async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
     """The request's photograph, as the process that looks is asked for it; its file is removed at the end."""
     services = services_of(request)
     settings, space = services.settings, Space(services.settings)
@@ -138,15 +151,11 @@ async def _received_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
             async with services.accepting:
                 await asyncio.to_thread(services.pictures.check, form.path, form.image_name, most)
             yield {"path": str(form.path), "name": form.image_name, "max_pixels": most}
-        except (PictureError, InputError) as error:
+        except PictureError as error:
             raise Problem(422, str(error), field=_PART, kind=Kind.PICTURE) from None
 
 
-async def _looked_at(services: Services, caller: str, asked: dict[str, Any]) -> dict[str, Any]:
-    return await asyncio.wrap_future(services.looks.ask(caller, asked))
-
-
-def _piece(services: Services, profile: str) -> dict[str, Any]:
+def _piece_of(services: Services, profile: str) -> dict[str, Any]:
     return {"machine": profile, "pieces": str(services.settings.data / "coupons"), "max_pixels": 0}
 
 

@@ -170,7 +170,7 @@ COUPON_EXAMPLE: dict[str, Any] = {
         "mirrored": False,
         "misfit": 1.1,
     },
-    "notes": [{"code": "mirrored", "values": {}, "sentence": "the photograph was taken from the other side"}],
+    "notes": [{"code": "mirrored", "values": {}, "text": "the photograph was taken from the other side"}],
     "values": {
         "finish.process": "none",
         "finish.k0_rad_per_mm": 8.1,
@@ -222,18 +222,12 @@ class CouponPhotoView(Body):
     misfit: Annotated[float, Field(description="what is left over what was expected; about 1 where the model holds")]
 
 
-class NoteView(Body):
-    code: str
-    values: dict[str, float]
-    sentence: str
-
-
 class CouponView(Body):
     finish: FinishFitView
     mill: MillFitView
     wall: CouponWallView
     photograph: CouponPhotoView
-    notes: list[NoteView]
+    notes: list[FindingView]
     values: Annotated[dict[str, Any], Field(description="for a job's spec, by dotted key")]
     picture: Annotated[
         str, Field(description="base64 of a PNG: the photograph set straight, and what is left of ripples")

@@ -16,7 +16,7 @@ from optics.coupon.grain import RowErrors, fit_row_errors, measured_grain
 from optics.coupon.layout import Half
 from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
-from service.errors import InputError
+from service.errors import PictureError
 from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
@@ -72,7 +72,7 @@ class Finding:
         return SENTENCES[self.code].format(**self.values)
 
 
-class PhotoRefused(InputError):
+class PhotoRefused(PictureError):
     """A photograph that says nothing, and why."""
 
     def __init__(self, name: str, finding: Finding) -> None:
@@ -126,7 +126,7 @@ class CouponResult:
                 "mirrored": found.mirrored,
                 "misfit": fit.misfit,
             },
-            "notes": [{"code": one.code, "values": one.values, "sentence": one.sentence()} for one in self.notes],
+            "notes": [{"code": one.code, "values": one.values, "text": one.sentence()} for one in self.notes],
         }
 
 

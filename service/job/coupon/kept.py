@@ -10,41 +10,39 @@ from dataclasses import asdict
 from pathlib import Path
 
 from service import job_files
-from service.job.coupon.piece import coupon_spec
+from service.job.coupon.piece import ARCHIVE, coupon_of, coupon_spec
 from service.job.coupon.programs import make_coupon
 from service.passes import machine_of
 from service.progress import reporting
-from service.stages.workshop import versions
 
-ARCHIVE = "coupon.zip"
-_DATE = (1980, 1, 1, 0, 0, 0)  # the earliest that zip knows: the archive depends on the files alone
 _NOT_SENT = {ARCHIVE, job_files.HEIGHTFIELD}
 
 
 def keep_coupon(folder: Path, machine: str) -> Path:
-    """The machine's test piece within a folder of test pieces, with ARCHIVE for its maker; made where there is none.
+    """Return the machine's test piece in a folder of test pieces, with ARCHIVE for its maker; make it if there is none.
 
-    One that an earlier version made, or that was made for what the profile said then, makes way. SpecError where there
-    is no such machine.
+    A newer version of us keeps it: it may have been milled. One made for what the profile said before makes way.
+    SpecError where there is no such machine.
     """
     spec = coupon_spec(machine=machine, throw_mm=None, file=None, overrides=())
-    facts = repr((spec.plain(), asdict(machine_of(spec)), versions()))
+    facts = repr((spec.plain(), asdict(machine_of(spec)), coupon_of(spec)))
     piece = folder / machine / hashlib.sha256(facts.encode()).hexdigest()[:16]
     if not (piece / ARCHIVE).is_file():
         piece.parent.mkdir(parents=True, exist_ok=True)
         with reporting(quiet=True) as reporter:
             make_coupon(piece, spec, reporter=reporter)
-        job_files.write_bytes(piece / ARCHIVE, _archived(piece))
-        for older in set(piece.parent.iterdir()) - {piece}:
-            shutil.rmtree(older, ignore_errors=True)
+        job_files.write_bytes(piece / ARCHIVE, _pack(piece))
+        for older in piece.parent.glob("[!.]*"):  # a hidden one is being made
+            if older != piece:
+                shutil.rmtree(older, ignore_errors=True)
     return piece
 
 
-def _archived(piece: Path) -> bytes:
+def _pack(piece: Path) -> bytes:
     """All that is needed to mill the piece, and to measure its photograph elsewhere."""
     held = io.BytesIO()
     with zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in sorted(piece.iterdir()):
             if path.name not in _NOT_SENT:
-                archive.writestr(zipfile.ZipInfo(path.name, _DATE), path.read_bytes(), zipfile.ZIP_DEFLATED)
+                archive.writestr(job_files.zip_entry(path.name), path.read_bytes(), zipfile.ZIP_DEFLATED)
     return held.getvalue()

@@ -27,7 +27,7 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
     with watch.stage("fit") as reached:
         result = fit_photo(str(photo), shot, folder, on_progress=reached)
     with watch.stage("figure"):
-        picture = fit_picture(result, viewed_from_lens=spec.optics.viewed_from == "lens")
+        picture = draw_fit(result, viewed_from_lens=spec.optics.viewed_from == "lens")
     job_files.write_bytes(folder / FIT_PICTURE, picture)
     job_files.write_bytes(folder / FIT_SNIPPET, snippet(result).encode())
     job_files.write_json(folder / FIT, plain({"photo": photo.name, **result.report()}))
@@ -43,7 +43,7 @@ def fit_photo(
     return measure_photo(name, shot, foretold, spec, on_progress=on_progress)
 
 
-def fit_picture(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
+def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
     """coupon-fit.png."""
     from service.figures_coupon import coupon_fit_png  # what it stands on is slow to import
 

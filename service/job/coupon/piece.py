@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,6 +19,8 @@ from service.spec_files import parse_override, resolve_spec, stored_spec
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
 FIT, FIT_PICTURE, FIT_SNIPPET = COUPON_FIT_FILES
+ARCHIVE = "coupon.zip"
+"""All of it that is needed to mill it, and to measure its photograph elsewhere."""
 RADIUS_MM, ROUGH_PITCH_MM, PITCH_MM, LEFT_MM = 1.0, 0.4, 0.06, 0.05
 """One ball for both passes, so that nothing is changed between them."""
 
@@ -43,7 +46,7 @@ def coupon_spec(*, machine: str | None, throw_mm: float | None, file: Path | Non
     }
     if not any(text.partition("=")[0].strip().startswith("finish.") for text in overrides):
         base["finish"] = {"process": USUAL_FINISH}
-    given = [] if machine is None else [f"machine.profile={machine}"]
+    given = [] if machine is None else [f"machine.profile={json.dumps(machine)}"]
     given += [] if throw_mm is None else [f"optics.throw_mm={throw_mm!r}"]
     spec = resolve_spec(base=base, file=file, overrides=[*given, *overrides])
     if (spec.optics.width_mm, spec.optics.height_mm) != (WIDTH_MM, HEIGHT_MM):

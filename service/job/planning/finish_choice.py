@@ -112,10 +112,10 @@ def plan_finish(
 def _quickest_alike(candidates: list[Candidate], light: PictureLight) -> list[Candidate]:
     """Without a rest pass, and of those that a finish leaves the same of, the quickest: directions and strategies."""
     found: dict[tuple[float, ...], Candidate] = {}
-    for one in sorted(candidates, key=lambda one: -one.hours):
+    for one in sorted(candidates, key=lambda one: (one.hours, one.tool.cost_class)):
         if one.rest is None:
-            pixel_mm = light.across_mm(one.finish)
-            found[one.finish.radius_mm, one.finish.pitch_mm, one.slopes.off_mm, pixel_mm] = one
+            finish = one.finish
+            found.setdefault((finish.radius_mm, finish.pitch_mm, one.slopes.off_mm, light.across_mm(finish)), one)
     return list(found.values())
 
 
@@ -156,7 +156,7 @@ def is_worth_it(finished: Plan, milled: Plan, goal: Goal) -> bool:
 
 
 def is_surely_worth_it(finished: Plan, guessed: Plan, goal: Goal) -> bool:
-    """The same where milling alone is guessed, by lenses that are not sharpened for their own rows yet."""
+    """The same where passes without a finish are chosen by a guess: lenses sharpened for them might choose others."""
     if goal.psnr_db is not None or goal.blur_mm is not None:
         return False
     guess_db = guessed.chosen.psnr_db + _GUESS_DB

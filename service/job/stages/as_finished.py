@@ -23,6 +23,7 @@ from service.stages.workshop import Workshop
 
 _STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
+_SEEN_MM = 0.1  # of a rim
 _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 
@@ -51,7 +52,20 @@ def as_finished(shop: Workshop) -> None:
     with shop.watch.stage("as finished: light"):
         seen = light_through(finished, bench, shape)
     _tell(shop, finish, target, seen, bench.screen.width_mm / shape[1])
+    if sentence := rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
+        shop.note("passes", sentence)
     _draw(shop, target, seen.irradiance)
+
+
+def rounded_rim(finish: Finish, milled_mm: float) -> str | None:
+    """A warning where what is milled around the lens is narrower than the finish reaches."""
+    if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
+        return None
+    return (
+        f"the finish rounds whatever stands within {finish.reach_mm:.2g} mm, and {milled_mm:g} mm are milled around "
+        f"the lens: its outermost {narrower_mm:.2g} mm may come out rounder than foretold; mask the rim, or take a "
+        "larger ball"
+    )
 
 
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:

@@ -8,11 +8,11 @@ import { h } from "../lib/dom.js";
 import { toast } from "../lib/dialog.js";
 import { bytes, percent } from "../lib/words.js";
 
-/** A link that saves `url` under `name`; it looks like a button unless `plain`. */
-export function saveLink({ url, name, size, words, plain = false }) {
+/** A link that saves `url` under `name`; it looks like a button unless `plain`. fetched: here, where why not is told. */
+export function saveLink({ url, name, size, words, plain = false, fetched = false }) {
   const link = h("a", { class: plain ? "" : "button", href: url, download: name }, words ?? name);
   link.addEventListener("click", (event) => {
-    if (!api.token) return;
+    if (!api.token && !fetched) return;
     event.preventDefault();
     if (link.dataset.busy) return;
     link.dataset.busy = "yes";

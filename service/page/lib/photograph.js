@@ -14,6 +14,7 @@ export function photograph({ words = "Take or choose a photograph", address, lin
   const found = h("ul", { class: "photo-findings" });
   const picture = h("img", { class: "photo-picture", alt: "", hidden: true });
   const input = h("input", { type: "file", accept: "image/*", capture: "environment", hidden: true, onchange: chosen });
+  let asked = 0; // what an earlier question brings is not shown any more
   const button = h("button", { type: "button", onclick: () => input.click() }, words);
 
   function chosen() {
@@ -24,17 +25,24 @@ export function photograph({ words = "Take or choose a photograph", address, lin
   async function look(file) {
     const form = new FormData();
     form.append("photo", file);
+    clear();
+    const mine = asked;
     button.disabled = true;
     show(BUSY);
     try {
-      if (!(await api.need("jobs:write"))) return show("");
+      if (!(await api.need("jobs:write"))) return clear();
       const told = await api.upload(address(), form, { quiet: true });
-      show("", lines(told), `data:image/png;base64,${told.picture}`);
+      if (mine === asked) show("", lines(told), `data:image/png;base64,${told.picture}`);
     } catch (error) {
-      show(sentence(error.detail ?? error.message));
+      if (mine === asked) show(sentence(error.detail ?? error.message));
     } finally {
-      button.disabled = false;
+      if (mine === asked) button.disabled = false;
     }
+  }
+  function clear() {
+    asked += 1;
+    button.disabled = false;
+    show("");
   }
   function show(words, told = [], source = "") {
     write(said, words);
@@ -46,6 +54,6 @@ export function photograph({ words = "Take or choose a photograph", address, lin
     if (source) picture.src = source;
     else picture.removeAttribute("src");
   }
-  show("");
-  return { button: [button, input], node: [said, found, picture], clear: () => show("") };
+  clear();
+  return { button: [button, input], node: [said, found, picture], clear };
 }

@@ -14,7 +14,7 @@ const WAIT = "The archive takes about a quarter of a minute the first time.";
 export function couponPart({ take }) {
   let profile = "";
   const address = () => `/v1/profiles/${encodeURIComponent(profile)}/coupon`;
-  const link = saveLink({ url: "", name: "", words: "Programs and sheet (zip)" });
+  const link = saveLink({ url: "", name: "", words: "Programs and sheet (zip)", fetched: true }); // it may be refused
   const photo = photograph({
     words: "Photograph of its light",
     address: () => `${address()}/photos`,
@@ -30,11 +30,12 @@ export function couponPart({ take }) {
     photo.clear(); // it was another mill's
   }
   function lines({ finish, mill, notes, values }) {
-    const use = () => take({ what: "the figures of the test piece", values });
+    const instead = { "finish.minutes": undefined, "finish.depth_um": undefined }; // of a finish that was planned
+    const use = () => take({ what: "the figures of the test piece", values: { ...instead, ...values } });
     return [
       `Of a wave of ${round(halfMm(finish))} mm, the finish leaves half (k0 ${round(finish.k0_rad_per_mm)} rad/mm, order ${round(finish.order)}).`,
       `The mill's rows are off by ${round(1000 * mill.z_noise_mm)} µm.`,
-      ...notes.map((note) => sentence(note.sentence)),
+      ...notes.map((note) => sentence(note.text)),
       h("button", { type: "button", onclick: use }, "Use these figures for this job"),
     ];
   }

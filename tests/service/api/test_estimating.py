@@ -125,3 +125,9 @@ def _is_stub(pid: str) -> bool:
     except OSError:
         return False
     return STUB.encode() in line and str(os.getpid()).encode() in line
+
+
+def test_who_asks_for_the_same_once_more_joins_the_first_ask(estimator: Estimator) -> None:
+    first = estimator.ask("ann", {"name": "takes 0.3"}, is_long=True)
+    assert estimator.ask("ann", {"name": "takes 0.3"}, is_long=True) is first
+    assert first.result(PATIENCE_S) == {"name": "takes 0.3"}

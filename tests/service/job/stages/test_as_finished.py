@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from PIL import Image
 
+from optics.finish import Finish
+from service.job.stages.as_finished import rounded_rim
 from service.job_files import AS_FINISHED, COMPARED_FINISHED
 from service.spec_files import resolve_spec
 from service.stages.plan import plan
@@ -41,6 +45,19 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
     assert seen["psnr_db"] > milled["psnr_db"] + 3.0
     assert seen["smallest_detail_mm"] < 0.6 * milled["smallest_detail_mm"]
     assert seen["finish"]["k0_rad_per_mm"] == 5.0
+
+
+@given(radius_mm=st.floats(0.25, 6.0), k0_rad_per_mm=st.floats(0.7, 25.0))
+def test_a_rim_that_the_finish_reaches_from_beyond_the_cut_is_told(radius_mm: float, k0_rad_per_mm: float) -> None:
+    finish = Finish(k0_rad_per_mm=k0_rad_per_mm, order=2.0)
+    told = rounded_rim(finish, radius_mm)
+    assert (told is not None) == (finish.reach_mm >= radius_mm + 0.1)
+    assert told is None or f"{radius_mm:g} mm are milled" in told
+
+
+def test_the_job_tells_of_its_rim(finished: StagedJob) -> None:
+    """A ball of 0.5 mm; the finish reaches 0.85 mm."""
+    assert "its outermost 0.35 mm" in " ".join(finished.results["as-finished"].notes["passes"])
 
 
 def test_its_pictures_are_files_of_the_job(finished: StagedJob) -> None:
