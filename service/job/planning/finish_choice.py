@@ -125,17 +125,13 @@ def _best(
     ways: list[tuple[Finishing, FinishedLight]],
     goal: Goal,
 ) -> FinishedPlan:
-    by_time = goal.psnr_db is not None or goal.blur_mm is not None
     found: list[tuple[tuple[bool, float], FinishedPlan]] = []
     for finishing, light in ways:
-        score = light.psnr_db if by_time else light.liking_db
-        scored = [replace(one, psnr_db=score(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates]
+        scored = [
+            replace(one, psnr_db=light.psnr_db(one.marks), blur_mm=light.blur_mm(one.slopes)) for one in candidates
+        ]
         plan = plan_by_score(scored, left_out, goal)
-        rank = merit(plan, goal)
-        if not by_time:
-            front = tuple(replace(one, psnr_db=light.psnr_db(one.marks)) for one in plan.front)
-            plan = replace(plan, chosen=front[plan.front.index(plan.chosen)], front=front)
-        found.append((rank, FinishedPlan(plan=plan, finishing=finishing, light=light)))
+        found.append((merit(plan, goal), FinishedPlan(plan=plan, finishing=finishing, light=light)))
     return max(found, key=lambda one: one[0])[1]
 
 
