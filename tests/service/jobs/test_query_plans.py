@@ -32,7 +32,17 @@ from tests.service.jobs.many_jobs import EVERY_S, job_id, load, run_id, state_of
 COUNT = 2000
 SMALL = {"executors", "tokens", "pairings", "pairing_tries", "counters", "progress"}
 LARGE = set(metadata.tables) - SMALL
-NO_QUERY = ("/v1/estimates", "/v1/profiles", "/", "/page/", "/livez", "/v1/whoami")
+_COUPON = "/v1/profiles/{profile}/coupon"
+NO_QUERY = (
+    "/v1/estimates",
+    "/v1/profiles",
+    f"{_COUPON}.zip",
+    f"{_COUPON}/photos",
+    "/",
+    "/page/",
+    "/livez",
+    "/v1/whoami",
+)
 OTHERS_TABLES = ("/v1/tokens", "/v1/pairings")
 # Orders to a mill, and streams about one, ask for a run by its id or for the one open run of the mill.
 ORDERS = ("/v1/machines/{machine}/", "/v1/runs/{id:uuid}:", "/v1/runs/{id:uuid}/")
