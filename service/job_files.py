@@ -43,6 +43,7 @@ STOPPING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 _PROGRAM = re.compile(r"pass-\d+-[a-z0-9-]+\.[a-z0-9]+")
 COUPON_FILES = ("coupon.png", "coupon-as-finished.png", "coupon.txt", "coupon.npz")
 COUPON_FIT_FILES = ("coupon-fit.json", "coupon-fit.png", "coupon-fit.toml")
+COUPON_ARCHIVE = "coupon.zip"
 _KNOWN = {
     *(SPEC, REPORT, REPORT_PAGE, TOOLPATH, PLAN),
     *LENS_FILES, *LIGHT_FILES, *COUPON_FILES, *COUPON_FIT_FILES,

@@ -16,11 +16,11 @@ use_current_kernels()  # before numba is imported
 
 import base64  # noqa: E402
 
+from service import job_files  # noqa: E402
 from service.api.line_answers import answer_lines, answer_or_refuse  # noqa: E402
 from service.job.coupon.kept import keep_coupon  # noqa: E402
 from service.job.coupon.measuring import draw_fit, fit_photo  # noqa: E402
 from service.job.coupon.photograph import read_photo  # noqa: E402
-from service.job.coupon.piece import ARCHIVE  # noqa: E402
 from service.job.photo.foretold import foretold_of  # noqa: E402
 from service.job.photo.looking import look_at  # noqa: E402
 from service.job.photo.reading import read_wall_photo  # noqa: E402
@@ -47,7 +47,7 @@ def _look(asked: dict[str, Any]) -> dict[str, Any]:
 
 def _measure(asked: dict[str, Any]) -> dict[str, Any]:
     if "path" not in asked:
-        return {"archive": str(keep_coupon(Path(asked["pieces"]), asked["machine"]) / ARCHIVE)}
+        return {"archive": str(keep_coupon(Path(asked["pieces"]), asked["machine"]) / job_files.COUPON_ARCHIVE)}
     shot = read_photo(Path(asked["path"]), limits=_limits(asked), name=asked["name"])
     found = fit_photo(asked["name"], shot, keep_coupon(Path(asked["pieces"]), asked["machine"]))
     picture = _as_text(draw_fit(found, viewed_from_lens=False))

@@ -27,7 +27,6 @@ from service.api.schemas_photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView,
 from service.api.services import Services, services_of
 from service.api.space import Space
 from service.errors import PictureError
-from service.job.coupon.piece import ARCHIVE
 from service.job.photo.names import FORETOLD
 from service.web.problems import Kind, Problem
 
@@ -111,7 +110,7 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
         raise Problem(503, "the test piece is being made anew; try again", headers={"Retry-After": "5"}) from None
     headers = {
         "Cache-Control": "private, no-cache",
-        "Content-Disposition": f'attachment; filename="{ARCHIVE}"',
+        "Content-Disposition": f'attachment; filename="{job_files.COUPON_ARCHIVE}"',
     }
     return Response(archive, headers=headers, media_type="application/zip")
 

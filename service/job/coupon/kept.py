@@ -10,16 +10,16 @@ from dataclasses import asdict
 from pathlib import Path
 
 from service import job_files
-from service.job.coupon.piece import ARCHIVE, coupon_of, coupon_spec
+from service.job.coupon.piece import coupon_of, coupon_spec
 from service.job.coupon.programs import make_coupon
 from service.passes import machine_of
 from service.progress import reporting
 
-_NOT_SENT = {ARCHIVE, job_files.HEIGHTFIELD}
+_NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}
 
 
 def keep_coupon(folder: Path, machine: str) -> Path:
-    """Return the machine's test piece in a folder of test pieces, with ARCHIVE for its maker; make it if there is none.
+    """Return the machine's test piece in a folder of test pieces, with an archive of it; make it if there is none.
 
     A newer version of us keeps it: it may have been milled. One made for what the profile said before makes way.
     SpecError where there is no such machine.
@@ -27,11 +27,11 @@ def keep_coupon(folder: Path, machine: str) -> Path:
     spec = coupon_spec(machine=machine, throw_mm=None, file=None, overrides=())
     facts = repr((spec.plain(), asdict(machine_of(spec)), coupon_of(spec)))
     piece = folder / machine / hashlib.sha256(facts.encode()).hexdigest()[:16]
-    if not (piece / ARCHIVE).is_file():
+    if not (piece / job_files.COUPON_ARCHIVE).is_file():
         piece.parent.mkdir(parents=True, exist_ok=True)
         with reporting(quiet=True) as reporter:
             make_coupon(piece, spec, reporter=reporter)
-        job_files.write_bytes(piece / ARCHIVE, _pack(piece))
+        job_files.write_bytes(piece / job_files.COUPON_ARCHIVE, _pack(piece))
         for older in piece.parent.glob("[!.]*"):  # a hidden one is being made
             if older != piece:
                 shutil.rmtree(older, ignore_errors=True)

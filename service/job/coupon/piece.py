@@ -19,8 +19,6 @@ from service.spec_files import parse_override, resolve_spec, stored_spec
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
 FIT, FIT_PICTURE, FIT_SNIPPET = COUPON_FIT_FILES
-ARCHIVE = "coupon.zip"
-"""All of it that is needed to mill it, and to measure its photograph elsewhere."""
 RADIUS_MM, ROUGH_PITCH_MM, PITCH_MM, LEFT_MM = 1.0, 0.4, 0.06, 0.05
 """One ball for both passes, so that nothing is changed between them."""
 

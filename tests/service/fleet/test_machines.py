@@ -30,7 +30,7 @@ from tests.service.fleet.shop import (
     write_profile,
 )
 from tests.service.mills import Bench, bench
-from tests.waiting import until
+from tests.waiting import seen
 
 _STARTER = """
 import os, signal, sys
@@ -61,7 +61,8 @@ def test_two_servers_that_start_at_once_make_one_agent(tmp_path: Path, mill: Ben
     [(_, told)] = start_agents(settings)
     await_agent(settings.agents_folder / MACHINE)
     log = settings.agents_folder / MACHINE / "agent.log"  # of both: where the second found nothing taken yet, its end
-    until(lambda: any(why in told + log.read_text() for why in ("has its agent", "another agent", "in use", "busy")))
+    ends = ("has its agent", "another agent", "in use", "busy")
+    seen(lambda: told + log.read_text(), lambda words: any(why in words for why in ends))
     assert len(agent_pids(tmp_path)) == 1
 
 
