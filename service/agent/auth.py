@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hmac
 import os
 import secrets
@@ -36,13 +37,22 @@ def read_token(path: Path) -> str:
 
 
 def make_token(folder: Path) -> tuple[str, Path]:
-    """The token of this data folder, made on first use and readable by its owner only."""
+    """The token of this data folder, made on first use and readable by its owner only.
+
+    Of several agents that start at once all have the first one's: it is there as a whole or not at all.
+    """
     path = keep_private(folder) / TOKEN_FILE
+    draft = path.with_name(f".{TOKEN_FILE}.{secrets.token_hex(4)}")
     try:
         if not path.exists():
-            descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            descriptor = os.open(draft, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
             with os.fdopen(descriptor, "w", encoding="ascii") as file:
                 file.write(secrets.token_urlsafe(32) + "\n")
+            try:
+                with contextlib.suppress(FileExistsError):
+                    os.link(draft, path)
+            finally:
+                draft.unlink()
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot write the token")) from None
     return read_token(path), path

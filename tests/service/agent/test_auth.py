@@ -5,7 +5,9 @@ from __future__ import annotations
 import asyncio
 import socket
 import stat
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 from starlette.types import Message, Receive, Scope, Send
@@ -128,3 +130,12 @@ def test_a_certain_mill_keeps_its_name_and_a_general_one_its_port(monkeypatch: p
     )
     assert port_slug("socket://127.0.0.1:23") != port_slug("socket://127.0.0.1:24")
     assert port_slug("../..") == "port"
+
+
+def test_agents_that_start_at_once_have_one_token(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(8) as pool:
+        for number in range(50):
+            folder, ready = tmp_path / str(number), Barrier(8)
+            made = list(pool.map(lambda _: (ready.wait(), make_token(folder))[1], range(8)))  # noqa: B023
+            assert len(set(made)) == 1
+            assert [path.name for path in folder.iterdir()] == ["token"]
