@@ -74,8 +74,9 @@ class Estimator:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
             own = [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
-            if (same := next((one for one in own if one.asked == asked), None)) is not None:
-                return same.answer
+            for one in own:
+                if one.asked == asked and not one.answer.done():
+                    return one.answer
             for older in own:
                 older.end(Problem(409, f"a newer {self._what} was asked for"))
             self._waiting = [one for one in self._waiting if one.caller != caller]
@@ -139,7 +140,7 @@ class Estimator:
 
     def _finish(self, ask: _Ask) -> None:
         try:
-            found = self._answered(ask)
+            found = self._answer(ask)
         except (ChildLate, ChildDied, OSError) as error:
             self._drop()
             late = isinstance(error, ChildLate)
@@ -155,7 +156,7 @@ class Estimator:
         with suppress(InvalidStateError):
             ask.answer.set_result(found[self._what])
 
-    def _answered(self, ask: _Ask) -> dict[str, Any]:
+    def _answer(self, ask: _Ask) -> dict[str, Any]:
         if self._child is None:
             self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
         found = self._child.ask(ask.asked, LONG_S if ask.is_long or not self._warm else _ANSWER_S)

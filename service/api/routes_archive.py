@@ -23,9 +23,9 @@ from service.store.store import Store
 
 router = APIRouter(tags=["artifacts"])
 
-_ZIP: dict[str, Any] = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
+ZIP: dict[str, Any] = {"application/zip": {"schema": {"type": "string", "format": "binary"}}}
 _ANSWERS: Responses = {
-    200: {"description": "the archive, stored without compression", "content": _ZIP},
+    200: {"description": "the archive, stored without compression", "content": ZIP},
     304: {"description": "the client has this archive"},
     **refusals(),
 }

@@ -22,6 +22,7 @@ from service import job_files
 from service.api.answers import Responses, answers, example, refusals
 from service.api.auth import Writer
 from service.api.form import received_form
+from service.api.routes_archive import ZIP
 from service.api.routes_jobs import JobId
 from service.api.schemas_photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
 from service.api.services import Services, services_of
@@ -57,10 +58,7 @@ _PHOTO_FORM: dict[str, Any] = {
     }
 }
 _ZIP_ANSWERS: Responses = {
-    200: {
-        "description": "the archive",
-        "content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}},
-    },
+    200: {"description": "the archive", "content": ZIP},
     **refusals(507),
 }
 
