@@ -35,6 +35,7 @@ from tests.waiting import PATIENCE_S, seen, until
 MACHINE = "shop"
 CHECKS = ["tool", "zero", "stock", "clear"]
 LINES = (40, 60, 30)
+NOT_SENT = ("grant_expired", "plan_changed")
 LOOK_S = 0.1  # between two questions to a server
 _threads: list[AgentThread] = []
 
@@ -98,9 +99,20 @@ class Shop:
         return answer.json()
 
     def post(self, path: str, status: int, **body: Any) -> Any:
-        answer = self.operator.post(path, json=body) if body else self.operator.post(path)
+        answer = self.order(path, status, **({"json": body} if body else {}))
         assert answer.status_code == status, answer.text
         return answer.json()
+
+    def order(self, path: str, *statuses: int, **request: Any) -> httpx.Response:
+        """Give an order, and give it again as its refusal asks a person to: a busy machine is too late to send it."""
+
+        def give() -> httpx.Response:
+            return self.operator.post(path, **request)
+
+        def is_answered(answer: httpx.Response) -> bool:
+            return answer.status_code in statuses or answer.json().get("code") not in NOT_SENT
+
+        return seen(give, is_answered, every_s=LOOK_S)
 
     def park(self, job: str, status: int = 201, *, machine: str = MACHINE, **more: Any) -> Any:
         """A run that could not be parked in time (kernels that have to be compiled first) is waited for."""

@@ -67,7 +67,7 @@ def test_an_order_with_a_mad_answer_is_sent_once(far: tuple[Shop, Rogue], what: 
     floor, rogue = far
     ada = control(floor, "Ada")
     rogue.answers = lambda _method, _path: BABBLE[what]
-    answer = floor.operator.post(f"{HERE}/home", headers=ada)
+    answer = floor.order(f"{HERE}/home", headers=ada)
     assert answer.status_code in (202, 409, 502)
     assert sent(rogue, "home") == 1
 
