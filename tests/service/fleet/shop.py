@@ -35,7 +35,6 @@ from tests.waiting import PATIENCE_S, seen, until
 MACHINE = "shop"
 CHECKS = ["tool", "zero", "stock", "clear"]
 LINES = (40, 60, 30)
-NOT_SENT = ("grant_expired", "plan_changed")
 LOOK_S = 0.1  # between two questions to a server
 _threads: list[AgentThread] = []
 
@@ -104,15 +103,26 @@ class Shop:
         return answer.json()
 
     def order(self, path: str, *statuses: int, **request: Any) -> httpx.Response:
-        """Give an order, and give it again as its refusal asks a person to: a busy machine is too late to send it."""
+        """Give an order, and give it again where it was refused because a busy machine was too late to send it."""
 
         def give() -> httpx.Response:
             return self.operator.post(path, **request)
 
         def is_answered(answer: httpx.Response) -> bool:
-            return answer.status_code in statuses or answer.json().get("code") not in NOT_SENT
+            return answer.status_code in statuses or answer.json().get("code") != "grant_expired"
 
         return seen(give, is_answered, every_s=LOOK_S)
+
+    def recover(self, run: Any, checks: list[str]) -> None:
+        """Go on with a run by its plan; where the plan has become another meanwhile, by that one."""
+        path = f"/v1/runs/{run['id']}"
+
+        def give() -> httpx.Response:
+            plan = self.get(f"{path}/recovery")["plan"]
+            return self.order(f"{path}:recover", 202, json={"operator": "Ada", "checks": checks, "plan": plan})
+
+        answer = seen(give, lambda answer: answer.json().get("code") != "plan_changed", every_s=LOOK_S)
+        assert answer.status_code == 202, answer.text
 
     def park(self, job: str, status: int = 201, *, machine: str = MACHINE, **more: Any) -> Any:
         """A run that could not be parked in time (kernels that have to be compiled first) is waited for."""

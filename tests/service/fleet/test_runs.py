@@ -171,8 +171,7 @@ def test_an_agent_that_was_killed_leaves_a_run_that_a_person_recovers(floor_of_p
     assert floor.get(f"/v1/runs/{run['id']}")["state"] == "interrupted"
     assert len(floor.bench.cut) == cut  # nothing goes on by itself
     floor.until(run, lambda now: floor.get(f"/v1/runs/{run['id']}/recovery")["ready"])
-    said = {"operator": "Ada", "checks": found["required_checks"]}
-    floor.post(f"/v1/runs/{run['id']}:recover", 202, **said)
+    floor.recover(run, found["required_checks"])
     floor.until_finished(run)
     assert set(ends(600)) <= set(floor.bench.cut)
 
@@ -193,8 +192,7 @@ def test_an_aborted_run_frees_the_mill_and_can_still_be_recovered(floor: Shop) -
     assert other["id"] in floor.post(f"/v1/runs/{run['id']}:recover", 409, **said)["detail"]
     floor.post(f"/v1/runs/{other['id']}:abort", 202)
     floor.until_idle()
-    said["plan"] = floor.get(f"/v1/runs/{run['id']}/recovery")["plan"]  # the first was made while the mill came to rest
-    floor.post(f"/v1/runs/{run['id']}:recover", 202, **said)
+    floor.recover(run, gone["required_checks"])
     assert floor.get(f"/v1/runs/{run['id']}")["open"] is True
     floor.until_finished(run)
 
