@@ -104,22 +104,19 @@ class Shop:
 
     def order(self, path: str, *statuses: int, **request: Any) -> httpx.Response:
         """Give an order, and give it again where it was refused because a busy machine was too late to send it."""
-
-        def give() -> httpx.Response:
-            return self.operator.post(path, **request)
-
-        def is_answered(answer: httpx.Response) -> bool:
-            return answer.status_code in statuses or answer.json().get("code") != "grant_expired"
-
-        return seen(give, is_answered, every_s=LOOK_S)
+        return seen(
+            lambda: self.operator.post(path, **request),
+            lambda answer: answer.status_code in statuses or answer.json().get("code") != "grant_expired",
+            every_s=LOOK_S,
+        )
 
     def recover(self, run: Any, checks: list[str]) -> None:
-        """Go on with a run by its plan; where the plan has become another meanwhile, by that one."""
-        path = f"/v1/runs/{run['id']}"
+        """Go on with a run by the plan that was read last; it is read again where it has become another since."""
+        path, said = f"/v1/runs/{run['id']}", {"operator": "Ada", "checks": checks}
 
         def give() -> httpx.Response:
-            plan = self.get(f"{path}/recovery")["plan"]
-            return self.order(f"{path}:recover", 202, json={"operator": "Ada", "checks": checks, "plan": plan})
+            self.get(f"{path}/recovery")
+            return self.order(f"{path}:recover", 202, json=said)
 
         answer = seen(give, lambda answer: answer.json().get("code") != "plan_changed", every_s=LOOK_S)
         assert answer.status_code == 202, answer.text
