@@ -1,7 +1,8 @@
-"""What a job will come to, in a second: its lens from a coarse picture, hours and blur from that lens and its passes.
+"""What a job will come to: its lens, hours and blur from that lens and its passes.
 
-Heights are set by the large forms of a picture, so relief and hours of a coarse lens are nearly those of the job;
-its slopes miss what only fine detail makes steeper.
+In a second from a coarse picture: heights are set by the large forms of a picture, so relief and hours of a coarse lens
+are nearly those of the job; its slopes miss what only fine detail makes steeper, and its light the creases that black
+asks for, which a finish rounds. Exactly, in half a minute, from a lens as fine as the picture, planned as a job's is.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from cam.pass_time import LensForm, layers_s, layers_where_s, rows_s
 from cam.passes import PassSpec
 from cam.plan_rest import Filled, RestExtent
+from cam.planner import Marks
 from cam.posts.dialects import POSTS
 from cam.row_slopes import RowSlopes, row_slopes
 from optics.bench import Bench
@@ -24,11 +26,12 @@ from optics.caustic import simulate_caustic
 from optics.closing import closed_to_radius
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
+from optics.settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
 from service import fitting
 from service.decoding import decoded
 from service.errors import InputError
-from service.estimate_light import MOST_PIXELS, Foretold, foretell
+from service.estimate_light import MOST_PIXELS, Foretold, foretell, told_by
 from service.job.picture.preparing import aim_at_picture
 from service.job.planning.changes import Change, changes_of
 from service.job.planning.finished_light import blur_of
@@ -38,7 +41,7 @@ from service.lens_facts import LensFacts, measure_lens
 from service.passes import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.picture import picture_of
 from service.picture_limits import PictureLimits
-from service.plan_lenses import compute_passes, simplify
+from service.plan_lenses import compute_passes, finished_designs, simplify
 from service.planning import Planned, plan_for_picture
 from service.report_words import ball
 from service.spec import MIN_FLOOR_MM, JobSpec
@@ -61,34 +64,38 @@ _TUBES, _BEAMS = 2, 7
 class QuickLens:
     """A job's lens as a coarse picture gives it.
 
-    spec        : with its passes, planned where they were not given
-    missed      : (ny, nx) its light less what it aims at
-    foretold_db : PSNR by the plan, where it was planned with a finish
+    spec     : with its passes, planned where they were not given
+    settings : of the job's own lens
+    missed   : (ny, nx) its light less what it aims at
     """
 
     spec: JobSpec
-    planned: bool
-    bench: Bench
+    planned: Planned | None
+    settings: LensSettings
     design: LensDesign
     facts: LensFacts
     form: LensForm
     missed: Array
     reflected_share: float
-    foretold_db: float | None
 
     @property
     def lens(self) -> Heightfield:
         return self.design.heightfield
 
+    @property
+    def bench(self) -> Bench:
+        return self.settings.bench
 
-def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> dict[str, Any]:
+
+def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False) -> dict[str, Any]:
     """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
-    coarse, fine = coarse_spec(spec), _with_pixels(spec, MOST_PIXELS)
+    fine = _with_pixels(spec, MOST_PIXELS)
+    coarse = fine if exactly else coarse_spec(spec)
     with in_the_services_words():
         (target, whole), (width, height) = _targets(path, coarse, fine, limits=limits, name=name)
-        quick = quick_lens(coarse, target, whole)
+        quick = quick_lens(coarse, target, None if coarse == fine else whole)
         passes = _with_around(quick.spec, list(_hours(quick)))
-        seen = _foretold(quick, whole)
+        seen = _foretold(quick, whole, exactly=coarse == fine)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
@@ -101,7 +108,8 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str) -> 
         "throw_ok": quick.reflected_share <= _REFLECTED and quick.facts.max_slope_deg <= _STEEP_DEG,
         "smallest_detail_mm": detail_mm,
         "passes": passes,
-        "planned": quick.planned,
+        "planned": quick.planned is not None,
+        "exact": coarse == fine,
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,
@@ -148,16 +156,15 @@ def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
-def quick_lens(spec: JobSpec, target: Array, whole: Array) -> QuickLens:
-    """The lens for a coarse target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
+def quick_lens(spec: JobSpec, target: Array, whole: Array | None) -> QuickLens:
+    """The lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
 
     whole : the same with more pixels, by which finishes are compared
     """
-    planned, foretold_db = spec.to_be_planned, None
-    if planned:
-        found = plan_for_picture(spec, target, whole=whole)
-        spec = with_plan(spec, {"plan": _plan(found)})
-        foretold_db = None if found.finishing is None else found.chosen.psnr_db
+    planned: Planned | None = None
+    if spec.to_be_planned:
+        planned = plan_for_picture(spec, target, whole=whole)
+        spec = with_plan(spec, {"plan": _plan(planned)})
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
     design = design_lens(target, quick, passes=compute_passes(target, quick))
@@ -166,13 +173,12 @@ def quick_lens(spec: JobSpec, target: Array, whole: Array) -> QuickLens:
     return QuickLens(
         spec=spec,
         planned=planned,
-        bench=quick.bench,
+        settings=settings,
         design=design,
         facts=measure_lens(lens),
         form=LensForm.of(lens),
         missed=seen.irradiance - target,
         reflected_share=seen.reflected_share,
-        foretold_db=foretold_db,
     )
 
 
@@ -269,15 +275,27 @@ def _milling_mm(quick: QuickLens) -> float:
     return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
 
 
-def _foretold(quick: QuickLens, target: Array) -> Foretold | None:
+def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> Foretold | None:
     """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
-    finish, slopes = _finish(quick), _slopes(quick)
+    planned, finish, slopes = quick.planned, _finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
-    aims = any(quick.spec.optics.foreseen_blur_mm)
+    if planned is not None and exactly:
+        return told_by(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
     by_hand = finish_of(quick.spec)
-    found = foretell(target, quick.bench, quick.form, quick.missed, finish, slopes, aims=aims, by_hand=by_hand)
-    return found if quick.foretold_db is None else replace(found, psnr_db=quick.foretold_db)
+    found = foretell(
+        target,
+        quick.bench,
+        quick.form,
+        quick.missed,
+        Marks(spec=finish, slopes=slopes),
+        aims=any(quick.spec.optics.foreseen_blur_mm),
+        by_hand=by_hand,
+        design=finished_designs(target, quick.settings) if exactly else None,
+    )
+    if planned is not None and planned.finishing is not None:
+        return replace(found, psnr_db=planned.chosen.psnr_db)
+    return found
 
 
 def _finish(quick: QuickLens) -> PassSpec | None:

@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from cam.pass_time import LensForm
-from cam.passes import PassSpec
 from cam.planner import Marks
-from cam.row_slopes import RowSlopes
 from optics.bench import Bench
 from optics.finish import Finish
 from optics.heightfield import Array
 from optics.metrics import smallest_detail_mm
-from service.job.planning.finished_light import FinishedLight
+from service.job.planning.finished_light import Design, FinishedLight
 from service.plan_light import PictureLight
 
 MOST_PIXELS = 512
@@ -36,22 +34,31 @@ def foretell(
     bench: Bench,
     form: LensForm,
     missed: Array,
-    finish: PassSpec,
-    slopes: RowSlopes,
+    marks: Marks,
     *,
     aims: bool,
     by_hand: Finish | None = None,
+    design: Design | None = None,
 ) -> Foretold:
     """What the milled lens shows of a target (ny, nx), mean 1.
 
-    missed : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
+    missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
     by_hand : what is done after milling
+    design  : of lenses for that, where one as fine as the picture is to tell
     """
-    light, marks = PictureLight(target, bench, aims=aims), Marks(spec=finish, slopes=slopes)
-    light.add(finish.radius_mm, form, missed)
-    if by_hand is not None:
-        light = FinishedLight(light, by_hand)
+    light = PictureLight(target, bench, aims=aims)
+    light.add(marks.radius_mm, form, missed)
+    if by_hand is None:
+        return told_by(light, marks, light.aimed_db(marks))
+    finished = FinishedLight(light, by_hand)
+    if design is not None:
+        finished.calibrate(marks, design, fine=True)
+    return told_by(finished, marks, finished.psnr_db(marks))
+
+
+def told_by(light: PictureLight, marks: Marks, psnr_db: float) -> Foretold:
+    """What a plan's light tells of its marks."""
     seen = light.smooth_picture(marks)
-    psnr_db = light.psnr_of(seen, light.grain(marks)) if by_hand is None else light.psnr_db(marks)
-    detail_mm = smallest_detail_mm(seen, target, light.pixel_mm[1])
-    return Foretold(psnr_db=psnr_db, detail_mm=detail_mm if by_hand is None else _BROUGHT_BACK * detail_mm)
+    detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
+    only_kept = isinstance(light, FinishedLight) and not light.is_lit(marks)
+    return Foretold(psnr_db=psnr_db, detail_mm=_BROUGHT_BACK * detail_mm if only_kept else detail_mm)

@@ -1,7 +1,8 @@
 """Estimates are made in a process of their own, started when one is asked for and ended when none was for a minute;
-so are looks at photographs, in another one.
+so are exact estimates and looks at photographs, each in another one.
 
 One after the other; of each caller only the newest: whoever turns a knob asks again before the last answer is there.
+What takes long is not worked on when nobody waits for it: its process ends with the ask.
 One thread, the keeper, owns the process (`line_child`) and lives as long as this does.
 """
 
@@ -59,7 +60,7 @@ class Estimator:
         self._bell = threading.Condition()
         self._waiting: list[_Ask] = []
         self._running: _Ask | None = None
-        self._closed = False
+        self._closed = self._killed = False
         self._keeper: threading.Thread | None = None
         self._child: LineChild | None = None
         self._warm = False
@@ -77,9 +78,7 @@ class Estimator:
             for one in own:
                 if one.asked == asked and not one.answer.done():
                     return one.answer
-            for older in own:
-                older.end(Problem(409, f"a newer {self._what} was asked for"))
-            self._waiting = [one for one in self._waiting if one.caller != caller]
+            self._end_all_of(caller)
             if len(self._waiting) >= _MOST_WAITING:
                 raise Problem(503, f"too many {self._what}s are asked for; try again", headers=_RETRY)
             self._waiting.append(ask)
@@ -88,6 +87,22 @@ class Estimator:
                 self._keeper.start()
             self._bell.notify()
         return ask.answer
+
+    def leave(self, caller: str) -> None:
+        """A caller's asks are ended: it has gone, or asked for something else."""
+        with self._bell:
+            self._end_all_of(caller)
+
+    def _end_all_of(self, caller: str) -> None:
+        """With the bell held."""
+        running = self._running
+        for older in (running, *self._waiting):
+            if older is not None and older.caller == caller:
+                older.end(Problem(409, f"a newer {self._what} was asked for"))
+        self._waiting = [one for one in self._waiting if one.caller != caller]
+        if running is not None and running.caller == caller and running.is_long and self._child is not None:
+            self._killed = True
+            self._child.kill()  # the keeper buries it
 
     def prepare(self) -> None:
         """What estimates need is compiled now, where it was not yet, so that the first person need not wait for it."""
@@ -129,6 +144,9 @@ class Estimator:
         """The next one to be answered; meanwhile an idle process is ended. None: closed."""
         with self._bell:
             self._running = None
+            if self._killed:
+                self._killed = False
+                self._drop()
             while not self._closed:
                 while self._waiting:
                     self._running = self._waiting.pop(0)
@@ -143,6 +161,8 @@ class Estimator:
             found = self._answer(ask)
         except (ChildLate, ChildDied, OSError) as error:
             self._drop()
+            if ask.answer.done():  # it was not wanted any more
+                return
             late = isinstance(error, ChildLate)
             _log.warning(f"no {self._what}", late=late, error=f"{type(error).__name__}: {error}"[:200])
             words = (
@@ -159,6 +179,8 @@ class Estimator:
     def _answer(self, ask: _Ask) -> dict[str, Any]:
         if self._child is None:
             self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
+        if ask.is_long and ask.answer.done():
+            raise ChildDied  # left while the process began
         found = self._child.ask(ask.asked, LONG_S if ask.is_long or not self._warm else _ANSWER_S)
         self._warm = True
         return found

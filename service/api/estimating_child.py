@@ -1,8 +1,8 @@
 """The process that estimates jobs. One JSON line in, one out.
 
-In: {"path", "name", "max_pixels", "spec"}. Out: {"estimate": {...}}, {"refused": [lines], "kind"} or {"fault": text};
-first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody reads, which compiles whatever
-is not compiled yet; the mark of `kernel_cache` says for good that it was made.
+In: {"path", "name", "max_pixels", "spec", "exactly"}. Out: {"estimate": {...}}, {"refused": [lines], "kind"} or
+{"fault": text}; first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody reads, which
+compiles whatever is not compiled yet; the mark of `kernel_cache` says for good that it was made.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from service.estimate import estimate  # noqa: E402
 from service.picture_limits import PictureLimits  # noqa: E402
 from service.spec_files import resolve_spec, validated  # noqa: E402
 
-_BESIDE_BYTES = 1_500_000_000  # kernels, arrays of a lens of 200 vertices, threads
+_BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
 _BYTES_PER_PIXEL = 16
 
 
@@ -44,7 +44,8 @@ def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
     if "prepare" in asked:
         return _prepared(limits)
-    return {"estimate": estimate(validated(asked["spec"]), Path(asked["path"]), limits=limits, name=asked["name"])}
+    spec, path, exactly = validated(asked["spec"]), Path(asked["path"]), asked["exactly"]
+    return {"estimate": estimate(spec, path, limits=limits, name=asked["name"], exactly=exactly)}
 
 
 def _prepared(limits: PictureLimits) -> dict[str, Any]:

@@ -107,6 +107,8 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
         stack.callback(pictures.close)
         estimates = Estimator()
         stack.callback(estimates.close)
+        exact_estimates = Estimator()
+        stack.callback(exact_estimates.close)
         looks = Estimator(module=LOOKING, what="look")
         stack.callback(looks.close)
         stop_access = StopAccess(tokens)
@@ -125,6 +127,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
             fleet=fleet,
             pictures=pictures,
             estimates=estimates,
+            exact_estimates=exact_estimates,
             looks=looks,
             feed=Feed(book),
             metrics=Metrics(database),

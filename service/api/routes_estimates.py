@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Request
+from fastapi import APIRouter, Header, Query, Request
 from starlette.responses import JSONResponse, Response
 
 from service.api.answers import answers, example
@@ -18,11 +18,14 @@ from service.api.services import Services, services_of
 from service.api.space import Space
 
 router = APIRouter()
+_LOOK_S = 1.0  # whether somebody still waits for what takes long
 
 Tab = Annotated[
     str,
     Header(alias="Causticmill-Tab", max_length=64, pattern=r"^[!-~]*$", description="any word; one for each window"),
 ]
+
+Exactly = Annotated[bool, Query(description="from a lens as fine as the picture, planned as the job's: half a minute")]
 
 
 @router.post(
@@ -33,9 +36,10 @@ Tab = Annotated[
     responses=answers({200: example(ESTIMATE_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=JOB_FORM,
 )
-async def estimated(request: Request, principal: Writer, tab: Tab = "") -> Response:
-    """Relief, hours and blur, from a coarse picture. A caller who asks again ends the request before with 409; several
-    windows of one caller name themselves, and do not end each other's.
+async def estimated(request: Request, principal: Writer, tab: Tab = "", exactly: Exactly = False) -> Response:
+    """Relief, hours and blur, from a coarse picture unless it is to be exact. A caller who asks again ends the requests
+    before with 409, but an exact one lets a coarse one be; several windows of one caller name themselves, and do not
+    end each other's.
     """
     services = services_of(request)
     settings, space = services.settings, Space(services.settings)
@@ -50,9 +54,19 @@ async def estimated(request: Request, principal: Writer, tab: Tab = "") -> Respo
             "name": form.image_name,
             "max_pixels": int(settings.max_megapixels * 1e6),
             "spec": wanted.spec,
+            "exactly": exactly,
         }
         caller = f"{principal.id or principal.name} {tab}"
-        found = await asyncio.wrap_future(services.estimates.ask(caller, asked))
+        if exactly:
+            asking = services.exact_estimates.ask(caller, asked, is_long=True)
+        else:
+            services.exact_estimates.leave(caller)
+            asking = services.estimates.ask(caller, asked)
+        answer = asyncio.wrap_future(asking)
+        while not (await asyncio.wait({answer}, timeout=_LOOK_S))[0]:
+            if exactly and not answer.done() and await request.is_disconnected():
+                services.exact_estimates.leave(caller)
+        found = await answer
     return JSONResponse({**found, "spec": wanted.spec}, headers={"Cache-Control": "no-store"})
 
 

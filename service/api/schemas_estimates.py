@@ -19,6 +19,7 @@ ESTIMATE_EXAMPLE: dict[str, Any] = {
         {"name": "finish", "tool": "ball R 3 (Ø 6 mm)", "hours": 1.4},
     ],
     "planned": False,
+    "exact": True,
     "hours": 2.22,
     "blur_mm": 1.2,
     "psnr_db": 24.5,
@@ -64,6 +65,7 @@ class EstimateView(Body):
     smallest_detail_mm: Annotated[float, Field(description="on the screen; what is finer will blur")]
     passes: list[PassEstimate]
     planned: Annotated[bool, Field(description="the passes were planned for this estimate, on a coarse picture")]
+    exact: Annotated[bool, Field(description="a lens as fine as the picture told it; else `exactly` tells more")]
     hours: float
     blur_mm: Annotated[float, Field(description="root mean square on the screen")]
     psnr_db: Annotated[float | None, Field(description="likeness of the milled picture; null: no pass finishes it")]

@@ -40,6 +40,7 @@ class Services:
     fleet: Fleet
     pictures: PictureChecker
     estimates: Estimator
+    exact_estimates: Estimator
     looks: Estimator  # at photographs
     feed: Feed
     metrics: Metrics

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from typing import Any
 
 import pytest
 from playwright.sync_api import Route, expect
@@ -46,6 +47,34 @@ def test_the_estimate_says_what_is_to_be_expected_and_what_is_wrong(opened: Open
     fill(page, Distance_to_the_wall="0")
     expect(page.get_by_label("Distance to the wall")).to_have_accessible_description(re.compile("more than 0"))
     expect(estimate.get_by_text("Machine time")).to_have_count(0)
+
+
+def test_a_first_look_gives_way_to_the_exact_answer_unless_something_is_changed_meanwhile(opened: Opened) -> None:
+    page = open_blank(opened, "new", errors=("status of 503",))
+    answers: list[dict[str, Any] | None] = [
+        None,  # it is still worked on when something is changed
+        {"json": ESTIMATE_EXAMPLE | {"hours": 5.0}},
+        problem(503, detail="no room"),
+    ]
+
+    def answer_exactly(route: Route) -> None:
+        if answer := answers.pop(0):
+            route.fulfill(**answer)
+
+    page.route("**/v1/estimates", lambda route: route.fulfill(json=ESTIMATE_EXAMPLE | {"exact": False, "hours": 2.0}))
+    page.route("**/v1/estimates?exactly=true", answer_exactly)
+    page.evaluate("location.hash = '#/new'")
+    estimate = page.get_by_role("region", name="Estimate")
+    with page.expect_request("**/v1/estimates?exactly=true"):
+        choose(page, picture())
+    expect(estimate).to_contain_text("A first look. The exact figures follow")
+    fill(page, Width="30")
+    expect(estimate).to_contain_text("5 h")
+    expect(estimate).not_to_contain_text("A first look")
+    fill(page, Width="40")
+    expect(estimate).to_contain_text("the exact figures could not be worked out")
+    expect(estimate).to_contain_text("2 h")
+    assert not answers
 
 
 CHANGES = [

@@ -29,8 +29,9 @@ PICTURES = Path(__file__).parents[2] / "examples"
 SMALL = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=30", "image.pixels=128")
 
 
-def estimated(spec: JobSpec, picture: str = "camera") -> dict[str, Any]:
-    return estimate(spec, PICTURES / f"{picture}.png", limits=PictureLimits(), name=f"{picture}.png")
+def estimated(spec: JobSpec, picture: str = "camera", *, exactly: bool = False) -> dict[str, Any]:
+    path = PICTURES / f"{picture}.png"
+    return estimate(spec, path, limits=PictureLimits(), name=path.name, exactly=exactly)
 
 
 def small(*values: str, preset: str = "draft") -> JobSpec:
@@ -56,12 +57,14 @@ def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
     """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one."""
     values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
     spec = resolve_spec(preset="recommended", overrides=values)
-    found = estimated(spec, "camera")
+    found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
     planned = plan_for_picture(spec, target_irradiance(read.linear, viewed_from="lens"))
     assert planned.finishing is not None
-    assert found["psnr_db"] == pytest.approx(planned.chosen.psnr_db, abs=0.75)
-    assert found["hours"] == pytest.approx(planned.chosen.hours, rel=0.1)
+    assert (found["exact"], exact["exact"]) == (False, True)
+    for one, apart_db in ((found, 0.75), (exact, 1e-9)):
+        assert one["psnr_db"] == pytest.approx(planned.chosen.psnr_db, abs=apart_db)
+        assert one["hours"] == pytest.approx(planned.chosen.hours, rel=0.1)
 
 
 @pytest.mark.thorough

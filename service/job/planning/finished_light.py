@@ -105,6 +105,10 @@ class FinishedLight(PictureLight):
         bend_per_mm = _bend_left(spec.radius_mm, spec.pitch_mm, off_mm, self.finish, pixel_mm)
         return math.sqrt(_STRIPES * self._stripe_scale) * self.reach_mm(form) * bend_per_mm
 
+    def is_lit(self, marks: Marks) -> bool:
+        """Whether light was shone through a lens as fine as the picture."""
+        return marks.radius_mm in self._lit
+
     def smooth_picture(self, marks: Marks) -> Array:
         """Without stripes: as a lens was seen to make it, or what is kept of the picture."""
         if (seen := self._lit.get(marks.radius_mm)) is not None:

@@ -7,8 +7,11 @@ import { eyeWords } from "../job/figures.js";
 import { figures, freshKey, hours, mm, sentence } from "../lib/words.js";
 
 const CALM_MS = 400;
+const EXACT_CALM_MS = 1500;
 const AGAIN_MS = 5000;
 const BUSY = "Working it out…";
+const COARSE = "A first look. The exact figures follow in about half a minute.";
+const ONLY_COARSE = "A first look; the exact figures could not be worked out now.";
 const FIRST = "The first one after an installation or an update takes up to a minute; all others are quick.";
 const TRIES = 3;
 const SLOW_MS = 4000;
@@ -17,8 +20,9 @@ const HEADERS = { "Causticmill-Tab": freshKey() };
 
 /**
  * {ask(), stop(), settled}. make(): the form to send, null where there is nothing to ask yet. tell({kind, ...}): "none"
- * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate`, "problems" with `problems`, "fault" with
- * `words`, "absent" no such service. settled: an estimate is known of what was asked last.
+ * nothing to say, "busy" (`slow`: for some time now), "known" with `estimate` (`after`: the first look that it replaces),
+ * "problems" with `problems`, "fault" with `words`, "absent" no such service. settled: an estimate is known of what was
+ * asked last. A first look comes within a second; an exact answer follows where nothing is asked meanwhile.
  */
 export function estimator({ make, tell }) {
   let timer = 0;
@@ -51,6 +55,7 @@ export function estimator({ make, tell }) {
       if (signal.aborted) return;
       settled = true;
       tell({ kind: "known", estimate });
+      if (!estimate.exact) timer = setTimeout(() => runExactly(signal, form, estimate), EXACT_CALM_MS);
     } catch (error) {
       if (signal.aborted) return;
       tell(told(error));
@@ -58,6 +63,16 @@ export function estimator({ make, tell }) {
     } finally {
       clearTimeout(slow);
     }
+  }
+
+  async function runExactly(signal, form, coarse) {
+    let estimate = coarse;
+    try {
+      estimate = await api.upload("/v1/estimates?exactly=true", form, { headers: HEADERS, signal, quiet: true });
+    } catch {
+      // the first look is what there is
+    }
+    if (!signal.aborted) tell({ kind: "known", estimate, after: coarse });
   }
 
   function told(error) {
@@ -139,10 +154,15 @@ export function estimateCard() {
     known: "",
     problems: "A value cannot be used; it is marked.",
   };
+  function stateWords(told) {
+    if (told.slow) return `${BUSY} ${FIRST}`;
+    if (told.kind === "known" && !told.estimate.exact) return told.after ? ONLY_COARSE : COARSE;
+    return words[told.kind] ?? `No estimate now. ${told.words ?? ""}`;
+  }
   function show(told) {
     element.hidden = told.kind === "absent";
     element.setAttribute("aria-busy", String(told.kind === "busy"));
-    state.textContent = told.slow ? `${BUSY} ${FIRST}` : (words[told.kind] ?? `No estimate now. ${told.words ?? ""}`);
+    state.textContent = stateWords(told);
     state.hidden = !state.textContent;
     if (told.kind === "known") replace(body, estimateWords(told.estimate));
     else if (told.kind !== "busy") replace(body);

@@ -20,8 +20,9 @@ export function withChange(spec, values) {
 }
 
 /**
- * {element, show(estimate), stop()}. make(values): the form that asks for the job with a change; take(change): a person
- * wants it. A picture that is hard to recognise asks by itself, any other where a person does.
+ * {element, show(estimate), reconsider(exact), stop()}. make(values): the form that asks for the job with a change; take(change): a person
+ * wants it. A picture that is hard to recognise asks by itself, any other where a person does. First looks are held
+ * against the first look at the job itself, whatever a more exact one tells.
  */
 export function improvements({ make, take }) {
   const list = h("ul", { class: "changes" });
@@ -39,6 +40,11 @@ export function improvements({ make, take }) {
     element.hidden = !Number.isFinite(estimate.psnr_db) || !estimate.changes?.length;
     if (!element.hidden && isHard(estimate.psnr_db)) ask(estimate);
     else fold(true);
+  }
+
+  /** A more exact answer for the job that is shown. */
+  function reconsider(exact) {
+    if (!element.hidden && !button.hidden && isHard(exact.psnr_db)) ask(now.estimate);
   }
 
   function fold(folded) {
@@ -88,5 +94,5 @@ export function improvements({ make, take }) {
       ),
     );
 
-  return { element, show, stop };
+  return { element, show, reconsider, stop };
 }

@@ -134,8 +134,9 @@ function newJob(profiles, app) {
     card.show(state);
     if (state.kind === "known") now.estimate = state.estimate;
     if (state.kind === "known" || state.kind === "problems") showProblems(bothOf(state.problems ?? [], now.refused));
-    if (state.kind === "known") improve.show(state.estimate);
-    else improve.stop();
+    if (state.kind !== "known") improve.stop();
+    else if (state.after) improve.reconsider(state.estimate);
+    else improve.show(state.estimate);
     if (state.kind !== "busy") foot.say(state.kind === "known" ? estimateLine(state.estimate) : "");
     side.showBlur(now.estimate?.blur_mm ?? 0);
   }

@@ -91,6 +91,26 @@ def test_a_caller_s_windows_do_not_end_each_other_s(tmp_path: Path, monkeypatch:
         assert [answer.result().status_code for answer in (one, other, newer)] == [409, 200, 200]
 
 
+def test_an_exact_estimate_ends_when_its_window_asks_for_another_or_goes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("service.api.main.Estimator", partial(Estimator, module=STUB))
+    with api_server(tmp_path / "data") as server, ThreadPoolExecutor(1) as threads:
+        exactly = server.services.exact_estimates
+
+        def ask(name: str, *, wait_s: float = PATIENCE_S, **query: bool) -> httpx.Response:
+            files, headers = {"image": (name, png())}, {"Causticmill-Tab": "one"}
+            return server.client.post("/v1/estimates", files=files, params=query, headers=headers, timeout=wait_s)
+
+        waiting = threads.submit(ask, "takes 600.png", exactly=True)
+        until(lambda: exactly.callers)
+        assert ask("quick.png").json()["name"] == "quick"
+        assert waiting.result().status_code == 409
+        with pytest.raises(httpx.ReadTimeout):
+            ask("takes 601.png", wait_s=1.0, exactly=True)
+        until(lambda: not exactly.callers)
+
+
 def test_what_the_first_estimate_needs_can_be_compiled_before_it(estimating: ApiServer) -> None:
     ready_mark(ESTIMATES).unlink(missing_ok=True)
     estimating.services.estimates.prepare()

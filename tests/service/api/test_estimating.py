@@ -127,6 +127,24 @@ def _is_stub(pid: str) -> bool:
     return STUB.encode() in line and str(os.getpid()).encode() in line
 
 
+@pytest.mark.parametrize("is_started", [True, False])
+def test_what_takes_long_is_not_worked_on_when_nobody_waits_for_it(estimator: Estimator, is_started: bool) -> None:
+    """Whoever asks next does not wait for it, whether the process was there already or only began."""
+    if is_started:
+        ask(estimator, "a").result(PATIENCE_S)
+    left = estimator.ask("ann", {"name": "takes 600"}, is_long=True)
+    other = ask(estimator, "of bob", "bob")
+    if is_started:
+        until(lambda: estimator.callers == {"ann", "bob"})
+    estimator.leave("ann")
+    assert refusal(left).status == 409
+    assert other.result(PATIENCE_S) == {"name": "of bob"}
+    over = estimator.ask("ann", {"name": "takes 601"}, is_long=True)
+    newer = estimator.ask("ann", {"name": "b"}, is_long=True)
+    assert refusal(over).status == 409
+    assert newer.result(PATIENCE_S) == {"name": "b"}
+
+
 def test_who_asks_for_the_same_once_more_joins_the_first_ask(estimator: Estimator) -> None:
     first = estimator.ask("ann", {"name": "takes 0.3"}, is_long=True)
     assert estimator.ask("ann", {"name": "takes 0.3"}, is_long=True) is first
