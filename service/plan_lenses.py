@@ -118,12 +118,13 @@ def simplify(settings: LensSettings) -> LensSettings:
 
 
 def finished_designs(target: Array, settings: LensSettings) -> Design:
-    """Lenses for finishes, corrected as the job's; coarse ones, or as fine as the target."""
-    quick = replace(simplify(settings), corrections=settings.corrections)
+    """Lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the job's."""
+    quick = simplify(settings)
+    whole = replace(quick, corrections=settings.corrections)
 
     def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
-        aim = target if fine else _coarser(target)
-        made = compute_passes(aim, replace(quick, finish=finish, min_radius_mm=radius_mm))
+        aim, wanted = (target, whole) if fine else (_coarser(target), quick)
+        made = compute_passes(aim, replace(wanted, finish=finish, min_radius_mm=radius_mm))
         return made.best.lens, aim
 
     return design
