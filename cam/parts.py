@@ -16,10 +16,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from cam.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
 from cam.moves import Array, Motion, Path, cut, rapid
 from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Dialect
+from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, leave
 
 OVERLAP_MM = 1.0
 """Of the path, cut once more after an entry in its midst."""

@@ -34,7 +34,7 @@ class PassSpec:
     direction         : rows along X or along Y
     link              : how rows are joined: an on-surface turn, or up, across and down again (paper, Fig. 13): slower,
                         but every row runs the way that climbs
-    where             : everywhere, or only where the pass before could not reach (cam.rest)
+    where             : everywhere, or only where the pass before could not reach (cam.rows.rest)
     flute_length_mm   : how high the cutter cuts, from its tip; None: not stated
     shank_radius_mm   : of what is above the flutes; None: no thicker than the ball
     """

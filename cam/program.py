@@ -9,26 +9,26 @@ from math import inf
 import numpy as np
 
 from cam.contour.path import contour_path
-from cam.cutter import largest_fitting_radius_mm, reached_share
-from cam.entries import enter, enter_onward, leave
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
-from cam.layers import SLOT_FEED, Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
 from cam.moves import Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
 from cam.posts.post import number
 from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Dialect
-from cam.raster import Rows, climbs_rightward, continuous_rows, separate_rows
-from cam.rest import RestAreas, rest_paths
-from cam.rounding import Rounding, on_raster
+from cam.rows.entries import enter, enter_onward, leave
+from cam.rows.layers import SLOT_FEED, Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
+from cam.rows.raster import Rows, climbs_rightward, continuous_rows, separate_rows
+from cam.rows.rest import RestAreas, rest_paths
+from cam.rows.rounding import Rounding, on_raster
+from cam.rows.turned import turned_block, turned_lens, turned_paths, turned_stock
+from cam.rows.turns import first_row, row_cuts
+from cam.rows.vertices import VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
-from cam.stock_grid import StockGrid
-from cam.stock_touch import StockTouch
-from cam.tool_surface import ToolSurface
-from cam.turned import turned_block, turned_lens, turned_paths, turned_stock
-from cam.turns import first_row, row_cuts
-from cam.vertices import VertexRule, finish_rule, rough_rule
+from cam.surface.cutter import largest_fitting_radius_mm, reached_share
+from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import StockTouch
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
 Progress = Callable[[float], None]

@@ -29,7 +29,7 @@ import numpy as np
 from numba import njit
 
 from cam.moves import Array, Path
-from cam.rounding import LOWEST_DIGITS, Rounding, choose_vertices, on_raster
+from cam.rows.rounding import LOWEST_DIGITS, Rounding, choose_vertices, on_raster
 
 AIM_DIGITS = 0.5
 """How far the aim may be off the path; with `LOWEST_DIGITS` the most that a vertex is below it."""

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from service.figures_lens import raking_light
-from service.stages.arrays import load_heightfield
+from service.job.arrays import load_heightfield
+from service.job.report.figures.lens import raking_light
 
 SIDE = 420
 GAP = 12

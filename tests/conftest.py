@@ -9,7 +9,7 @@ import signal
 import pytest
 from hypothesis import settings
 
-from service.kernel_cache import use_current_kernels
+from service.processes.kernel_cache import use_current_kernels
 from tests import order
 
 use_current_kernels()  # before any test module imports numba

@@ -15,27 +15,27 @@ from xdist.scheduler import LoadFileScheduling
 
 TOGETHER = ("tests/page/journeys/", "tests/service/client/")
 FIRST = (
-    "tests/service/stages/test_whole_job.py",  # compiles what a job needs, while the others begin with what needs less
-    "tests/service/worker/",
-    "tests/service/fleet/",
+    "tests/service/job/stages/test_whole_job.py",  # compiles what a job needs, beside what needs less
+    "tests/service/server/worker/",
+    "tests/service/server/fleet/",
     "tests/page/journeys/",
-    "tests/service/host/",
+    "tests/service/server/supervisor/",
     "tests/disturbances/",
-    "tests/service/test_stream_command.py",
-    "tests/service/test_stream_recover.py",
+    "tests/service/milling/terminal/test_stream.py",
+    "tests/service/milling/terminal/test_recover.py",
     "tests/end_to_end/test_small_lenses.py",
     "tests/service/client/",
     "tests/page/",
-    "tests/service/test_estimate.py",
+    "tests/service/job/planning/test_estimate.py",
     "tests/end_to_end/",
     "tests/optics/test_any_bench.py",
-    "tests/service/stages/",
+    "tests/service/job/stages/",
     "tests/docker/",
     "tests/test_documents.py",
-    "tests/cam/test_as_milled_brute_force.py",
+    "tests/cam/as_milled/test_as_milled_brute_force.py",
     "tests/cam/contour/test_contour_path.py",
     "tests/optics/test_hard_pictures.py",
-    "tests/service/api/",
+    "tests/service/server/api/",
 )
 _TOP = Path(__file__).parents[1]
 

@@ -21,7 +21,7 @@ from cam.duration import DurationModel, Kinematics
 from cam.moves import Array
 from cam.passes import Stock
 from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 
 _TOUCH_MM = 1e-6
 _RAPID_CLEARANCE_MM = 0.5

@@ -12,10 +12,10 @@ from math import ceil
 import numpy as np
 
 from cam.around.specs import BESIDE_MM, Facing
-from cam.entries import RAPID_CLEARANCE_MM, leave
 from cam.errors import SafeHeightError
 from cam.moves import Path, cut, rapid
 from cam.passes import Stock
+from cam.rows.entries import RAPID_CLEARANCE_MM, leave
 
 
 def facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from cam.moves import Array
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 
 _STILL_MM = 1e-9
 

@@ -12,7 +12,7 @@ from cam.as_milled.tracks import Tracks
 from cam.checking.removal import RemovalGrid
 from cam.moves import Array
 from cam.reading.gcode import MoveBatch
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 
 _SHARES = 2
 _AT_ONCE = 20_000  # moves between two looks at how high the stock still is

@@ -12,10 +12,10 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
-from cam.raster import Rows, continuous_rows, ordered
-from cam.tool_surface import ToolSurface
-from cam.turned import turned_lens
-from cam.vertices import VertexRule, finish_rule
+from cam.rows.raster import Rows, continuous_rows, ordered
+from cam.rows.turned import turned_lens
+from cam.rows.vertices import VertexRule, finish_rule
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
 SLOPE_ERROR_RAD = 0.5e-3

@@ -24,13 +24,13 @@ from cam.checking.engagement import Engagement
 from cam.checking.move_rules import MoveRules
 from cam.checking.path_quality import PathMeasures, PathQuality
 from cam.checking.removal import Drops, RemovalGrid, deepest
-from cam.checking.stock_left import ExcessFound, StockLeft, Unreached, find_excess
 from cam.checking.windows import Window, place_windows
 from cam.duration import DurationModel, Kinematics
 from cam.passes import PassSpec, Stock
 from cam.reading.gcode import GRBL, Language, MoveBatch, read_parts
-from cam.rest import RestAreas
-from cam.stock_grid import StockGrid
+from cam.rows.rest import RestAreas
+from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_left import ExcessFound, StockLeft, Unreached, find_excess
 from optics.heightfield import Heightfield
 
 GOUGE_ALLOWED_UM = 1.0

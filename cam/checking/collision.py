@@ -18,7 +18,7 @@ from cam.checking.removal import Drops, RemovalGrid
 from cam.checking.sweep import STRIKE, STRIKE_CELL
 from cam.passes import PassSpec
 from cam.reading.gcode import MoveBatch
-from cam.tool_surface import ToolSurface
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Array, Heightfield
 
 RUB_MM = 0.01

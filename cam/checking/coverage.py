@@ -14,7 +14,7 @@ from numba import njit
 from scipy.ndimage import distance_transform_edt
 
 from cam.reading.gcode import MoveBatch
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array
 
 

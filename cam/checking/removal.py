@@ -26,7 +26,7 @@ from scipy.ndimage import maximum_filter1d
 
 from cam.checking.sweep import REACH, STRIKE, TALLIES, cap, crowns_of, sweep
 from cam.reading.gcode import MoveBatch
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array
 
 

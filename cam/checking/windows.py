@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter
 
 from cam.passes import PassSpec
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array, Heightfield
 
 _SIZE_MM, _FINEST_MM, _COARSEST_MM = 1.0, 0.0025, 0.01

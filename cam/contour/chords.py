@@ -13,9 +13,9 @@ import math
 import numpy as np
 from numba import njit
 
-from cam.contact import Ball, touch
 from cam.moves import Array
-from cam.vertices import TICKS_PER_MM, VertexRule
+from cam.rows.vertices import TICKS_PER_MM, VertexRule
+from cam.surface.contact import Ball, touch
 from optics.heightfield import spline_jet
 
 SHORTEST_MM = 0.014

@@ -18,7 +18,7 @@ from numba import njit
 from cam.contour.field import REACH_PITCHES, ContourField
 from cam.contour.tracer import Tracks
 from cam.moves import Array
-from cam.raster import THREAD_NAME, THREADS
+from cam.rows.raster import THREAD_NAME, THREADS
 
 PIXELS_PER_PITCH = 32
 BLOCK = 4

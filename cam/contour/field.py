@@ -21,7 +21,7 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from cam.moves import Array
-from cam.tool_surface import ToolSurface
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import BicubicSpline, Heightfield
 
 RATIO = 1.07

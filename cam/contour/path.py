@@ -17,12 +17,12 @@ from cam.contour.field import ContourField
 from cam.contour.strokes import without_holes
 from cam.contour.tour import Room, toured, turn_radius_mm
 from cam.contour.tracer import trace
-from cam.entries import RAMP_STRETCH_MM
 from cam.moves import Array
 from cam.passes import PassSpec
-from cam.raster import on_ticks, ordered
-from cam.tool_surface import ToolSurface
-from cam.vertices import VertexRule
+from cam.rows.entries import RAMP_STRETCH_MM
+from cam.rows.raster import on_ticks, ordered
+from cam.rows.vertices import VertexRule
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
 PIECE_VERTICES = 50_000

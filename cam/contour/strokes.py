@@ -13,7 +13,7 @@ from cam.contour.cover import BLOCK, PIXELS_PER_PITCH, pixels_over, uncovered
 from cam.contour.field import REACH_PITCHES, ContourField
 from cam.contour.tracer import Tracks
 from cam.moves import Array
-from cam.raster import on_ticks
+from cam.rows.raster import on_ticks
 
 TILE_PITCHES = 40.0
 """Longer holes are filled piece by piece: they bend."""

@@ -6,7 +6,7 @@ import math
 
 from numba import njit
 
-from cam.vertices import TICKS_PER_MM
+from cam.rows.vertices import TICKS_PER_MM
 
 SAG_PITCHES = 0.015
 SHORTEST_CHORD_PITCHES = 1.5

@@ -20,7 +20,7 @@ from cam.contour.levels import level_tree
 from cam.contour.thinning import thinned
 from cam.contour.triangles import bucket, corners_of, follow, other_edge
 from cam.moves import Array
-from cam.raster import THREAD_NAME, THREADS
+from cam.rows.raster import THREAD_NAME, THREADS
 
 CHUNKS = 16
 SHORTEST_PITCHES = 6.0

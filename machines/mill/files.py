@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from machines.errors import JournalError, NotAllowedError
-from machines.gcode.preflight import Preflight
 from machines.journal.disk import os_words
 from machines.journal.journal import JournalContent, read_journal
+from machines.preflight.preflight import Preflight
 from machines.runs import LIVE, RunState, RunView
 
 _ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z-]{0,79}")

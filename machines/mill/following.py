@@ -6,12 +6,12 @@ from typing import Any
 
 from machines.driver import MillState, MillStatus, StreamProgress
 from machines.errors import JournalError, MachineError
-from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.mill.core import MillCore
 from machines.mill.link import AWAY
 from machines.mill.run import Run
 from machines.mill.standing import adrift, ashore, proven_line
+from machines.preflight.preflight import Preflight
 from machines.runs import RECOVERABLE, RunState
 
 LOOK_S = 0.05

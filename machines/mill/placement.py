@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 from machines.driver import MillStatus
 from machines.errors import MachineError
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.limits import placement_problems
 from machines.gcode.modal import ModalState
-from machines.gcode.preflight import Bounds, Preflight
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
+from machines.preflight.limits import placement_problems
+from machines.preflight.preflight import Bounds, Preflight
 
 LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
 

@@ -9,11 +9,11 @@ from typing import Any
 
 from machines.driver import MillStatus, StreamProgress
 from machines.errors import JournalError
-from machines.gcode.limits import AT_PRESENT_ZERO
-from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
 from machines.mill.files import RunFolders, view_of
+from machines.preflight.limits import AT_PRESENT_ZERO
+from machines.preflight.preflight import Preflight
 from machines.runs import LIVE, RunState, RunView, moved
 
 MARK_EVERY_S = 0.5

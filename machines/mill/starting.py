@@ -12,8 +12,6 @@ from typing import Any
 
 from machines.driver import CommandDone, Driver, MillState, ReadSettings, TrustPosition
 from machines.errors import JournalError, MachineError, NotAllowedError, ProgramChangedError
-from machines.gcode.limits import top_of_travel_mm
-from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.grbl.options import missing_option
 from machines.grbl.settings import ControllerSettings
@@ -22,6 +20,8 @@ from machines.mill.orders import OrderRefusedError, Refusal
 from machines.mill.placement import Placement, program_placement, way_in_placement
 from machines.mill.run import Run
 from machines.mill.standing import STILL_S
+from machines.preflight.limits import top_of_travel_mm
+from machines.preflight.preflight import Preflight
 from machines.recovery.planning import Present, RecoveryPlan, plan_recovery
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState, RunView
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from machines.errors import MachineError
-from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
+from machines.preflight.preflight import Preflight
 
 _SEQUENCE = re.compile(rb"^/?N0*([0-9]+)")
 _LOOK_BACK = 2000  # lines

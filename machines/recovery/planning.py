@@ -12,8 +12,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from machines.errors import MachineError
-from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
+from machines.preflight.preflight import Preflight
 from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back

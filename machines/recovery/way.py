@@ -8,7 +8,7 @@ from math import floor
 from machines.errors import MachineError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.gcode.preflight import Preflight
+from machines.preflight.preflight import Preflight
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan import Present, Reentry
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from machines.simulated import reports
+from machines.simulated.alarms import raise_alarm
 from machines.simulated.arcs import chords
+from machines.simulated.controller import Controller
 from machines.simulated.interpreter import ZERO, Action, Move, Triple
 from machines.simulated.suspending import apply_overrides
 from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
 
-if TYPE_CHECKING:
-    from machines.simulated.firmware import Firmware
 
-
-def gcode(fw: Firmware, code: bytes) -> Task:
+def carry_out_gcode(fw: Controller, code: bytes) -> Task:
     """Check and execute one block, in GRBL's order."""
     action = fw.interpreter.read(code)
     if action.line_number is not None and fw.traits.line_numbers:
@@ -45,7 +42,7 @@ def gcode(fw: Firmware, code: bytes) -> Task:
     yield from _flow(fw, action.words.commands.get("flow", ""), dry=dry)
 
 
-def _accessories(fw: Firmware, action: Action, *, dry: bool) -> Task:
+def _accessories(fw: Controller, action: Action, *, dry: bool) -> Task:
     """Spindle and coolant: a change waits for the buffer to run empty."""
     state = fw.interpreter
     if action.modal["spindle"] != state.modal["spindle"]:
@@ -53,7 +50,7 @@ def _accessories(fw: Firmware, action: Action, *, dry: bool) -> Task:
             yield EMPTY
             fw.spindle = action.modal["spindle"]
             fw.spindle_rpm = state.spindle_rpm
-            fw.report.ov_in = 0
+            fw.ov_in = 0
         state.modal["spindle"] = action.modal["spindle"]
     wanted = action.words.commands.get("coolant")
     if wanted is not None:
@@ -61,11 +58,11 @@ def _accessories(fw: Firmware, action: Action, *, dry: bool) -> Task:
         if coolant != state.coolant:
             if not dry:
                 yield EMPTY
-                fw.report.ov_in = 0
+                fw.ov_in = 0
             state.coolant = coolant
 
 
-def _offsets(fw: Firmware, action: Action, *, dry: bool) -> Task:
+def _offsets(fw: Controller, action: Action, *, dry: bool) -> Task:
     """Changes of offsets wait for an empty buffer, those in the EEPROM shut the receiver meanwhile."""
     state, command = fw.interpreter, action.words.non_modal
     if command == "G53" or (command in ("G4", "G28", "G30") and action.modal["wcs"] == state.modal["wcs"]):
@@ -73,10 +70,10 @@ def _offsets(fw: Firmware, action: Action, *, dry: bool) -> Task:
     if not dry:
         yield EMPTY
     if command == "G10" and action.offsets is not None:
-        yield from fw.eeprom(3 * fw.traits.eeprom_write_s)
+        yield from eeprom(fw, 3 * fw.traits.eeprom_write_s)
         state.stored[action.system] = action.offsets
     elif command in ("G28.1", "G30.1"):
-        yield from fw.eeprom(3 * fw.traits.eeprom_write_s)
+        yield from eeprom(fw, 3 * fw.traits.eeprom_write_s)
         state.stored[command[:3]] = state.position
     elif command == "G92" and action.offsets is not None:
         state.g92 = action.offsets
@@ -84,16 +81,16 @@ def _offsets(fw: Firmware, action: Action, *, dry: bool) -> Task:
         state.g92 = ZERO
     elif action.words.axis_command == "tool-length" and action.offsets is not None:
         state.tool_length = action.offsets[2]
-    fw.report.wco_in = 0
+    fw.wco_in = 0
 
 
-def eeprom(fw: Firmware, seconds: float) -> Task:
+def eeprom(fw: Controller, seconds: float) -> Task:
     if seconds > 0.0:
         fw.write_eeprom(seconds)
         yield fw.now_s + seconds
 
 
-def _flow(fw: Firmware, command: str, *, dry: bool) -> Task:
+def _flow(fw: Controller, command: str, *, dry: bool) -> Task:
     if command in ("", "M1"):
         return
     if not dry:
@@ -112,11 +109,11 @@ def _flow(fw: Firmware, command: str, *, dry: bool) -> Task:
         fw.feed_percent = fw.rapid_percent = fw.spindle_percent = 100
         apply_overrides(fw)
         fw.spindle = "M5"
-        fw.report.wco_in = fw.report.ov_in = 0
+        fw.wco_in = fw.ov_in = 0
     fw.say("[MSG:Pgm End]")
 
 
-def _move(fw: Firmware, move: Move) -> Task:
+def _move(fw: Controller, move: Move) -> Task:
     if move.motion.startswith("G38"):
         yield from _probe(fw, move)
         return
@@ -129,13 +126,13 @@ def _move(fw: Firmware, move: Move) -> Task:
             length = sum((a - b) ** 2 for a, b in zip(point, last, strict=True)) ** 0.5
             speed = length * len(points) * move.speed
         last = point
-        yield from fw.plan(point, speed, rapid=rapid, feed=move.feed)
+        yield from plan(fw, point, speed, rapid=rapid, feed=move.feed)
     fw.interpreter.position = move.target
 
 
-def plan(fw: Firmware, point: Triple, speed: float, *, rapid: bool, feed: float, kind: str = "program") -> Task:
+def plan(fw: Controller, point: Triple, speed: float, *, rapid: bool, feed: float, kind: str = "program") -> Task:
     """mc_line: soft limits, room, planner."""
-    if fw.settings[20] and fw.state != "Jog" and out_of_travel(fw, point):
+    if fw.settings[20] and fw.state != "Jog" and is_out_of_travel(fw, point):
         yield from _soft_limit(fw)
     if fw.state == "Check":
         return
@@ -145,23 +142,23 @@ def plan(fw: Firmware, point: Triple, speed: float, *, rapid: bool, feed: float,
         fw.stepper.prepare()
 
 
-def out_of_travel(fw: Firmware, point: Triple) -> bool:
+def is_out_of_travel(fw: Controller, point: Triple) -> bool:
     travel = fw.settings
     return any(not -travel[130 + i] - 1e-6 <= p <= 1e-6 for i, p in enumerate(point))
 
 
-def _soft_limit(fw: Firmware) -> Task:
+def _soft_limit(fw: Controller) -> Task:
     """Stops in good order, then ALARM:2; the line that asked for it is never answered."""
     if fw.state == "Run":
         fw.soft_limit = True
         fw.state, fw.held = "Hold", False
         fw.stepper.hold()
     else:
-        fw.raise_alarm(2)
+        raise_alarm(fw, 2)
     yield NEVER
 
 
-def _probe(fw: Firmware, move: Move) -> Task:
+def _probe(fw: Controller, move: Move) -> Task:
     """Straight probe. The contact ends the move at once (the real one overshoots by its braking distance)."""
     if fw.state == "Check":
         fw.interpreter.position = move.target
@@ -173,7 +170,7 @@ def _probe(fw: Firmware, move: Move) -> Task:
     touching = surface is not None and here < surface - 1e-9
     if touching == towards:
         fw.probe_found = False
-        fw.raise_alarm(4)
+        raise_alarm(fw, 4)
         yield 0.0
         return
     end, found = move.target, False
@@ -187,6 +184,6 @@ def _probe(fw: Firmware, move: Move) -> Task:
     fw.probe_found = found
     fw.probed = fw.interpreter.position if found else ZERO
     if strict and not found:
-        fw.raise_alarm(5)
+        raise_alarm(fw, 5)
         yield 0.0
     fw.say(f"[PRB:{reports.xyz(fw, fw.probed)}:{int(found)}]")

@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
+from typing import Protocol
 
 from machines.simulated.faults import MILL_KINDS, REPLY_KINDS, SENT_KINDS, Fault, FaultDone, Faults
+from machines.simulated.firmware import Firmware
+from machines.simulated.serial_side import SerialSide
 
-if TYPE_CHECKING:
-    from machines.simulated.mill import SimulatedMill
+
+class Wired(Protocol):
+    """What a wire knows of the mill at its end."""
+
+    @property
+    def now_s(self) -> float: ...
+    @property
+    def firmware(self) -> Firmware: ...
+    @property
+    def serial(self) -> SerialSide: ...
+
+    def at(self, time_s: float, event: Callable[[], None]) -> None: ...
+
+    def carry_out(self, fault: Fault, byte: int) -> None: ...
 
 
 class FaultWire:
@@ -16,7 +31,7 @@ class FaultWire:
     active : a plan is there; without one the wire is not looked at
     """
 
-    def __init__(self, faults: Faults, mill: SimulatedMill) -> None:
+    def __init__(self, faults: Faults, mill: Wired) -> None:
         self._log = faults.log
         self._mill = mill
         self._sent = [f for f in faults.plan if f.kind in SENT_KINDS and f.at_s is None]

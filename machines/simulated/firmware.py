@@ -1,24 +1,16 @@
-"""The controller's program: states, alarms, realtime commands, and the tasks that carry out one line.
-
-A line that has to wait (room in the planner, an empty buffer, a dwell, `~`) is a generator that yields what it waits
-for; everything that happens lets it go on through `go_on`. Only then is its `ok` sent and the next line looked at.
-"""
+"""The controller's program: lines, realtime commands, alarms and resets of one controller."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from math import inf
 
-from machines.simulated import blocks, reports, resets, suspending
-from machines.simulated.interpreter import ZERO, Interpreter, Triple
-from machines.simulated.motion import Stepper
-from machines.simulated.planner import Block
-from machines.simulated.realtime import realtime_command
-from machines.simulated.recording import CutSegment, Recording
+from machines.simulated import alarms, resets, suspending
+from machines.simulated.blocks import carry_out_gcode, is_out_of_travel
+from machines.simulated.controller import Controller
+from machines.simulated.interpreter import Triple
+from machines.simulated.realtime import obey_realtime
 from machines.simulated.system_commands import system_command
-from machines.simulated.traits import Traits
-from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
+from machines.simulated.waiting import ROOM, Task
 from machines.simulated.words import GcodeError
 
 _NUMBER = rb"([-+]?(?:\d+\.?\d*|\.\d+))"
@@ -26,108 +18,11 @@ _PLAIN_MOVE = re.compile(
     rb"(?:G0?([01])(?![\d.]))?(?:X%s)?(?:Y%s)?(?:Z%s)?(?:F%s)?" % (_NUMBER, _NUMBER, _NUMBER, _NUMBER)
 ).fullmatch
 _COMMENT = re.compile(rb"\([^)]*\)?|;.*")
-_SUSPENDED = ("Hold", "Door", "Sleep")
 
 
-class Firmware:
-    """State of the controller. `say(text)` sends a line; `write_eeprom(seconds)` shuts the receiver."""
+class Firmware(Controller):
+    """A controller with its program."""
 
-    def __init__(
-        self,
-        traits: Traits,
-        recording: Recording,
-        say: Callable[[str], None],
-        write_eeprom: Callable[[float], None],
-        rx_free: Callable[[], int],
-        on_restart: Callable[[], None],
-    ) -> None:
-        self.traits = traits
-        self.recording = recording
-        self.say = say
-        self.write_eeprom = write_eeprom
-        self.rx_free = rx_free
-        self.on_restart = on_restart
-        self.settings = traits.all_settings()
-        self.startup = {0: "", 1: ""}
-        self.interpreter = Interpreter(mist=traits.mist)
-        self.shift: Triple = ZERO  # physical position = machine position + shift
-        self.probed: Triple = ZERO
-        self.probe_found = False
-        self.pressed: set[str] = set()  # pins held: "D" door, limits "X" "Y" "Z"
-        self.position_lost = False
-        self.now_s = 0.0
-        self.received = 0  # lines
-        self.executed = 0  # whole blocks
-        self.line = 0
-        self.power_on_state()
-
-    def power_on_state(self) -> None:
-        """As the processor starts: nothing known but the EEPROM. The tool stays where it physically is."""
-        self.state = "Idle"
-        self.stepper = Stepper(
-            self.traits.planner_blocks,
-            self.settings,
-            self.traits.segments,
-            self.traits.segment_s,
-            self._piece,
-            self._stopped,
-        )
-        self.report = reports.StatusReport()
-        self.task: Task | None = None
-        self.waiting: str | float = ROOM
-        self.after_task: Callable[[], None] | None = None
-        self.held = False
-        self.critical = False
-        self.alarm, self.alarm_until_s = 0, inf  # being said, and until when nothing else is done
-        self.reset_pending = False
-        self.jog_cancel = False
-        self.soft_limit = False
-        self.door_restoring = False
-        self.starved = False
-        self.status_pending = False
-        self.spindle = "M5"
-        self.spindle_rpm = 0.0
-        self.spindle_paused = False
-        self.feed_percent = self.rapid_percent = self.spindle_percent = 100
-        self.interpreter.reset()
-        self.interpreter.position = ZERO
-
-    # -- what can be seen ------------------------------------------------------------------------------------------
-    def state_word(self) -> str:
-        if self.state == "Hold":
-            return "Hold:0" if self.held else "Hold:1"
-        if self.state == "Door":
-            if self.door_restoring:
-                return "Door:3"
-            if not self.held:
-                return "Door:2"
-            return "Door:1" if "D" in self.pressed else "Door:0"
-        return self.state
-
-    def pins(self) -> str:
-        probe = self.traits.probe_surface_mm
-        pins = self.pressed | ({"P"} if probe is not None and self.physical()[2] < probe - 1e-9 else set())
-        return "".join(p for p in "XYZPDHRS" if p in pins)
-
-    def spindle_on(self) -> bool:
-        return self.spindle != "M5" and not self.spindle_paused
-
-    def spindle_now(self) -> float:
-        return self.spindle_rpm * self.spindle_percent / 100 if self.spindle_on() else 0.0
-
-    def physical(self) -> Triple:
-        x, y, z = self.stepper.where(self.now_s)
-        sx, sy, sz = self.shift
-        return (x + sx, y + sy, z + sz)
-
-    def suspended(self) -> bool:
-        return self.critical or self.alarm != 0 or self.state in _SUSPENDED
-
-    def busy(self) -> bool:
-        """No line is read now."""
-        return self.task is not None or self.suspended()
-
-    # -- one line --------------------------------------------------------------------------------------------------
     def line_received(self, raw: bytes) -> None:
         """Carry out one line (without its end). It may leave a task that waits."""
         self.received += 1
@@ -145,7 +40,7 @@ class Firmware:
         elif not code or (code == b"%" and self.traits.percent_allowed):
             self.say("ok")
         else:
-            self._begin(self._line_task(code))
+            self.begin(self._line_task(code))
 
     def _plain(self, raw: bytes) -> bool:
         """Straight moves without any other word, the millions of a program: the same as the general way, in short."""
@@ -173,13 +68,13 @@ class Firmware:
         if z is not None:
             pz = float(z) + oz
         target = (px, py, pz)
-        if self.settings[20] and self.out_of_travel(target):
+        if self.settings[20] and is_out_of_travel(self, target):
             return False
         modal["motion"] = motion
         state.feed = feed
         planner = self.stepper.planner
         if len(planner.blocks) >= planner.capacity:
-            self._begin(self._plain_task(target, rapid, feed))
+            self.begin(self._plain_task(target, rapid, feed))
             return True
         state.position = target
         planner.add(px, py, pz, feed / 60.0, rapid, feed=feed, line=self.line)
@@ -203,120 +98,23 @@ class Firmware:
             elif self.state in ("Alarm", "Jog"):
                 raise GcodeError(9)
             else:
-                yield from self.gcode(code)
+                yield from carry_out_gcode(self, code)
         except GcodeError as error:
             self.say(f"error:{error.code}")
         else:
             self.say("ok")
 
-    def _begin(self, task: Task) -> None:
-        self.task = task
-        self.waiting = 0.0
-        self.go_on()
+    def stop_for_limit(self) -> None:
+        alarms.raise_alarm(self, 2)
 
-    def go_on(self) -> None:
-        """Let the waiting task go on as far as it can."""
-        if self.alarm and self.now_s >= self.alarm_until_s:
-            self.end_alarm()
-        while self.task is not None and not self.suspended():
-            waiting = self.waiting
-            if waiting is ROOM:
-                if len(self.stepper.planner.blocks) >= self.stepper.planner.capacity:
-                    self.auto_start()
-                    return
-            elif waiting is EMPTY:
-                if self.stepper.planner.blocks or self.state in ("Run", "Jog"):
-                    self.auto_start()
-                    return
-            elif waiting is NEVER or (isinstance(waiting, float) and waiting > self.now_s):
-                return
-            try:
-                self.waiting = next(self.task)
-            except StopIteration:
-                self.task = None
-                if (then := self.after_task) is not None:
-                    self.after_task = None
-                    then()
-
-    def wake_s(self) -> float:
-        """When the waiting task wants to go on by the clock, or an alarm has been said."""
-        if self.alarm:
-            return self.alarm_until_s
-        if self.task is None or not isinstance(self.waiting, float) or self.suspended():
-            return inf
-        return self.waiting
-
-    def auto_start(self) -> None:
-        """Blocks wait and nobody holds them back: cycle start."""
-        if self.state == "Idle" and self.stepper.planner.blocks and not self.starved:
-            self.state = "Run"
-            self.stepper.start(self.now_s)
-
-    # -- motion has got somewhere ----------------------------------------------------------------------------------
-    def _piece(self, b: Block, x: float, y: float, z: float, at_s: float, whole: bool) -> None:
-        sx, sy, sz = self.shift
-        end = (x + sx, y + sy, z + sz)
-        start = (b.sx + sx, b.sy + sy, b.sz + sz)
-        b.sx, b.sy, b.sz = x, y, z
-        on = self.spindle != "M5" and not self.spindle_paused
-        if whole or start != end:
-            self.recording.add(CutSegment(start, end, b.rapid, b.feed, on, b.line, at_s, whole, b.kind))
-        if whole:
-            self.executed += 1
-            if self.executed == self.traits.idle_with_blocks_at:
-                self._run_dry(at_s)
-
-    def _run_dry(self, at_s: float) -> None:
-        """The stepper finds its buffer empty although blocks wait: Idle, until something starts it again."""
-        self.stepper.starve()
-        self.state = "Idle"
-        self.starved = True
-
-    def _stopped(self, at_s: float) -> None:
-        """Motion has ended."""
-        self.now_s = at_s
-        if self.soft_limit:
-            self.soft_limit = False
-            self.raise_alarm(2)
-        elif self.jog_cancel:
-            self.jog_cancel = False
-            self.stepper.clear()
-            self.interpreter.position = (self.stepper.x, self.stepper.y, self.stepper.z)
-            self.state = "Door" if "D" in self.pressed else "Idle"
-            self.held = True
-        elif self.state in _SUSPENDED:
-            self.stepper.planner.replan()
-            self._hold_complete()
-        elif self.state != "Alarm":
-            self.state = "Idle"
-
-    def _hold_complete(self) -> None:
-        self.held = True
-        if self.state in ("Door", "Sleep"):
-            self.spindle_paused = True
-            if self.state == "Sleep":
-                self.spindle = "M5"
-                self.interpreter.coolant.clear()
-                self.say("[MSG:Sleeping]")
-
-    # -- said elsewhere, by subject --------------------------------------------------------------------------------
-    realtime = realtime_command
-
-    gcode = blocks.gcode
-    plan = blocks.plan
-    eeprom = blocks.eeprom
-    out_of_travel = blocks.out_of_travel
+    realtime = obey_realtime
 
     hold = suspending.hold
     resume = suspending.resume
-    cancel_jog = suspending.cancel_jog
     open_door = suspending.open_door
-    sleep = suspending.sleep
-    overrides_changed = suspending.overrides_changed
 
-    raise_alarm = resets.raise_alarm
+    raise_alarm = alarms.raise_alarm
+    cut_off = alarms.cut_off
     end_alarm = resets.end_alarm
-    cut_off = resets.cut_off
     reset = resets.reset
     restart = resets.restart
-    home = resets.home

@@ -2,30 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from machines.simulated.firmware import Firmware
+from machines.simulated.alarms import cut_off
+from machines.simulated.controller import Controller
 
 
-def hold(fw: Firmware) -> None:
+def hold(fw: Controller) -> None:
     """Feed hold, from `!` or the button."""
     if fw.state == "Run":
         fw.state, fw.held = "Hold", False
         fw.stepper.hold()
     elif fw.state == "Jog":
-        fw.cancel_jog()
+        cancel_jog(fw)
     elif fw.state == "Idle":
         fw.state, fw.held = "Hold", True
 
 
-def cancel_jog(fw: Firmware) -> None:
+def cancel_jog(fw: Controller) -> None:
     if fw.state == "Jog":
         fw.jog_cancel = True
         fw.stepper.hold()
 
 
-def resume(fw: Firmware) -> None:
+def resume(fw: Controller) -> None:
     """Cycle start, from `~` or the button. Before a hold is complete it is ignored."""
     if fw.state == "Door" and fw.held and "D" not in fw.pressed:
         fw.door_restoring = True
@@ -40,7 +38,7 @@ def resume(fw: Firmware) -> None:
         fw.auto_start()
 
 
-def _leave_hold(fw: Firmware) -> None:
+def _leave_hold(fw: Controller) -> None:
     fw.door_restoring = False
     fw.state = "Idle"
     fw.stepper.holding = False
@@ -48,16 +46,16 @@ def _leave_hold(fw: Firmware) -> None:
     fw.go_on()
 
 
-def open_door(fw: Firmware) -> None:
+def open_door(fw: Controller) -> None:
     fw.pressed.add("D")
     if fw.state in ("Alarm", "Check"):
         return
     fw.say("[MSG:Check Door]")
     if fw.state == "Home":
         fw.task = None
-        fw.cut_off(7)
+        cut_off(fw, 7)
     elif fw.state == "Jog":
-        fw.cancel_jog()
+        cancel_jog(fw)
     elif fw.state != "Sleep":
         was = fw.state
         fw.state = "Door"
@@ -65,19 +63,19 @@ def open_door(fw: Firmware) -> None:
             fw.held = False
             fw.stepper.hold()
         elif not fw.stepper.moving:
-            fw._hold_complete()
+            fw.complete_hold()
 
 
-def sleep(fw: Firmware) -> None:
+def sleep(fw: Controller) -> None:
     moving = fw.stepper.moving
     fw.state, fw.held = "Sleep", not moving
     if moving:
         fw.stepper.hold()
     else:
-        fw._hold_complete()
+        fw.complete_hold()
 
 
-def apply_overrides(fw: Firmware) -> None:
+def apply_overrides(fw: Controller) -> None:
     planner = fw.stepper.planner
     feed, rapid = fw.feed_percent / 100.0, fw.rapid_percent / 100.0
     if (feed, rapid) != (planner.feed_override, planner.rapid_override):
@@ -87,6 +85,6 @@ def apply_overrides(fw: Firmware) -> None:
             fw.stepper.prepare()
 
 
-def overrides_changed(fw: Firmware) -> None:
-    fw.report.ov_in = 0
+def overrides_changed(fw: Controller) -> None:
+    fw.ov_in = 0
     apply_overrides(fw)

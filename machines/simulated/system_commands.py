@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from functools import partial
 
 from machines.simulated import reports
+from machines.simulated.blocks import carry_out_gcode, eeprom, is_out_of_travel, plan
+from machines.simulated.controller import Controller
 from machines.simulated.interpreter import ZERO
+from machines.simulated.resets import home, reset
+from machines.simulated.suspending import sleep
+from machines.simulated.waiting import Task
 from machines.simulated.words import GcodeError
-
-if TYPE_CHECKING:
-    from machines.simulated.firmware import Firmware
-    from machines.simulated.waiting import Task
 
 _HELP = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]"
 _SETTING = re.compile(r"\$([-+]?\d+\.?\d*)=([-+]?(?:\d+\.?\d*|\.\d+))")
 _LIMITED_HZ = 30_000
 
 
-def system_command(fw: Firmware, line: str) -> Task:
+def system_command(fw: Controller, line: str) -> Task:
     """Carry out; raises GcodeError. The `ok` is the caller's."""
     if line == "$":
         fw.say(_HELP)
@@ -47,10 +48,10 @@ def system_command(fw: Firmware, line: str) -> Task:
         yield from _when_standing(fw, line)
 
 
-def _check_mode(fw: Firmware) -> None:
+def _check_mode(fw: Controller) -> None:
     if fw.state == "Check":
         fw.say("[MSG:Disabled]")
-        fw.after_task = fw.reset  # the answer comes first, then the banner
+        fw.after_task = partial(reset, fw)  # the answer comes first, then the banner
     elif fw.state == "Idle" and not fw.stepper.planner.blocks:
         fw.state = "Check"
         fw.say("[MSG:Enabled]")
@@ -58,7 +59,7 @@ def _check_mode(fw: Firmware) -> None:
         raise GcodeError(8)
 
 
-def _when_standing(fw: Firmware, line: str) -> Task:
+def _when_standing(fw: Controller, line: str) -> Task:
     if line == "$#":
         for text in reports.offsets_lines(fw):
             fw.say(text)
@@ -67,9 +68,9 @@ def _when_standing(fw: Firmware, line: str) -> Task:
             raise GcodeError(5)
         if "D" in fw.pressed:
             raise GcodeError(13)
-        yield from fw.home()
+        yield from home(fw)
     elif line == "$SLP":
-        fw.after_task = fw.sleep  # the answer comes first
+        fw.after_task = partial(sleep, fw)  # the answer comes first
     elif line == "$I":
         for text in reports.build_info(fw):
             fw.say(text)
@@ -84,7 +85,7 @@ def _when_standing(fw: Firmware, line: str) -> Task:
         yield from _setting(fw, line)
 
 
-def _setting(fw: Firmware, line: str) -> Task:
+def _setting(fw: Controller, line: str) -> Task:
     match = _SETTING.fullmatch(line)
     if match is None:
         raise GcodeError(2 if not line[1:2].isdigit() else 3)
@@ -102,31 +103,31 @@ def _setting(fw: Firmware, line: str) -> Task:
         axis = number % 10
         if changed[100 + axis] * changed[110 + axis] / 60 > _LIMITED_HZ:
             raise GcodeError(12)
-    yield from fw.eeprom(fw.traits.eeprom_write_s)
+    yield from eeprom(fw, fw.traits.eeprom_write_s)
     fw.settings[number] = value
     if number == 22 and not value:
         fw.settings[20] = 0.0
     fw.stepper.planner.use_settings(fw.settings)
     if number == 10:
-        fw.report.wco_in = 0
+        fw.wco_in = 0
 
 
-def _startup_line(fw: Firmware, line: str) -> Task:
+def _startup_line(fw: Controller, line: str) -> Task:
     match = re.fullmatch(r"\$N([01])=(.*)", line)
     if match is None:
         raise GcodeError(3 if line[2:3].isdigit() else 2)
     if fw.state != "Idle":
         raise GcodeError(8)
     if match.group(2):
-        yield from fw.gcode(match.group(2).encode("latin-1"))
-    yield from fw.eeprom(3 * fw.traits.eeprom_write_s)
+        yield from carry_out_gcode(fw, match.group(2).encode("latin-1"))
+    yield from eeprom(fw, 3 * fw.traits.eeprom_write_s)
     fw.startup[int(match.group(1))] = match.group(2)
 
 
-def _restore(fw: Firmware, what: str) -> Task:
+def _restore(fw: Controller, what: str) -> Task:
     if what not in ("$", "#", "*"):
         raise GcodeError(3)
-    yield from fw.eeprom(10 * fw.traits.eeprom_write_s)
+    yield from eeprom(fw, 10 * fw.traits.eeprom_write_s)
     if what in "$*":
         fw.settings.update(fw.traits.all_settings())
     if what in "#*":
@@ -134,10 +135,10 @@ def _restore(fw: Firmware, what: str) -> Task:
     if what == "*":
         fw.startup = {0: "", 1: ""}
     fw.say("[MSG:Restoring defaults]")
-    fw.after_task = fw.reset
+    fw.after_task = partial(reset, fw)
 
 
-def _jog(fw: Firmware, line: str) -> Task:
+def _jog(fw: Controller, line: str) -> Task:
     """$J=: its own modes, error:15 outside the travel, several may be queued, cancelled by 0x85."""
     if fw.state not in ("Idle", "Jog"):
         raise GcodeError(8)
@@ -148,9 +149,9 @@ def _jog(fw: Firmware, line: str) -> Task:
         raise GcodeError(16)
     if action.move is None:
         raise GcodeError(26)
-    if fw.settings[20] and fw.out_of_travel(action.move.target):
+    if fw.settings[20] and is_out_of_travel(fw, action.move.target):
         raise GcodeError(15)
-    yield from fw.plan(action.move.target, action.feed / 60.0, rapid=False, feed=action.feed, kind="jog")
+    yield from plan(fw, action.move.target, action.feed / 60.0, rapid=False, feed=action.feed, kind="jog")
     fw.interpreter.position = action.move.target
     if fw.state == "Idle" and fw.stepper.planner.blocks:
         fw.state = "Jog"

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from service.client.server import Server, shown
-from service.client.tables import table
 
 _PAGE = 100
 
@@ -82,3 +81,9 @@ def _seconds(stage: dict[str, Any]) -> str:
 
 
 _TIMES = (("created", "created_at"), ("started", "started_at"), ("ended", "ended_at"))
+
+
+def table(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of one length as lines, each column as wide as its widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

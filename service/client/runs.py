@@ -6,11 +6,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from service.client.event_stream import lasting
+from service.client.events import lasting
 from service.client.follow import leaving
-from service.client.jobs import when
+from service.client.jobs import table, when
 from service.client.server import Server, shown
-from service.client.tables import table
 from service.errors import FailedError, InputError
 
 QUESTIONS = {
@@ -97,7 +96,7 @@ def confirmed(run: dict[str, Any], given: Sequence[str]) -> list[str]:
         return needed
     if not sys.stdin.isatty():
         raise InputError(f"a person has to confirm this: run it on a terminal, or give --confirm {','.join(needed)}")
-    from service.stream.ask import confirmed_by_person
+    from service.milling.terminal.confirm import confirmed_by_person
 
     confirmed_by_person({check: QUESTIONS.get(check, shown(check)) for check in needed})
     return needed

@@ -13,10 +13,10 @@ from urllib.parse import quote
 import httpx
 
 from machines.mill.orders import suspend_aware_clock_s
-from service.agent.callers import GRANT
-from service.client.target import Target
+from service.client.address import Target
 from service.errors import EXIT_FAILURE, EXIT_INPUT, FailedError, JobError, printable
-from service.web.hosts import is_loopback
+from service.http.hosts import is_loopback
+from service.milling.agent.callers import GRANT
 
 VERSION_HEADER = "Causticmill-Version"
 _CONNECT_S, _READ_S = 5.0, 60.0

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
+import math
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,7 @@ from typing import Any
 from service.client.follow import LeftError
 from service.client.server import Server, misunderstood
 from service.errors import InputError, sentence_of_os_error
+from service.job.spec.loading import spec_data
 
 PRIORITIES = ("low", "normal", "high")
 _PATIENCE_S = 60.0
@@ -57,3 +61,28 @@ def _posted(server: Server, order: Submission, key: str) -> dict[str, Any]:
     if not isinstance(job, dict) or "id" not in job:
         raise misunderstood(server, answer)
     return job
+
+
+def spec_text(
+    *, file: Path | None, preset: str | None, overrides: Sequence[str], light_picture: Path | None = None
+) -> str | None:
+    """JSON of file, preset, overrides and the picture of the light together; None where nothing was given.
+
+    Not checked against this computer's profiles and versions: the mill may be one that only the server knows.
+    """
+    if file is None and preset is None and light_picture is None and not overrides:
+        return None
+    data = spec_data(file=file, preset=preset, overrides=overrides, light_picture=light_picture)
+    return json.dumps(_plain(data), default=str)
+
+
+def _plain(value: Any) -> Any:
+    """TOML has numbers that JSON has not: they go as words, and the server names the key that holds them."""
+    match value:
+        case dict():
+            return {str(key): _plain(below) for key, below in value.items()}
+        case list() | tuple():
+            return [_plain(below) for below in value]
+        case float() if not math.isfinite(value):
+            return str(value)
+    return value

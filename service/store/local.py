@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import IO
 
 from service.errors import FailedError, sentence_of_os_error
-from service.private import make_private
-from service.store.store import MissingObjectError, StoredObject
+from service.processes.private import make_private
+from service.store.base import MissingObjectError, StoredObject
 
 PIECE_BYTES = 1 << 20
 _HASH = re.compile(r"[0-9a-f]{64}")

@@ -7,8 +7,8 @@ from urllib.parse import unquote, urlsplit
 
 from service.errors import InputError
 from service.settings import ServerSettings
+from service.store.base import Store
 from service.store.local import LocalStore
-from service.store.store import Store
 
 _DATABASES = ("postgresql", "postgres")
 _ALLOWED = "allowed: file:///folder, s3://bucket/prefix, or nothing for a folder beside the database"

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING, Any
 from urllib.parse import urlsplit
 
 from service.errors import FailedError, InputError, printable
+from service.http.hosts import is_loopback
+from service.store.base import MissingObjectError, StoredObject
 from service.store.local import write_verified
-from service.store.store import MissingObjectError, StoredObject
-from service.web.hosts import is_loopback
 
 if TYPE_CHECKING:
     from obstore.store import S3Store as Bucket

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import sys
 
-from service.kernel_cache import use_current_kernels
+from service.processes.kernel_cache import use_current_kernels
 
 use_current_kernels()  # before numba
 

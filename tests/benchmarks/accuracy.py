@@ -12,7 +12,7 @@ from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import MoveBatch, read_program
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from tests.benchmarks.timing import Figure
 

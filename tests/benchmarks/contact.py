@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cam.tool_surface import ToolSurface
+from cam.surface.tool_surface import ToolSurface
 from tests.benchmarks.pictures import bumps
 from tests.benchmarks.timing import Figure, seconds
 

@@ -22,13 +22,13 @@ from cam.checking.check import PassCheck, check_program
 from cam.passes import PAPER_PASSES, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from machines.profiles import load_profile
 from optics.design import design_lens
 from optics.heightfield import Heightfield
-from service.job_files import read_chunks
-from service.stages.arrays import heightfield_bytes, load_heightfield
-from service.stages.programs import kinematics_of
+from service.job.arrays import heightfield_bytes, load_heightfield
+from service.job.files import read_chunks
+from service.job.spec.mill import kinematics_of
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
 

@@ -18,19 +18,19 @@ from typing import Any, NamedTuple
 
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.design import design_lens
 from optics.heightfield import Heightfield
-from service.job_files import HEIGHTFIELD, MAP, SPEC
-from service.passes import cam_passes_of, cam_stock_of
+from service.job.arrays import heightfield_bytes, target_bytes
+from service.job.files import HEIGHTFIELD, MAP, SPEC
+from service.job.spec.lens_task import branch_of, lens_settings
+from service.job.spec.loading import resolve_spec, validated
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_passes_of, cam_stock_of
+from service.job.stages.as_milled import as_milled
+from service.job.stages.context import Workshop, peak_rss_mb
+from service.job.stages.picture_queue import PictureQueue
 from service.progress import QuietReporter, Stopwatch
-from service.spec import JobSpec
-from service.spec_files import resolve_spec, validated
-from service.stages.arrays import heightfield_bytes, target_bytes
-from service.stages.as_milled import as_milled
-from service.stages.optical_task import branch_of, lens_settings
-from service.stages.picture_queue import PictureQueue
-from service.stages.workshop import Workshop, peak_rss_mb
 from tests.benchmarks import milled_windows
 from tests.benchmarks.pictures import target
 from tests.benchmarks.timing import Figure

@@ -19,7 +19,7 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.checking.removal import RemovalGrid
 from cam.reading.gcode import MoveBatch
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 from tests.benchmarks.timing import Figure
 from tests.cam.facet_points import rms, spread_over

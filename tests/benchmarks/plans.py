@@ -1,7 +1,7 @@
 """The recommended plan against the paper's three passes on the same mill: light as milled, and machine time.
 
 Light by the facets of every groove of the finishing rows (`cam.as_milled`), on lenses designed at full size; hours by
-`cam.pass_time`, which tests hold to 5 % of written programs.
+`cam.planning.pass_time`, which tests hold to 5 % of written programs.
 """
 
 from __future__ import annotations
@@ -17,25 +17,26 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.contour.path import contour_path
 from cam.moves import cut, rapid
-from cam.pass_time import LensForm, finish_layers_s, layers_s, rows_s
 from cam.passes import PassSpec
+from cam.planning.pass_time import LensForm, finish_layers_s, layers_s, rows_s
 from cam.posts.dialects import POSTS
 from cam.program import SLOPE_ERROR_RAD
-from cam.rounding import Rounding, on_raster
-from cam.tool_surface import ToolSurface
-from cam.vertices import finish_rule
+from cam.rows.rounding import Rounding, on_raster
+from cam.rows.vertices import finish_rule
+from cam.surface.tool_surface import ToolSurface
 from machines.profiles import MachineProfile
 from optics.design import design_lens
 from optics.foreseen import sharpened
 from optics.heightfield import Heightfield
 from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
-from service.passes import cam_passes_of, machine_of
-from service.plan_words import finish_words
-from service.planning import Planned, plan_for_picture
-from service.spec import JobSpec
-from service.spec_files import resolve_spec
-from service.stages.programs import kinematics_of
+from service.job.planning.plan import Planned
+from service.job.planning.planner import plan_for_picture
+from service.job.planning.sentences import finish_words
+from service.job.spec.loading import resolve_spec
+from service.job.spec.mill import kinematics_of
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_passes_of, machine_of
 from tests.benchmarks.pictures import PAPER_SETTING, target
 from tests.benchmarks.timing import Figure
 

@@ -16,7 +16,7 @@ from cam.passes import PAPER_PASSES, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import read_program
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from tests.benchmarks.pictures import bumps
 from tests.benchmarks.timing import Figure, seconds
 

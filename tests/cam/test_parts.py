@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 
 from cam.checking.check import check_program
 from cam.duration import Kinematics
-from cam.entries import CLEARANCE_MM
 from cam.moves import Path, cut, rapid
 from cam.parts import OVERLAP_MM, PartLimits, PassFrame, programs
 from cam.passes import Stock, ball_pass
@@ -20,10 +19,11 @@ from cam.posts.dialects import POSTS
 from cam.posts.grbl import GRBL
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_program
-from cam.stock_grid import StockGrid
-from machines.gcode.limits import limits_of
+from cam.rows.entries import CLEARANCE_MM
+from cam.surface.stock_grid import StockGrid
+from machines.preflight.limits import limits_of
 from machines.profiles import load_profile
-from service.preflight_worker import examine
+from service.milling.preflight_child import examine
 
 SAFE_Z = 5.0
 FRAME = PassFrame(

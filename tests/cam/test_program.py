@@ -16,8 +16,8 @@ from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import CHUNK_BYTES, generate_program, pass_paths
-from cam.stock_grid import StockGrid
-from cam.tool_surface import ToolSurface
+from cam.surface.stock_grid import StockGrid
+from cam.surface.tool_surface import ToolSurface
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "tiny-pass.nc"
 REWRITE = "CAUSTICMILL_REWRITE_GOLDEN"

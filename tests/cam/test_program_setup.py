@@ -19,10 +19,10 @@ from cam.posts.dialects import POSTS
 from cam.posts.setup import COOLANT_WORDS, ProgramSetup, find_unsupported
 from cam.reading.gcode import LANGUAGES, ProgramError, read_parts, read_program
 from machines.gcode.interpreter import Interpreter
-from machines.gcode.limits import limits_of
+from machines.preflight.limits import limits_of
 from machines.profiles import load_profile
 from machines.roland.rml import check_rml
-from service.preflight_worker import examine
+from service.milling.preflight_child import examine
 
 DIALECTS = sorted(POSTS)
 SAFE_Z = 5.0

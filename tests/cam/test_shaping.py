@@ -16,10 +16,10 @@ from cam.passes import Stock, ball_pass
 from cam.posts.digits import Digits
 from cam.posts.grbl import GRBL
 from cam.program import generate_parts
-from cam.rounding import Rounding, nearest, on_raster
+from cam.rows.rounding import Rounding, nearest, on_raster
 from cam.shaping import LONGEST_MM, ErrorMemory, ShapedRegion, shape_heights
-from cam.stock_grid import StockGrid
-from tests.cam.checking import MILL
+from cam.surface.stock_grid import StockGrid
+from tests.cam.checks import MILL
 from tests.cam.conftest import bumps
 
 STEP_MM, PITCH_MM, RADIUS_MM, SIDE_MM = 0.004, 0.05, 0.5, 6.0

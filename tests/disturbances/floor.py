@@ -15,16 +15,16 @@ from typing import Any, cast
 
 import httpx
 
-from service.agent.card import read_card
-from service.jobs.database import connect
-from service.jobs.tokens import TokenBook, TokenScope
+from service.milling.agent.card import read_card
+from service.server.database.connection import connect
+from service.server.database.tokens import TokenBook, TokenScope
 from service.settings import PREFIX, ServerSettings
 from tests.disturbances.mill import MillProcess
 from tests.disturbances.proxy import HoldingProxy
 from tests.page.shop import Made
-from tests.service.fleet.shop import await_agent
-from tests.service.host.processes import Serving, running
 from tests.service.mills import ends, program
+from tests.service.server.fleet.shop import await_agent
+from tests.service.server.supervisor.processes import Serving, running
 from tests.trials.judge import Verdict, judge
 from tests.waiting import PATIENCE_S, seen
 
@@ -101,7 +101,7 @@ class Floor:
 
     def job(self) -> str:
         """A job with one program, as it is once its stages are done."""
-        from tests.service.api.server import png
+        from tests.service.server.api.server import png
 
         with self.server as client:
             posted = client.post("/v1/jobs", files={"image": ("p.png", png())})
@@ -169,7 +169,7 @@ class Floor:
     # ------------------------------------------------------------------ the server's processes
 
     def kill_api(self) -> None:
-        self.serving.kill(self.serving.child("service.api.main"))
+        self.serving.kill(self.serving.child("service.server.api.main"))
 
     def restart_server(self, *, killed: bool = False) -> None:
         """The whole server ends and comes back at the same address; agent and mill live on."""
@@ -231,7 +231,18 @@ def _agent(folder: Path, data: Path, environment: Mapping[str, str]) -> Iterator
     """As `serve` starts it: words go to a file."""
     data.mkdir(parents=True, exist_ok=True)
     kept = {name: value for name, value in os.environ.items() if not name.startswith(PREFIX)}
-    command = [sys.executable, "-m", "service.cli", "mill", "--machine", MILL, "--data", str(data), "--bind-port", "0"]
+    command = [
+        sys.executable,
+        "-m",
+        "service.cli.main",
+        "mill",
+        "--machine",
+        MILL,
+        "--data",
+        str(data),
+        "--bind-port",
+        "0",
+    ]
     with (folder / "agent.log").open("wb") as log:
         process = subprocess.Popen(
             command, cwd=ROOT, env={**kept, **_folders(folder), **environment},
@@ -258,7 +269,7 @@ def _served(
     folder: Path, settings: ServerSettings, *, port: str = "0", environment: Mapping[str, str] | None = None
 ) -> Iterator[Serving]:
     own = {name: value for name, value in settings.environment().items() if name.startswith(PREFIX)}
-    command = [sys.executable, "-m", "service.cli", "serve", "--data", str(settings.data), "--port", port]
+    command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(settings.data), "--port", port]
     given = own | _folders(folder) | dict(environment or {})
     given.pop(f"{PREFIX}PORT", None)
     with running(command, settings.data, given) as serving:

@@ -17,8 +17,8 @@ from service.settings import ServerSettings
 from tests.disturbances.disk import SmallDisk, missing_for_slow, missing_for_small, slow_disk, small_disk
 from tests.disturbances.floor import MILL, Floor, running_floor
 from tests.disturbances.proxy import HoldingProxy
+from tests.service.server.worker.postgres import Postgres, missing, running_postgres
 from tests.service.store.conftest import s3_address, s3_urls  # noqa: F401 - fixtures
-from tests.service.worker.postgres import Postgres, missing, running_postgres
 from tests.waiting import seen, until
 
 LINES = 300

@@ -6,10 +6,10 @@ import contextlib
 import os
 from pathlib import Path
 
-from service.process_priority import BEHIND, FIRST
+from service.processes.priority import BEHIND, FIRST
 from tests.disturbances.floor import running_floor
-from tests.service.api.server import png
-from tests.service.host.processes import descendants
+from tests.service.server.api.server import png
+from tests.service.server.supervisor.processes import descendants
 from tests.waiting import seen
 
 
@@ -49,7 +49,7 @@ def test_agents_go_first_and_whatever_computes_gives_way(tmp_path: Path) -> None
         running = seen(
             lambda: names(descendants(floor.serving.pid)), lambda found: computing <= set(found), every_s=0.02
         )
-        serving = {"service.api.main", "service.worker.main"}
+        serving = {"service.server.api.main", "service.server.worker.main"}
         assert {name: nice_values(running[name]) for name in serving} == {name: {os.nice(0)} for name in serving}
         for name in computing:
             assert nice_values(running[name]) in ({BEHIND}, set()), name

@@ -12,7 +12,7 @@ import pytest
 import typer
 import yaml
 
-from service.commands import app
+from service.cli.make import app
 from service.settings import ServerSettings
 from tests.docker.dockerfile import ROOT
 
@@ -63,7 +63,7 @@ def test_every_command_is_accepted_by_our_command_line(name: str) -> None:
 
 def test_one_variable_names_the_mill_for_api_and_agent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What runs before the agent writes the token and the list of agents that the API reads."""
-    from service.fleet.machines import remote_machines
+    from service.server.fleet.registry import remote_machines
 
     files = SERVICES["mill-files"]
     assert files["entrypoint"] == ["python", "-c"]

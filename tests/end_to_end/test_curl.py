@@ -1,4 +1,4 @@
-"""The README's working day with curl, as it stands there: server, simulated mill, picture, programs, a whole run."""
+"""The working day with curl of docs/rest.md: server, simulated mill, picture, programs, a whole run."""
 
 from __future__ import annotations
 
@@ -21,21 +21,21 @@ from tests.trials.server.deployment import free_port
 from tests.trials.server.processes import MARK, kill, processes, wait_until
 
 TOP = Path(__file__).parents[2]
-README = TOP / "README.md"
-# What the test changes in the README's text: sizes and addresses, no command.
+REST = TOP / "docs" / "rest.md"
+# What the test changes in its text: sizes and addresses, no command.
 SMALL = '{"preset": "draft", "image": {"pixels": 48}, "optics": {"width_mm": 8, "height_mm": 8}}'
 _TIME_FACTOR = 5
 _PATIENCE_S = 240.0
 
 
 def working_day() -> str:
-    """The block of the README that works with the job server from its start to the end of a run."""
-    blocks = re.findall(r"^```sh\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    """The block of docs/rest.md that works with the job server from its start to the end of a run."""
+    blocks = re.findall(r"^```sh\n(.*?)^```", REST.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
     return next(block for block in blocks if ":start" in block)
 
 
 def replaced(text: str, old: str, new: str) -> str:
-    assert old in text, f"the README no longer says {old}"
+    assert old in text, f"docs/rest.md no longer says {old}"
     return text.replace(old, new)
 
 

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from cam.program import generate_parts
-from service.cli import run
+from service.cli.main import run
 from tests.end_to_end.command import settings
 
 SETTINGS = settings(
@@ -53,7 +53,7 @@ def test_a_faulty_program_fails_the_job(
 ) -> None:
     ramp = np.linspace(50, 127, 32)
     Image.fromarray(np.add.outer(ramp, ramp).astype(np.uint8)).save(tmp_path / "p.png")
-    monkeypatch.setattr("service.stages.programs.generate_parts", spoiled(how))
+    monkeypatch.setattr("service.job.stages.programs.generate_parts", spoiled(how))
     paths = [str(tmp_path / "p.png"), "-o", str(tmp_path / "out")]
     code = run(["make", *paths, "--quiet", "--preset", "draft", *SETTINGS])
     told = capsys.readouterr()

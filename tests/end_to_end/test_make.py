@@ -20,7 +20,7 @@ from PIL import Image
 from pygcode import Line, Machine
 
 from optics.heightfield import Heightfield
-from service.stages.arrays import load_heightfield
+from service.job.arrays import load_heightfield
 from tests.end_to_end.command import COMMAND, ran, settings
 from tests.waiting import PATIENCE_S
 

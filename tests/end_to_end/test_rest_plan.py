@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from service.spec_files import resolve_spec
-from tests.service.stages.jobs import run_job
+from service.job.spec.loading import resolve_spec
+from tests.service.job.stages.jobs import run_job
 
 PICTURE = Path(__file__).parents[2] / "examples" / "camera.png"
 LEFT_OUT = ("caustic", "report")  # what shows the light of the lens as designed, and the page

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from service.spec_files import resolve_spec
-from tests.service.stages.jobs import run_job
+from service.job.spec.loading import resolve_spec
+from tests.service.job.stages.jobs import run_job
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LIGHT = ("caustic", "as-milled", "report")  # stages that look at no program, or only at one that has passed

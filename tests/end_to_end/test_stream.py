@@ -13,7 +13,7 @@ from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import read_program
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from machines.simulated import GRBL_11, SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from optics.heightfield import Heightfield

@@ -13,11 +13,11 @@ from machines.drip.driver import DripDriver
 from machines.drip.simulated_control import SimulatedControl
 from machines.driver import Driver, MillState
 from machines.errors import PortLostError
-from machines.gcode.preflight import Preflight
 from machines.gcode.program import ProgramReader
 from machines.journal.disk import InlineSyncer
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
+from machines.preflight.preflight import Preflight
 from machines.profiles import LinkSettings, MachineProfile, load_profile
 from machines.roland.serial_driver import RolandSerialDriver
 from machines.roland.simulated_device import SimulatedMdx40a, SimulatedUsbError, UsbFace
@@ -25,7 +25,7 @@ from machines.roland.simulated_serial import SimulatedSerialMill
 from machines.roland.usb_device import RollingmillDevice
 from machines.roland.usb_driver import RolandUsbDriver
 from machines.runs import START_CHECKS, Confirmation, RunState
-from service.preflight import preflight
+from service.milling.preflight import preflight
 
 YES = Confirmation("ann", START_CHECKS)
 MDX = load_profile("roland-mdx-40a", ())

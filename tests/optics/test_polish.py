@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cam.cutter import largest_fitting_radius_mm
+from cam.surface.cutter import largest_fitting_radius_mm
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.design import design_lens

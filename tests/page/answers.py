@@ -14,8 +14,8 @@ from urllib.parse import urlsplit
 from jsonschema import Draft202012Validator
 from playwright.sync_api import Route
 
-from service.web.problems import Problem, problem_body
-from tests.service.api.test_openapi import SNAPSHOT
+from service.http.problems import Problem, problem_body
+from tests.service.server.api.test_openapi import SNAPSHOT
 
 _EVENTS = {"status": "MachineView", "log": "PastOrder"}  # of a machine's stream
 

@@ -16,10 +16,10 @@ import numpy as np
 from PIL import Image
 
 from optics.heightfield import Heightfield
-from service.drawing.layout import header_line
-from service.drawing.surface import surface_bytes
-from service.drawing.thumbnail import thumbnail_png
-from service.figures import picture_png
+from service.job.page_data.header import header_line
+from service.job.page_data.surface import surface_bytes
+from service.job.page_data.thumbnail import thumbnail_png
+from service.job.report.figures.base import picture_png
 from tests.page.paths import SIDE_MM, Thinned, write_path
 
 FACTORS = (0.5, 0.7, 0.85, 1.0, 1.16, 1.35, 1.6)

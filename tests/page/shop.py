@@ -15,13 +15,13 @@ import httpx
 
 from machines.simulated import SimulatedMill, serve_tcp
 from machines.simulated.endpoints import Endpoint
-from service.jobs.database import connect
+from service.server.database.connection import connect
 from service.settings import ServerSettings
 from service.store.opening import open_store
-from tests.service.api.server import ApiServer
-from tests.service.fleet.shop import await_agent, kill_agents
-from tests.service.host.processes import Serving, offer_code, running
 from tests.service.mills import AT_ZERO, program
+from tests.service.server.api.server import ApiServer
+from tests.service.server.fleet.shop import await_agent, kill_agents
+from tests.service.server.supervisor.processes import Serving, offer_code, running
 from tests.waiting import PATIENCE_S, seen, until
 
 MILL = "shop"
@@ -171,7 +171,7 @@ class Shop:
 
     def kill_api(self) -> None:
         """What a crash of the API process is; the supervisor starts it anew."""
-        self.serving.kill(self.serving.child("service.api.main"))
+        self.serving.kill(self.serving.child("service.server.api.main"))
 
     def stop(self) -> None:
         """The whole server ends; agents and mills live on."""
@@ -202,7 +202,7 @@ def running_shop(folder: Path, *arguments: str) -> Iterator[Shop]:
 @contextlib.contextmanager
 def _served(folder: Path, arguments: tuple[str, ...], port: str = "0") -> Iterator[Serving]:
     data = folder / "data"
-    command = [sys.executable, "-m", "service.cli", "serve", "--data", str(data), "--port", port, *arguments]
+    command = [sys.executable, "-m", "service.cli.main", "serve", "--data", str(data), "--port", port, *arguments]
     environment = {
         "CAUSTICMILL_CONFIG_DIR": str(folder / "config"),
         "XDG_STATE_HOME": str(folder / "state"),

@@ -23,12 +23,13 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.api import routes_page, routes_root
-from service.api.problems import install_problems
-from service.api.schemas_estimates import ESTIMATE_EXAMPLE
-from service.api.schemas_photos import COUPON_EXAMPLE, LOOK_EXAMPLE
-from service.host import address
-from service.web.problems import Problem
+from service.http import listener as address
+from service.http.problems import Problem
+from service.server.api.errors import install_problems
+from service.server.api.routes import page as routes_page
+from service.server.api.routes import root as routes_root
+from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.api.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import asked_wrongly, lies_of
 from tests.page.machine_states import MACHINE, NAME

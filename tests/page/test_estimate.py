@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Route, expect
 
-from service.api.schemas_estimates import ESTIMATE_EXAMPLE
-from service.report_words import psnr_in_words
+from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
+from service.wording import psnr_in_words
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank
 from tests.page.conftest import Opened, visit

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.job.finishing import BUILT_IN, instruct_finishing, load_processes
-from service.report_words import psnr_in_words
+from service.job.spec.finishing import BUILT_IN, instruct_finishing, load_processes
+from service.wording import psnr_in_words
 from tests.page import jobs
 from tests.page.browser import layout_faults, serious_faults
 from tests.page.conftest import Opened

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from service.drawing.layout import parted
-from service.report_words import duration, psnr_in_words
-from service.spec_files import resolve_spec
-from service.stages.plan import usual_seconds
+from service.job.page_data.header import parted
+from service.job.spec.loading import resolve_spec
+from service.job.stages.table import usual_seconds
+from service.wording import duration, psnr_in_words
 from tests.levels import mostly_thorough
 from tests.page import canned_job
 from tests.page.browser import SIZES, open_blank

@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from service.drawing.layout import parted
+from service.job.page_data.header import parted
 from tests.page.conftest import Opened
 from tests.page.drawn import Drawn, drawn
 from tests.page.paths import FEED_MM_PER_S, SIDE_MM, Thinned, write_huge_path, write_path

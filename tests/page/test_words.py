@@ -20,8 +20,7 @@ from tests.page.machine_states import NAME as MILL
 ROOT = Path(__file__).parents[2]
 # What these say in a refusal or of a run is shown on the page; what is said while a server starts is not.
 SPEAKERS = (
-    *("fleet/agent_feed", "fleet/agent_link", "fleet/agent_words", "fleet/controls", "fleet/core"),
-    *("fleet/machine_events", "fleet/orders", "agent/access"),
+    *("agent_feed", "agent_client", "agent_replies", "run_commands", "core", "machine_events", "machine_commands"),
 )
 JARGON = re.compile(r"\b(agent|token|thread|trust position|SendBlock)\b")
 SENTENCES = "async (said) => { const words = await import('/page/machine/words.js'); return said.map(words.sentence); }"
@@ -45,7 +44,8 @@ def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
 
 
 def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(modules: Page) -> None:
-    paths = [ROOT / "service" / f"{name}.py" for name in SPEAKERS] + sorted((ROOT / "machines/mill").glob("*.py"))
+    paths = [ROOT / "service/server/fleet" / f"{name}.py" for name in SPEAKERS]
+    paths += [ROOT / "service/milling/agent/mill_access.py", *sorted((ROOT / "machines/mill").glob("*.py"))]
     said = [text for path in paths for text in spoken(path) if "owns this mill" not in text]
     assert len(said) > 15, said
     shown = modules.evaluate(SENTENCES, said)

@@ -16,10 +16,10 @@ from cam.passes import PAPER_PASSES, PassSpec, Stock
 from cam.posts.grbl import GRBL
 from cam.program import generate_program
 from cam.reading.gcode import MoveBatch, read_program
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from machines.profiles import load_profile
 from optics.heightfield import Heightfield
-from service.stages.programs import kinematics_of
+from service.job.spec.mill import kinematics_of
 from tests.paper.cases import SIDE_MM, by_transport
 
 SKIN_MM = 0.03  # what the second rough pass leaves

@@ -10,10 +10,10 @@ import pytest
 import sqlalchemy as sa
 import structlog
 
-from service.jobs.database import open_database
+from service.server.database.schema import open_database
 from service.settings import ServerSettings
 from tests.service import databases
-from tests.service.worker.postgres import Postgres, missing, running_postgres
+from tests.service.server.worker.postgres import Postgres, missing, running_postgres
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -9,11 +9,11 @@ from pathlib import Path
 import psycopg
 import pytest
 
-from service.jobs.database import connect
-from service.jobs.schema import upgrade_schema
+from service.server.database.connection import connect
+from service.server.database.schema import upgrade_schema
+from service.server.queue.dbos import DbosEngine
 from service.settings import ServerSettings
-from service.worker.dbos_engine import DbosEngine
-from tests.service.worker.postgres import Postgres
+from tests.service.server.worker.postgres import Postgres
 
 _TEMPLATE = "migrated"
 _ENGINE = "engine.sqlite"

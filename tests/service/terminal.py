@@ -35,7 +35,7 @@ class Terminal:
             fcntl.ioctl(0, termios.TIOCSCTTY, 0)
 
         self.process = subprocess.Popen(
-            [sys.executable, "-m", "service.cli", *arguments],
+            [sys.executable, "-m", "service.cli.main", *arguments],
             stdin=slave,
             stdout=slave,
             stderr=slave,

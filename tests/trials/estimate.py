@@ -11,8 +11,9 @@ from machines.gcode.program import ProgramReader
 from machines.grbl.driver import GrblDriver
 from machines.profiles import load_profile
 from machines.simulated import GRBL_11, MemoryPort, Recording, SimulatedMill
-from service import pipeline, spec_files
-from service.preflight import preflight
+from service.job import pipeline
+from service.job.spec import loading as spec_files
+from service.milling.preflight import preflight
 from service.progress import QuietReporter
 
 PICTURE = Path(__file__).parents[2] / "examples" / "camera.png"

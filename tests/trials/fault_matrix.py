@@ -10,14 +10,14 @@ from pathlib import Path
 
 from machines.driver import Home, Jog, MillState, SetZero
 from machines.errors import MachineError, NotAllowedError
-from machines.gcode.preflight import Preflight
 from machines.grbl.driver import GrblDriver
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
+from machines.preflight.preflight import Preflight
 from machines.profiles import load_profile
 from machines.runs import RECOVER_CHECKS, RECOVERABLE, START_CHECKS, Confirmation, RunState
 from machines.simulated import GRBL_11, Faults, MemoryPort, SimulatedMill, Traits
-from service.preflight import preflight
+from service.milling.preflight import preflight
 from tests.trials.judge import Verdict, judge
 from tests.trials.programs import waves_mm
 

@@ -24,7 +24,7 @@ from cam.passes import PassSpec, Stock, paper_passes
 from cam.posts.dialects import POSTS
 from cam.program import generate_parts
 from cam.reading.gcode import LANGUAGES, read_parts
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Array
 from tests.benchmarks.pictures import bumps
 from tests.benchmarks.timing import Figure

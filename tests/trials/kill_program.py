@@ -8,8 +8,8 @@ from pathlib import Path
 
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.gcode.preflight import Bounds, Preflight
 from machines.gcode.program import IndexEntry, ProgramIndex, piece_digest
+from machines.preflight.preflight import Bounds, Preflight
 
 Point = tuple[float, float, float]
 

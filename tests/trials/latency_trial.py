@@ -16,7 +16,7 @@ from pathlib import Path
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from tests.benchmarks.timing import Figure
-from tests.service.agent.process import AgentProcess, memory_mb
+from tests.service.milling.agent.process import AgentProcess, memory_mb
 from tests.service.mills import AT_ZERO
 from tests.trials.live import usage
 

@@ -85,7 +85,7 @@ def watch_stream(
 
 @contextlib.contextmanager
 def _streaming(program: Path, url: str, state: Path) -> Iterator[subprocess.Popen[bytes]]:
-    command = [sys.executable, "-m", "service.cli", "stream", str(program), "--port", url, "--yes"]
+    command = [sys.executable, "-m", "service.cli.main", "stream", str(program), "--port", url, "--yes"]
     with (state / "stream.log").open("wb") as log:
         process = subprocess.Popen(command, env={**os.environ, "XDG_STATE_HOME": str(state)}, stdout=log, stderr=log)
         try:

@@ -19,7 +19,7 @@ from machines.journal.journal import read_journal
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from tests.benchmarks.timing import Figure
-from tests.service.agent.process import AgentProcess
+from tests.service.milling.agent.process import AgentProcess
 from tests.service.mills import AT_ZERO
 from tests.trials.judge import Verdict, judge
 from tests.trials.programs import waves_mm

@@ -12,9 +12,9 @@ from pathlib import Path
 
 from machines.gcode.program import ProgramReader
 from machines.profiles import load_profile
-from service.preflight import preflight
+from service.milling.preflight import preflight
 from tests.benchmarks.timing import Figure
-from tests.service.fleet.test_order_laws import run_histories
+from tests.service.server.fleet.test_order_laws import run_histories
 from tests.trials import estimate as estimates
 from tests.trials import fault_matrix, kill_trial, latency_trial, live, load_trial
 from tests.trials.real_kills import real_kills

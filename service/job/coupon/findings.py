@@ -21,8 +21,8 @@ from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
 from service.job.spec.finish import NONE
-from service.passes import cam_passes_of
-from service.spec import JobSpec
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_passes_of
 
 HALVES: tuple[Half, Half] = ("left", "right")
 _SURE = 0.5  # of the registration's confidence

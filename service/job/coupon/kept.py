@@ -9,10 +9,10 @@ import zipfile
 from dataclasses import asdict
 from pathlib import Path
 
-from service import job_files
+from service.job import files as job_files
 from service.job.coupon.piece import coupon_of, coupon_spec
 from service.job.coupon.programs import make_coupon
-from service.passes import machine_of
+from service.job.spec.resolve import machine_of
 from service.progress import reporting
 
 _NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}

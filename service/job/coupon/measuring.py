@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 
 from optics.irradiance import picture_from_irradiance
-from service import job_files
+from service.job import files as job_files
 from service.job.coupon.findings import CouponResult, measure_photo, snippet
 from service.job.coupon.photograph import Photo, read_photo
 from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
 from service.job.coupon.programs import load_foretold
+from service.job.finite_json import plain
+from service.job.spec.loading import stored_spec
 from service.progress import Reporter, Stopwatch
-from service.spec_files import stored_spec
-from service.stages.plain import plain
 
 
 def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponResult:
@@ -45,7 +45,7 @@ def fit_photo(
 
 def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:
     """coupon-fit.png."""
-    from service.figures_coupon import coupon_fit_png  # what it stands on is slow to import
+    from service.job.report.figures.coupon import coupon_fit_png  # what it stands on is slow to import
 
     picture, level = result.placed.picture, result.placed.level
     small = picture.light[: picture.light.shape[0] // 2 * 2, : picture.light.shape[1] // 2 * 2]

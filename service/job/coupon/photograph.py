@@ -17,10 +17,10 @@ from optics.heightfield import Array
 from optics.irradiance import ViewedFrom
 from optics.photograph import Registration, register
 from optics.photograph.homography import apply_homography
-from service.decoding import decoded, one_line
 from service.errors import PictureError
-from service.picture_limits import OWN_PICTURE, PictureLimits
-from service.tone import linear_strip, value_scale
+from service.job.picture.decoding import decoded, one_line
+from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture.tone import linear_strip, value_scale
 
 PIXELS_PER_MM = 40
 _CLIPPED = 0.94  # of white, in linear light; a camera bends its tones above

@@ -11,11 +11,11 @@ from typing import Any
 from cam.posts.dialects import POSTS
 from optics.coupon.layout import HALF_MM, HEIGHT_MM, THROW_MM, WIDTH_MM, Coupon
 from service.errors import InputError
-from service.job_files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
-from service.passes import machine_of
-from service.report_words import ball, duration
-from service.spec import JobSpec
-from service.spec_files import parse_override, resolve_spec, stored_spec
+from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
+from service.job.spec.loading import parse_override, resolve_spec, stored_spec
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import machine_of
+from service.wording import ball, duration
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
 FIT, FIT_PICTURE, FIT_SNIPPET = COUPON_FIT_FILES

@@ -16,13 +16,14 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.passes import PassSpec
 from cam.reading.gcode import LANGUAGES, read_parts
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from optics.coupon.fringes import Complex, Profile, Transfer, milled_profiles
 from optics.coupon.halves import AROUND_MM, finish_heights, light_of_facets, light_of_heights, screen_axes_mm
 from optics.coupon.layout import HEIGHT_MM, WIDTH_MM, Coupon, window_mm
 from optics.heightfield import Array
 from optics.irradiance import picture_from_irradiance
-from service import job_files
+from service.job import arrays
+from service.job import files as job_files
 from service.job.coupon.piece import (
     PREDICTED,
     PREDICTED_FINISHED,
@@ -32,16 +33,15 @@ from service.job.coupon.piece import (
     finishing_programs,
     sheet_lines,
 )
+from service.job.pipeline import Job
 from service.job.spec.finish import FinishSpec
-from service.passes import cam_passes_of, machine_of
-from service.pipeline import Job
+from service.job.spec.lens_task import finish_of
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_passes_of, machine_of
+from service.job.stages.context import peak_rss_mb, versions
+from service.job.stages.order import merge_notes, merge_reports
+from service.job.stages.picture_queue import PictureQueue
 from service.progress import Reporter, Stopwatch
-from service.spec import JobSpec
-from service.stages import arrays
-from service.stages.optical_task import finish_of
-from service.stages.order import merge_notes, merge_reports
-from service.stages.picture_queue import PictureQueue
-from service.stages.workshop import peak_rss_mb, versions
 
 PIXELS_PER_MM = 20
 TEMPLATES_RAD_PER_MM = (6.0, 3.0, 12.0, 25.0)
@@ -223,7 +223,7 @@ def _pixels(per_mm: float) -> tuple[int, int]:
 
 
 def _draw(path: Path, light: Array, spec: JobSpec) -> None:
-    from service import figures  # what it stands on is slow to import
+    from service.job.report.figures import base as figures  # what it stands on is slow to import
 
     seen = picture_from_irradiance(light, viewed_from=spec.optics.viewed_from)
     job_files.write_bytes(path, figures.picture_png(seen, white=3.0))

@@ -14,12 +14,12 @@ from optics.heightfield import Heightfield
 from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame
 from optics.spline import Array
 from service.errors import InputError
+from service.job import arrays
+from service.job.files import HEIGHTFIELD, MAP
 from service.job.photo.names import FORETOLD, Kind
-from service.job_files import HEIGHTFIELD, MAP
-from service.spec_files import stored_spec
-from service.stages import arrays
-from service.stages.optical_task import bench_of
-from service.tone import srgb_to_linear
+from service.job.picture.tone import srgb_to_linear
+from service.job.spec.lens_task import bench_of
+from service.job.spec.loading import stored_spec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

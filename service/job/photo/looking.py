@@ -15,11 +15,11 @@ from optics.photograph.rays import ORDERS
 from optics.photograph.views import area_average
 from optics.photograph.wall import Estimate, WallFit, fit_wall, surface_error_um
 from optics.spline import Array
+from service.job.finite_json import plain
 from service.job.photo.findings import Finding, UselessPhotoError
 from service.job.photo.foretold import Foretold, foretold_of
 from service.job.photo.reading import WallPhoto, read_wall_photo
 from service.progress import QuietReporter, Reporter, Stopwatch
-from service.stages.plain import plain
 
 LOOK_PICTURE, LOOK_FIGURES = "look.png", "look.json"
 LEAST_ALIKE = 0.62  # other pictures reach 0.56, the right one behind a coarse mill 0.68

@@ -9,11 +9,11 @@ import numpy as np
 from PIL import Image
 
 from optics.spline import Array
-from service.decoding import decoded, one_line
 from service.errors import PictureError
-from service.picture import resampled
-from service.picture_limits import OWN_PICTURE, PictureLimits
-from service.resampling import Span
+from service.job.picture.decoding import decoded, one_line
+from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture.reading import resampled
+from service.job.picture.resampling import Span
 
 _LONGEST = 1600  # pixels: several for each one that a prediction is compared in
 _CLIPPED_BYTE = 252  # of any channel: what the camera's colours hide, too

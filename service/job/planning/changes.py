@@ -8,9 +8,9 @@ from math import hypot
 from typing import Any
 
 from machines.profiles import ProfileError, load_profile, profile_names
-from service.passes import machine_of, without_derived
-from service.spec import JobSpec
-from service.spec_files import resolve_spec
+from service.job.spec.loading import resolve_spec
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import machine_of, without_derived
 
 _LARGER, _NEARER, _LONGER = 1.5, 2 / 3, 2.0
 _LEAST_THROW = 0.75  # of the lens's width: nearer, slopes are hard to mill

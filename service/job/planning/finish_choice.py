@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.planner import Candidate, Goal, Plan, plan_by_score
+from cam.planning.planner import Candidate, Goal, Plan, plan_by_score
 from optics.finish import Finish
-from service.job.finishing import Process, load_processes
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
+from service.job.planning.predicted_light import PictureLight
 from service.job.spec.finish import BEST, NONE
-from service.plan_light import PictureLight
-from service.spec import JobSpec
-from service.stages.optical_task import finish_of
+from service.job.spec.finishing import Process, load_processes
+from service.job.spec.lens_task import finish_of
+from service.job.spec.model import JobSpec
 
 RECOMMENDED = ("sanding", "felt", "lacquer")
 """Processes that "best" chooses from: those that a maker can repeat, and that leave no stress in the block."""

@@ -15,13 +15,13 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from cam.planner import Marks
-from cam.row_slopes import RowSlopes, row_profile
+from cam.planning.planner import Marks
+from cam.planning.row_slopes import RowSlopes, row_profile
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
 from optics.finish import GIVEN_UP, Finish, finish_surface
 from optics.heightfield import Array, Heightfield
-from service.plan_light import PictureLight, Shown, picture_of_waves
+from service.job.planning.predicted_light import PictureLight, Shown, picture_of_waves
 
 _EDGES = 1.6  # light that edges throw beside them, over what their waves lack: 1.5 to 2.2 on `camera` for six finishes
 _CLOSING = 0.5  # of what filling valleys costs without a finish, which rounds them anyway

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from cam.posts.setup import COOLANT_WORDS, HIGH_PRECISION_WORDS
-from service.report_optics import table
-from service.report_words import duration, number
+from service.job.finite_json import table
+from service.wording import duration, number
 
 _COOLANTS = {"air": "air blast", "mist": "mist", "flood": "coolant"}
 

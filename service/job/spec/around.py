@@ -13,7 +13,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
-from service.spec_section import Section
+from service.job.spec.section import Section
 
 Radius = Annotated[float, Field(gt=0, le=25)]
 Pitch = Annotated[float, Field(ge=0.01, le=50)]

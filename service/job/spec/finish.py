@@ -10,8 +10,8 @@ from typing import Annotated
 from pydantic import Field
 
 from service.errors import SpecError
-from service.job.finishing import Process, load_processes
-from service.spec_section import Section
+from service.job.spec.finishing import Process, load_processes
+from service.job.spec.section import Section
 
 NONE, BEST = "none", "best"
 

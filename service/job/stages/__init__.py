@@ -1,1 +1,1 @@
-"""Stages of a job, each between the files of earlier ones and its own."""
+"""The stages of a job: pure work on one folder, each with what it reads, writes and depends on."""

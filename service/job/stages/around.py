@@ -16,22 +16,22 @@ import numpy as np
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
 from cam.around.cut_out import cut_out_paths, highest_along
 from cam.around.facing import facing_paths
-from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
 from cam.around.specs import CutOut, Facing
-from cam.moves import Array
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
 from cam.passes import Stock
 from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES, ProgramError
-from cam.stock_grid import StockGrid
+from cam.surface.stock_grid import StockGrid
 from service.errors import FailedError
-from service.job_files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
-from service.passes import cam_stock_of, cut_out_of, facing_of, machine_of, setup_of
-from service.spec import JobSpec
-from service.stages import arrays
-from service.stages import programs as pass_programs
-from service.stages.workshop import Workshop
+from service.job import arrays
+from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
+from service.job.planning.around import cut_out_ways
+from service.job.spec.mill import kinematics_of
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_of, machine_of, setup_of
+from service.job.stages import programs as pass_programs
+from service.job.stages.context import Workshop
 
 _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
 
@@ -52,7 +52,7 @@ def cut_out(shop: Workshop) -> None:
     task, stock, machine = cut_out_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
     assert task is not None and shop.spec.stock.cut_out is not None  # by the plan of stages
     top = shop.receive(LAST_STOCK, arrays.load_stock)
-    loop = _ways(shop.spec, task)[1]
+    loop = cut_out_ways(shop.spec, task)[1]
     top_mm = highest_along(loop, task.radius_mm, top)
     paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
     written = _write(shop, len(shop.spec.passes) + 1, CUT_OUT, paths, task)
@@ -74,7 +74,7 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, spec: JobSpec, stock_
     machine, stock = machine_of(spec), cam_stock_of(spec)
     texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
     mill = CheckedMill(
-        kinematics=pass_programs.kinematics_of(machine),
+        kinematics=kinematics_of(machine),
         travel_mm=machine.travel_mm,
         safe_z_mm=machine.safe_z_mm,
         language=LANGUAGES[machine.dialect],
@@ -83,7 +83,7 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, spec: JobSpec, stock_
     )
     if isinstance(task, Facing):
         return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
-    corners, loop = _ways(spec, task)
+    corners, loop = cut_out_ways(spec, task)
     return check_cut_out(texts, task, stock=stock, stock_top=stock_top, mill=mill, corners_mm=corners, loop_mm=loop)
 
 
@@ -94,36 +94,6 @@ def raw_stock(spec: JobSpec) -> StockGrid:
         return block
     top_mm = np.full(block.top_mm.shape, spec.stock.face.above_mm)
     return StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=block.cell_mm, top_mm=top_mm)
-
-
-def paths_around(spec: JobSpec) -> Iterator[tuple[str, float, list[ToolPath]]]:
-    """(name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
-    stock, machine = cam_stock_of(spec), machine_of(spec)
-    if (facing := facing_of(spec)) is not None:
-        yield FACE, facing.radius_mm, list(facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
-    if (task := cut_out_of(spec)) is not None:
-        loop = _ways(spec, task)[1]
-        paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
-        yield CUT_OUT, task.radius_mm, list(paths)
-
-
-def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
-    """Time of paths by their lengths and feeds alone."""
-    seconds, place = 0.0, None
-    for path in paths:
-        points = path.points_mm if place is None else np.vstack([place, path.points_mm])
-        length_mm = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
-        seconds += 60 * length_mm / (path.feed_mm_per_min or rapid_mm_per_min)
-        place = points[-1]
-    return seconds
-
-
-def _ways(spec: JobSpec, task: CutOut) -> tuple[Array, Array]:
-    """Corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
-    outline = spec.optics.outline_mm
-    corners = aperture_corners(cam_stock_of(spec)) if outline is None else np.array(outline, dtype=np.float64)
-    digit_mm = POSTS[machine_of(spec).dialect].digits.xy_mm
-    return corners, offset_loop(corners, task.radius_mm, allowance_mm=ALLOWANCE_MM + digit_mm)
 
 
 def _write(

@@ -12,14 +12,14 @@ from optics.finish import Finish, finish_surface
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import score_caustic, smallest_detail_mm
-from service.job.picture.preparing import scores_against_original
-from service.job_files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, MAP
-from service.passes import machine_of
-from service.stages import arrays
-from service.stages.as_milled import error_of_tips_mm, finishing_passes, read_tracks
-from service.stages.optical_task import bench_of, finish_of
-from service.stages.plain import plain
-from service.stages.workshop import Workshop
+from service.job import arrays
+from service.job.files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, MAP
+from service.job.finite_json import plain
+from service.job.planning.preparation import scores_against_original
+from service.job.spec.lens_task import bench_of, finish_of
+from service.job.spec.resolve import machine_of
+from service.job.stages.as_milled import error_of_tips_mm, finishing_passes, read_tracks
+from service.job.stages.context import Workshop
 
 _STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
 _COARSEST_MM, _CELLS_PER_WAVE = 0.05, 12  # cells of the height map: a wave of k0 is seen by so many
@@ -107,7 +107,7 @@ def _tell(shop: Workshop, finish: Finish, target: Array, seen: Caustic, pixel_mm
 
 
 def _draw(shop: Workshop, target: Array, finished: Array) -> None:
-    from service import figures  # what it stands on is slow to import
+    from service.job.report.figures import base as figures  # what it stands on is slow to import
 
     viewed_from, white = shop.spec.optics.viewed_from, float(target.max())
     aim, view = (picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, finished))

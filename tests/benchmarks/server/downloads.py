@@ -14,7 +14,7 @@ from typing import Any
 import httpx
 import sqlalchemy as sa
 
-from service.jobs.tables import artifacts
+from service.server.database.tables import artifacts
 from service.store.local import LocalStore
 from tests.benchmarks.server.customer import SMALL, Customer
 from tests.benchmarks.server.footprint import pss_mb

@@ -11,7 +11,7 @@ from tests.benchmarks.server.customer import LONG, SMALL, Customer
 from tests.benchmarks.server.rows import spread
 from tests.benchmarks.server.sizes import SHARE, TAKEOVERS
 from tests.benchmarks.timing import Figure
-from tests.service.worker.postgres import missing, running_postgres
+from tests.service.server.worker.postgres import missing, running_postgres
 from tests.trials.server.deployment import Deployment
 from tests.trials.server.deployment import farm as started_farm
 from tests.trials.server.processes import kill, of_kind, wait_until

@@ -22,24 +22,24 @@ import sqlalchemy as sa
 import structlog
 from PIL import Image
 
-from service.jobs.book import JobBook
-from service.jobs.database import connect, writing
-from service.jobs.schema import upgrade_schema
-from service.jobs.states import JobState
-from service.jobs.tables import executors
-from service.jobs.tokens import TokenBook
+from service.server.database.connection import connect, writing
+from service.server.database.jobs import JobBook
+from service.server.database.schema import upgrade_schema
+from service.server.database.states import JobState
+from service.server.database.tables import executors
+from service.server.database.tokens import TokenBook
+from service.server.queue.dbos import DbosEngine
+from service.server.worker.reconcile import Reconciler
+from service.server.worker.retention import Retention
 from service.settings import ServerSettings
 from service.store.local import LocalStore
 from service.store.opening import open_store
-from service.worker.dbos_engine import DbosEngine
-from service.worker.reconcile import Reconciler
-from service.worker.retention import Retention
 from tests.benchmarks.server.rows import row, spread
 from tests.benchmarks.server.sizes import times
 from tests.benchmarks.timing import Figure
-from tests.service.api.test_process import api_process
-from tests.service.jobs.many_jobs import job_id, load, run_id, state_of
-from tests.service.worker.postgres import missing, running_postgres
+from tests.service.server.api.test_process import api_process
+from tests.service.server.database.many_jobs import job_id, load, run_id, state_of
+from tests.service.server.worker.postgres import missing, running_postgres
 
 DATABASES = os.environ.get("BENCH_DATABASES", "sqlite,postgresql").split(",")
 COUNTS = tuple(int(n) for n in os.environ.get("BENCH_JOBS", "1000,10000,100000").split(","))

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 
 from sqlalchemy import update
 
-from service.jobs.tables import tokens
+from service.server.database.tables import tokens
 from tests.benchmarks.stops.pressing import in_background
 from tests.disturbances.floor import MILL, Floor
 

@@ -23,8 +23,8 @@ from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import Stock
 from cam.posts.dialects import POSTS
 from cam.reading.gcode import LANGUAGES
-from cam.stock_grid import StockGrid
-from tests.cam.checking import MILL
+from cam.surface.stock_grid import StockGrid
+from tests.cam.checks import MILL
 
 SAFE_Z = 5.0
 STOCK = Stock(width_mm=12, height_mm=8, thickness_mm=6, margin_mm=5)

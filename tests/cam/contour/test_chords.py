@@ -8,8 +8,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from cam.contour.chords import SHORTEST_MM, tips_along
-from cam.tool_surface import ToolSurface
-from cam.vertices import finish_rule, rough_rule
+from cam.rows.vertices import finish_rule, rough_rule
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
 SIDE, RADIUS = 6.0, 0.5

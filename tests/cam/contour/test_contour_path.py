@@ -11,8 +11,8 @@ from scipy.spatial import cKDTree
 from cam.contour import chords, field, tracer
 from cam.contour.path import contour_path
 from cam.passes import PassSpec
-from cam.tool_surface import ToolSurface
-from cam.vertices import finish_rule, rough_rule
+from cam.rows.vertices import finish_rule, rough_rule
+from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 from tests.levels import mostly_thorough
 
@@ -217,7 +217,7 @@ def test_the_chords_keep_the_rule_of_slope_and_sag():
 def test_the_same_lens_gives_the_same_path_on_one_thread_and_on_two(monkeypatch):
     heightfield = lens(WAYS["egg box"])
     twice = [tips_of(heightfield)]
-    for module in ("cam.contour.tracer", "cam.contour.cover", "cam.raster"):
+    for module in ("cam.contour.tracer", "cam.contour.cover", "cam.rows.raster"):
         monkeypatch.setattr(f"{module}.THREADS", 1)
     twice.append(tips_of(heightfield))
     np.testing.assert_array_equal(*twice)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from machines.errors import ProgramRefusedError
+from machines.gcode import refusal_words
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.scan import ProgramScan
 
@@ -128,8 +129,8 @@ def test_words_of_its_own_are_taken_in_the_middle_of_a_program(dialect: str, tex
 
 
 def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
-    from machines.gcode import rules
-    from machines.gcode.limits import limits_of
+    from machines.preflight import rules
+    from machines.preflight.limits import limits_of
     from machines.profiles import load_profile
 
     limits = limits_of(load_profile("okuma-osp", ()))
@@ -144,13 +145,12 @@ def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
 
 
 def test_no_sentence_names_a_value_that_is_not_filled_in() -> None:
-    from machines.gcode import refusals
 
     for dialect in DIALECTS.values():
-        for code in refusals.REASONS:
-            words = refusals.reason_for(dialect, code)
+        for code in refusal_words.REASONS:
+            words = refusal_words.reason_for(dialect, code)
             assert "{" not in words and "\n" not in words
-    assert sorted(refusals.REASONS) == list(range(1, len(refusals.REASONS) + 1))
+    assert sorted(refusal_words.REASONS) == list(range(1, len(refusal_words.REASONS) + 1))
 
 
 @pytest.mark.parametrize(("dialect", "limit"), [("grbl", 79), ("grblhal", 255), ("okuma", 157)])

@@ -9,7 +9,7 @@ import pytest
 import serial
 
 from machines.simulated import GRBL_11, SimulatedMill, serve_pty, serve_tcp
-from service.sim_mill import run_sim_mill
+from service.cli.simulator import run_sim_mill
 from tests.waiting import PATIENCE_S, until
 
 

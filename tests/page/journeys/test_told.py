@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.drawing.layout import parted
+from service.job.page_data.header import parted
 from tests.page import canned_job
 from tests.page.canned_job import shape
 from tests.page.machine_states import MACHINE

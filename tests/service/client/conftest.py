@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.service.api.server import api_server
 from tests.service.client.shop import ShopWithoutWorker, ShopWithWorker
+from tests.service.server.api.server import api_server
 from tests.trials.server.deployment import embedded
 
 

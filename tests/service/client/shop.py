@@ -19,7 +19,7 @@ from typing import Self
 
 import httpx
 
-from tests.service.api.server import ApiServer
+from tests.service.server.api.server import ApiServer
 from tests.trials.server.deployment import Deployment
 from tests.trials.server.pictures import picture
 from tests.waiting import PATIENCE_S
@@ -110,7 +110,7 @@ def begun(*words: str, server: str | None = None, **environment: str) -> Iterato
     """The command, under way; killed at the end."""
     place = {"CAUSTICMILL_SERVER": server} if server is not None else {}
     process = subprocess.Popen(
-        [sys.executable, "-m", "service.cli", *words],
+        [sys.executable, "-m", "service.cli.main", *words],
         cwd=ROOT,
         env=os.environ | place | environment,
         stdout=subprocess.PIPE,

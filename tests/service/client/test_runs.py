@@ -14,8 +14,8 @@ import pytest
 from machines.simulated import SimulatedMill
 from service.client import runs
 from tests.service.client.shop import run
-from tests.service.fleet.shop import MACHINE, kill_agents, own_folders, shop, write_profile
 from tests.service.mills import bench
+from tests.service.server.fleet.shop import MACHINE, kill_agents, own_folders, shop, write_profile
 from tests.trials.server.processes import wait_until
 from tests.waiting import PATIENCE_S
 

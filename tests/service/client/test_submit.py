@@ -137,7 +137,7 @@ def test_ctrl_c_leaves_the_job_alone(working_shop: ShopWithWorker) -> None:
 def test_the_client_starts_without_arrays() -> None:
     """Listing jobs needs no numpy: a command that only asks answers at once."""
     code = (
-        "import sys; from service.cli import run; run(['submit', 'examples/camera.png', '--preset', 'draft']);"
+        "import sys; from service.cli.main import run; run(['submit', 'examples/camera.png', '--preset', 'draft']);"
         "run(['jobs']); run(['get', 'x', '-o', '/nowhere/x']);"
         "print(sorted({'numpy', 'numba', 'scipy', 'PIL', 'sqlalchemy', 'dbos', 'fastapi'} & set(sys.modules)))"
     )

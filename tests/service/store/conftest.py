@@ -11,8 +11,8 @@ import pytest
 from moto.server import ThreadedMotoServer
 
 from service.settings import ServerSettings
+from service.store.base import Store
 from service.store.opening import open_store
-from service.store.store import Store
 from tests.waiting import PATIENCE_S
 
 _BUCKET = "causticmill-tests"

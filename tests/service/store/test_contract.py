@@ -11,7 +11,7 @@ import httpx
 import pytest
 
 from service.errors import FailedError
-from service.store.store import MissingObjectError, Store
+from service.store.base import MissingObjectError, Store
 from tests.waiting import PATIENCE_S
 
 Written = Callable[[bytes], Path]

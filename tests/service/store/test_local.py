@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from service.errors import FailedError
+from service.store.base import MissingObjectError
 from service.store.local import LocalStore
-from service.store.store import MissingObjectError
 
 Written = Callable[[bytes], Path]
 

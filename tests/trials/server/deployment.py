@@ -22,7 +22,7 @@ import httpx
 from tests.trials.server.processes import MARK, kill, processes, wait_until
 
 ROOT = Path(__file__).parents[3]
-COMMAND = (sys.executable, "-m", "service.cli")
+COMMAND = (sys.executable, "-m", "service.cli.main")
 _READY_S = 60.0
 _STOP_S = 30.0
 

@@ -14,8 +14,8 @@ from typing import Any
 import httpx
 import sqlalchemy as sa
 
-from service.jobs.states import StageState
-from service.jobs.tables import jobs, stage_runs
+from service.server.database.states import StageState
+from service.server.database.tables import jobs, stage_runs
 from tests.trials.server.customers import Order
 
 _HASH = re.compile(r"[0-9a-f]{64}")

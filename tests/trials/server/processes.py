@@ -13,11 +13,11 @@ from pathlib import Path
 MARK = "TRIAL_MARK"
 
 _KINDS = (
-    ("service.host.supervisor", "host"),
-    ("service.worker.nursery", "nursery"),
-    ("service.worker.main", "worker"),
-    ("service.api.main", "api"),
-    ("service.api.picture", "picture"),
+    ("service.server.supervisor.supervisor", "host"),
+    ("service.server.worker.process.forkserver", "nursery"),
+    ("service.server.worker.main", "worker"),
+    ("service.server.api.main", "api"),
+    ("service.server.api.picture", "picture"),
     (" serve", "host"),
     (" worker", "worker"),
 )

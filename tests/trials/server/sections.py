@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from tests.benchmarks.timing import Figure
-from tests.service.worker.postgres import running_postgres
+from tests.service.server.worker.postgres import running_postgres
 from tests.trials.server.chaos import SHARES
 from tests.trials.server.deployment import Deployment, embedded, farm
 from tests.trials.server.judge import Verdict

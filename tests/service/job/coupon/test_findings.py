@@ -26,8 +26,8 @@ from service.job.coupon.findings import (
 from service.job.coupon.photograph import Photo
 from service.job.coupon.piece import coupon_of, coupon_spec
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
-from service.spec import JobSpec
-from service.spec_files import resolve_spec
+from service.job.spec.loading import resolve_spec
+from service.job.spec.model import JobSpec
 from tests.optics.coupon.pieces import smooth_piece
 from tests.optics.photographs import camera, photographed
 

@@ -10,8 +10,8 @@ from PIL import Image
 from optics.finish import Finish
 from optics.irradiance import picture_from_irradiance
 from service.job.coupon.programs import milled_piece, predict_light
-from service.spec_files import stored_spec
-from service.tone import linear_to_srgb
+from service.job.picture.tone import linear_to_srgb
+from service.job.spec.loading import stored_spec
 from tests.optics.photographs import camera, photographed
 
 

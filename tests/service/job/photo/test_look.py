@@ -15,17 +15,17 @@ from optics.caustic import simulate_caustic
 from optics.irradiance import picture_from_irradiance
 from optics.photograph.wall import Estimate
 from optics.spline import Array
-from service import cli
+from service.cli import main as cli
 from service.errors import InputError, PictureError
-from service.figures import picture_png
+from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.photo.findings import REFUSALS, SENTENCES, Finding, UselessPhotoError
 from service.job.photo.foretold import foretold_of
 from service.job.photo.looking import _leaning, look_at
 from service.job.photo.reading import WallPhoto, read_wall_photo
-from service.picture_limits import PictureLimits
-from service.spec_files import resolve_spec
-from service.stages.arrays import heightfield_bytes, target_bytes
-from service.stages.optical_task import bench_of
+from service.job.picture.limits import PictureLimits
+from service.job.report.figures.base import picture_png
+from service.job.spec.lens_task import bench_of
+from service.job.spec.loading import resolve_spec
 from tests.optics.photograph.test_wall import PIXELS, RIM, SIDE_MM, THROW_MM, light_on_the_wall, portrait_lens
 from tests.optics.photographs import camera, photographed
 

@@ -5,9 +5,9 @@ from hypothesis import strategies as st
 
 from machines.profiles import load_profile
 from service.job.planning.changes import changes_of
-from service.passes import machine_of
-from service.spec import JobSpec
-from service.spec_files import resolve_spec
+from service.job.spec.loading import resolve_spec
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import machine_of
 
 specs = st.builds(
     lambda preset, width_mm, throw_mm, hours, profile: resolve_spec(

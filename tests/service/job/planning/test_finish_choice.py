@@ -7,11 +7,13 @@ import pytest
 
 from optics.heightfield import Array
 from optics.irradiance import target_irradiance
-from service import planning
 from service.errors import SpecError
-from service.passes import with_plan
-from service.planning import Planned, plan_for_picture
-from service.spec_files import resolve_spec
+from service.job.planning import planner as planning
+from service.job.planning.plan import Planned
+from service.job.planning.plan_report import plan_figures
+from service.job.planning.planner import plan_for_picture
+from service.job.spec.loading import resolve_spec
+from service.job.spec.resolve import with_plan
 
 SIZE = ("optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64")
 ROUGH, FINE = ("machine.z_noise_mm=0.002",), ("machine.z_noise_mm=0.0", "machine.step_mm=0.00001")
@@ -68,7 +70,7 @@ def test_a_finish_of_ones_own_figures_is_kept_whatever_it_does() -> None:
 def test_the_job_gets_the_finish_of_its_plan(best_on_a_rough_mill: Planned) -> None:
     """All figures, so that nothing of the library is asked again."""
     spec = resolve_spec(preset="recommended", overrides=[*SIZE, "finish.process=best", *ROUGH])
-    done = with_plan(spec, {"plan": best_on_a_rough_mill.figures()})
+    done = with_plan(spec, {"plan": plan_figures(best_on_a_rough_mill)})
     assert best_on_a_rough_mill.finishing is not None
     assert done.finish.process == best_on_a_rough_mill.finishing.process
     assert done.finish.k0_rad_per_mm == best_on_a_rough_mill.finishing.finish.k0_rad_per_mm

@@ -14,14 +14,14 @@ import pytest
 from cam.reading.gcode import read_program
 from machines.profiles import load_profile
 from service.errors import JobError, SpecError
+from service.job.files import is_program, programs_in_order
+from service.job.files import run_order as running_order
 from service.job.report.around import around_sentences
-from service.job_files import is_program, programs_in_order
-from service.job_files import run_order as running_order
-from service.passes import cut_out_of, facing_of, machine_of, without_derived
-from service.report import render_report
-from service.spec_files import resolve_spec
-from service.stages.plan import plan
-from tests.service.stages.jobs import StagedJob, staged_job, tiny_spec
+from service.job.report.setup_sheet import render_report
+from service.job.spec.loading import resolve_spec
+from service.job.spec.resolve import cut_out_of, facing_of, machine_of, without_derived
+from service.job.stages.table import plan
+from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec
 
 FACE = "stock.face={above_mm=0.5,radius_mm=1}"
 CUT = "stock.cut_out={radius_mm=0.25,tabs=2,tab_width_mm=0.6,tab_height_mm=0.3,step_down_mm=1}"
@@ -62,7 +62,7 @@ def test_warm_up_and_trace_are_the_first_program_s_and_coolant_is_every_program_
 
 def test_without_a_facing_the_first_pass_begins_so() -> None:
     """The trace of a pass is above everything it cuts, and its report knows both extents."""
-    from service.stages.programs import trace_of
+    from service.job.stages.programs import trace_of
 
     spec = tiny_spec("machine.trace_outline=true")
     paths = trace_of(spec, machine_of(spec))
@@ -119,7 +119,7 @@ def test_a_job_without_all_that_says_nothing_of_it() -> None:
 
 def test_the_check_command_knows_them(job: StagedJob, tmp_path: Path) -> None:
     """The whole folder in one go, and one that has been edited by hand is found."""
-    from service.checking import CheckSettings, check_programs
+    from service.cli.check import CheckSettings, check_programs
     from service.progress import QuietReporter
 
     names = [*programs(job), "spec.json", "report.json", "heightfield.npz"]
@@ -209,9 +209,9 @@ def test_figures_left_out_follow_from_the_cutter_and_are_chosen_anew_for_another
 
 
 def test_an_estimate_counts_them(tmp_path: Path) -> None:
-    from service.estimate import estimate
-    from service.picture_limits import OWN_PICTURE
-    from tests.service.stages.jobs import save_picture
+    from service.job.picture.limits import OWN_PICTURE
+    from service.job.planning.estimate import estimate
+    from tests.service.job.stages.jobs import save_picture
 
     picture = save_picture(tmp_path / "blob.png")
     told = estimate(tiny_spec(*AROUND), picture, limits=OWN_PICTURE, name="blob.png")

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from optics.finish import Finish
+from service.job.files import AS_FINISHED, COMPARED_FINISHED
+from service.job.spec.loading import resolve_spec
 from service.job.stages.as_finished import rounded_rim
-from service.job_files import AS_FINISHED, COMPARED_FINISHED
-from service.spec_files import resolve_spec
-from service.stages.plan import plan
-from tests.service.stages.jobs import StagedJob, run_job
+from service.job.stages.table import plan
+from tests.service.job.stages.jobs import StagedJob, run_job
 
 ROWS = [
     {"name": "rough", "radius_mm": 1.0, "pitch_mm": 0.25, "stock_to_leave_mm": 0.1},

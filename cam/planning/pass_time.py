@@ -1,0 +1,245 @@
+"""How long a pass will take, before it is written: rows at the speed that feed, lines and look-ahead allow.
+
+`cam.duration` gives the time of a written program; this is within some percent of it, from the lens's form alone. The
+speed of a chord is the least of: the feed; its length times the lines a second; what the look-ahead window, chords of
+that length, can still brake from. Chords are as long as `cam.rows.vertices` allows on the path of the tip, which is the
+lens's curvature offset by the ball.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import ceil, sqrt
+
+import numpy as np
+from scipy.ndimage import grey_dilation, grey_opening
+
+from cam.duration import Kinematics
+from cam.passes import Direction, PassSpec
+from cam.program import SLOPE_ERROR_RAD
+from cam.rows.entries import RAMP_SLOPE
+from cam.rows.vertices import VertexRule, finish_rule, rough_rule
+from cam.surface.cutter import concave_curvature
+from optics.heightfield import Array, Heightfield
+
+_SAMPLES = 160  # along a side of the lens
+_PLACES_A_RADIUS = 16  # of a ball, at most; what it bends between them is a two-thousandth of its radius
+_USED = 0.85  # of the length that the rule allows a chord
+CONTOUR_STRETCH, CONTOUR_JOINTS = 1.12, 65.0  # of one connected path over area by pitch; joints, in pitches a side
+_BORDER = 5.0  # sides of the lens: end walls, and rows at the border of a layer
+_ENTRIES = 4.0  # of a layer
+_LEAST_GAP = 0.25  # of 1 - kR: nearer to 0 the ball hardly fits, and its grooves are no longer those of rows
+LAYER_STRIDE = 0.2  # of the radius: rows of the layers of a finishing pass
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LensForm:
+    """What a plan needs to know of a lens, (n,) over evenly spread places.
+
+    heights_mm       : sorted
+    slopes           : of the surface, sorted
+    bends_x, bends_y : curvature along X and along Y, positive in a hollow [1/mm]
+    steep_x, steep_y : change of the slope along X and along Y on a ball that touches, by way over radius
+    turns_rad        : direction of the gradient
+    hollows_per_mm   : greatest principal curvature, sorted, positive in a hollow
+    """
+
+    width_mm: float
+    height_mm: float
+    heights_mm: Array
+    slopes: Array
+    bends_x: Array
+    bends_y: Array
+    steep_x: Array
+    steep_y: Array
+    turns_rad: Array
+    hollows_per_mm: Array
+    lens: Heightfield
+
+    @classmethod
+    def of(cls, lens: Heightfield) -> LensForm:
+        along = (np.arange(_SAMPLES) + 0.5) / _SAMPLES
+        x, y = np.meshgrid(lens.x_mm[0] + along * lens.width_mm, lens.y_mm[0] + along * lens.height_mm)
+        return cls._at(lens, np.ravel(x), np.ravel(y), np.sort(concave_curvature(lens), axis=None))
+
+    def among(self, x_mm: Array, y_mm: Array) -> LensForm:
+        """The form of the same lens by those places (n,) alone; its sides and hollows are those of the whole."""
+        return self._at(self.lens, x_mm, y_mm, self.hollows_per_mm)
+
+    @classmethod
+    def _at(cls, lens: Heightfield, x_mm: Array, y_mm: Array, hollows_per_mm: Array) -> LensForm:
+        z, p, q, r, _, t = lens.spline().jets(x_mm, y_mm)
+        square = 1.0 + p * p + q * q
+        return cls(
+            width_mm=lens.width_mm,
+            height_mm=lens.height_mm,
+            heights_mm=np.sort(z),
+            slopes=np.sort(np.hypot(p, q)),
+            bends_x=r / (1.0 + p * p) / np.sqrt(square),
+            bends_y=t / (1.0 + q * q) / np.sqrt(square),
+            steep_x=(1.0 + p * p) * np.sqrt(square),
+            steep_y=(1.0 + q * q) * np.sqrt(square),
+            turns_rad=np.arctan2(q, p),
+            hollows_per_mm=hollows_per_mm,
+            lens=lens,
+        )
+
+    def tips_mm(self, radius_mm: float) -> Array:
+        """Heights of a ball's tip over the lens and one radius around it, on a grid as fine as ball and samples need.
+
+        The highest of lens and ball above each place: low by what both bend between two places, micrometres.
+        """
+        across, up = (
+            min(_SAMPLES, ceil(_PLACES_A_RADIUS * side_mm / radius_mm)) for side_mm in (self.width_mm, self.height_mm)
+        )
+        dx, dy = self.width_mm / across, self.height_mm / up
+        nx, ny = ceil(radius_mm / dx), ceil(radius_mm / dy)
+        spline = self.lens.spline_with_run_out(2 * radius_mm + max(dx, dy))
+        x, y = (np.arange(-2 * n, count + 2 * n + 1) * step for n, count, step in ((nx, across, dx), (ny, up, dy)))
+        z = spline.jets(*np.meshgrid(self.lens.x_mm[0] + x, self.lens.y_mm[0] + y))[0]
+        off_x, off_y = np.meshgrid(np.arange(-nx, nx + 1) * dx, np.arange(-ny, ny + 1) * dy)
+        square = radius_mm**2 - off_x**2 - off_y**2
+        ball = np.where(square >= 0, np.sqrt(np.maximum(square, 0.0)) - radius_mm, -np.inf)
+        return np.asarray(grey_dilation(z, footprint=square >= 0, structure=ball)[ny:-ny, nx:-nx])
+
+    @property
+    def deepest_mm(self) -> float:
+        return -float(self.heights_mm[0])
+
+    def reached_share(self, radius_mm: float) -> float:
+        """Share of the area whose curvature a ball of this radius fits."""
+        return float(np.searchsorted(self.hollows_per_mm, 1.001 / radius_mm, side="right")) / self.hollows_per_mm.size
+
+    def bends(self, direction: Direction) -> Array:
+        return self.bends_x if direction == "x" else self.bends_y
+
+    def steepness(self, spec: PassSpec) -> float:
+        """Slopes that the rows of a pass leave across them, by those on a flat lens, rms: a sloping ball is steeper.
+
+        Not more so in a hollow of curvature k: its rows' contacts lie farther apart by 1 / (1 - kR), and between them
+        ball and lens part by as much less.
+        """
+        return round(float(np.sqrt(np.mean([steep**2 for steep, _ in self._across(spec)]))), 3)
+
+    def widening(self, spec: PassSpec, reach_mm: float) -> float:
+        """How much farther than their slope errors alone the grooves of a pass send light, rms.
+
+        reach_mm : how far a slope of 1 sends light aside; negative where a hollow gathers it, on a mirror
+
+        A groove has the ball's curvature, not the lens's, and is p / (1 - kR) wide: its light is spread over as much
+        by where it starts, and over reach / R of that by its slopes.
+        """
+        own = abs(1.0 + spec.radius_mm / reach_mm)
+        wide = [
+            (own * steep / np.maximum(1.0 - bends * spec.radius_mm, _LEAST_GAP)) ** 2
+            for steep, bends in self._across(spec)
+        ]
+        return round(float(np.sqrt(np.mean(wide))) / self.steepness(spec), 3)
+
+    def _across(self, spec: PassSpec) -> list[tuple[Array, Array]]:
+        """Steepness and bend of the lens across the rows; along X and Y alike where these follow its contours."""
+        both = [(self.steep_y, self.bends_y), (self.steep_x, self.bends_x)]
+        return both if spec.strategy == "contour" else [both["xy".index(spec.direction)]]
+
+    def chords_mm(self, spec: PassSpec) -> Array:
+        """(n,) usual distance of the vertices of a pass along its rows."""
+        if spec.finishes:
+            rule = finish_rule(SLOPE_ERROR_RAD, spec.radius_mm / 2)
+        else:
+            rule = rough_rule(spec.stock_to_leave_mm, spec.radius_mm / 2)
+        return _chords_mm(self, spec.direction, spec.radius_mm, rule)
+
+    def usual_chord_mm(self, spec: PassSpec) -> float:
+        """Path by number of vertices, to the micrometre."""
+        ways = self.tip_ways(spec)
+        return round(float(ways.mean() / (ways / self.chords_mm(spec)).mean()), 3)
+
+    def tip_ways(self, spec: PassSpec) -> Array:
+        """(n,) way of a ball's tip along the rows by way of its contact: little in a hollow that just holds it."""
+        return np.asarray(np.maximum(1.0 - self.bends(spec.direction) * spec.radius_mm, 0.0))
+
+
+@lru_cache(maxsize=32)  # asked again for every pitch
+def _chords_mm(form: LensForm, direction: Direction, radius_mm: float, rule: VertexRule) -> Array:
+    bend = form.bends(direction)
+    k = np.abs(bend / np.maximum(1.0 - bend * radius_mm, 0.05)) + 1e-9
+    allowed = np.minimum(2.0 * rule.slope_rad / k, np.sqrt(8.0 * rule.sag_mm / k))
+    return np.clip(_USED * allowed, rule.min_mm, rule.max_mm)
+
+
+def rows_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """The exact rows of a pass, or its one connected path."""
+    around_mm = 2 * spec.radius_mm
+    sides = (form.width_mm + around_mm, form.height_mm + around_mm)
+    length_mm, across_mm = sides if spec.direction == "x" else sides[::-1]
+    inside = (form.width_mm if spec.direction == "x" else form.height_mm) / length_mm
+    rows = ceil(across_mm / spec.pitch_mm) + 1
+    feed = spec.feed_mm_per_min / 60
+    stretch = float(np.sqrt(1.0 + form.slopes**2 / 2).mean())
+    slowness = inside * slowness_s_per_mm(form, spec, mill) + stretch * (1 - inside) / feed
+    if spec.strategy == "contour":
+        stretched = CONTOUR_STRETCH + CONTOUR_JOINTS * spec.pitch_mm / min(form.width_mm, form.height_mm)
+        return stretched * form.width_mm * form.height_mm / spec.pitch_mm * slowness
+    return rows * (length_mm * slowness + turn_s(spec, mill))
+
+
+def slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """Time for a way on the exact surface, by its length in plan, at the places of the form."""
+    return _slowness_s_per_mm(form, replace(spec, pitch_mm=spec.radius_mm), mill)  # the same for all pitches
+
+
+@lru_cache(maxsize=64)
+def _slowness_s_per_mm(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    acceleration, chords = min(mill.acceleration_mm_per_s2[:2]), form.chords_mm(spec)
+    speeds = np.minimum(spec.feed_mm_per_min / 60, chords * mill.lines_per_s)
+    speeds = np.minimum(speeds, np.sqrt(2 * acceleration * (mill.planner_blocks - 1) * chords))
+    ways = form.tip_ways(spec)
+    return float(np.sqrt(1.0 + form.slopes**2 / 2).mean() * (ways / speeds).mean() / ways.mean())
+
+
+def turn_s(spec: PassSpec, mill: Kinematics) -> float:
+    """What braking into the turn from a row to the next, and speeding up after it, costs."""
+    feed, acceleration = spec.feed_mm_per_min / 60, min(mill.acceleration_mm_per_s2[:2])
+    turning = min(feed, sqrt(acceleration * spec.pitch_mm / 2))
+    return (feed - turning) ** 2 / feed / acceleration
+
+
+def entry_s(spec: PassSpec) -> float:
+    """Down from safe height, along a ramp into the stock, and up again."""
+    return 2.0 + spec.step_down_mm / RAMP_SLOPE / (spec.plunge_mm_per_min / 60)
+
+
+def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
+    """The first pass, that cuts planes one step-down apart out of the whole block, down to the lens.
+
+    Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
+    """
+    tips = form.tips_mm(spec.radius_mm) + spec.stock_to_leave_mm
+    sides = (form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm)
+    feed = spec.feed_mm_per_min / 60
+    gap = ceil(2 * spec.radius_mm / (sides[0] / tips.shape[1]))
+    beyond = np.pad(tips, ((0, 0), (gap, gap)), constant_values=np.inf)
+    crossed = np.sort(grey_opening(beyond, (1, gap)), axis=None)  # rows run on over what is no wider than the ball
+    planes_mm = -spec.step_down_mm * np.arange(ceil(-float(tips.min()) / spec.step_down_mm))
+    rows_mm = np.searchsorted(crossed, planes_mm).sum() / tips.size * sides[0] * sides[1] / spec.pitch_mm
+    turns_s = rows_mm / min(sides) * feed / min(mill.acceleration_mm_per_s2[:2])
+    return float(rows_mm / feed + turns_s + planes_mm.size * (_BORDER * min(sides) / feed + _ENTRIES * entry_s(spec)))
+
+
+def finish_layers_s(form: LensForm, spec: PassSpec, depth_mm: float, mill: Kinematics) -> float:
+    """Layers parallel to the lens, where more stock stands above it than one move of the pass may take."""
+    layers = ceil(depth_mm / spec.layer_mm - 1e-9) - 1
+    if layers <= 0:
+        return 0.0
+    feed = spec.feed_mm_per_min / 60
+    length_mm, across_mm = form.width_mm + 2 * spec.radius_mm, form.height_mm + 2 * spec.radius_mm
+    rows = across_mm / max(spec.pitch_mm, LAYER_STRIDE * spec.radius_mm)
+    return layers * rows * (length_mm / feed + feed / min(mill.acceleration_mm_per_s2[:2]))
+
+
+def layers_where_s(form: LensForm, spec: PassSpec, stock_mm: Array, mill: Kinematics) -> float:
+    """The same layers where stock (ny, nx) of different heights stands above the lens."""
+    deepest = ceil(float(stock_mm.max()) / spec.layer_mm - 1e-9)
+    share = sum(float((stock_mm > number * spec.layer_mm).mean()) for number in range(1, deepest))
+    return share * finish_layers_s(form, spec, 2 * spec.layer_mm, mill)

@@ -1,0 +1,271 @@
+"""Which balls, pitches, directions and passes: every sensible way to mill a lens, what each costs, and the choice.
+
+What the light will be is asked of the caller (`Light`), for this package knows no light. A lens is shaped for the ball
+that finishes it, so each ball has a lens of its own: a larger one leaves finer traces of itself, its steps and its
+noise, and fills more of the valleys that make the picture's darkest places.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import inf
+from typing import Protocol
+
+from cam.passes import Direction, PassSpec
+from cam.planning.pass_time import LensForm, finish_layers_s, rows_s
+from cam.planning.rest import Filled, RestPass, RestWork
+from cam.planning.rough import Roughing
+from cam.planning.row_slopes import RowSlopes
+from cam.planning.shop import Shop, pitches_mm, why_not
+from cam.tools import Tool, tool_pass
+
+TOLERATED_DB = 0.2
+_WORTH_DB = 0.03
+_GUESS_DB, _GOOD_DB = 0.25, 2.0
+LEAST_FIT = 0.95
+"""Of the lens, that a ball must fit to finish it: what it leaves filled is known well enough to foretell its light."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Goal:
+    """What is wanted; all None: the least time that comes within TOLERATED_DB of the best picture."""
+
+    hours: float | None = None
+    blur_mm: float | None = None
+    psnr_db: float | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Marks:
+    """What finishing leaves on a lens: slope errors by the rows of a pass, and by those of a rest pass after it."""
+
+    spec: PassSpec
+    slopes: RowSlopes
+    rest: Marks | None = None
+
+    @property
+    def radius_mm(self) -> float:
+        return self.spec.radius_mm
+
+    @property
+    def smallest_mm(self) -> float:
+        """Radius of the ball that decides which valleys stay filled."""
+        return self.spec.radius_mm if self.rest is None else self.rest.radius_mm
+
+
+class Light(Protocol):
+    """What a lens shows as milled. Each ball has a lens: as it was made for that ball, or as that ball leaves it."""
+
+    def psnr_db(self, marks: Marks) -> float:
+        """Quick, a guess."""
+        ...
+
+    def settle(self, several: Iterable[Marks]) -> None:
+        """Make the lenses for those balls once more, sharper by as much as those rows will blur."""
+        ...
+
+    def aimed_db(self, marks: Marks) -> float:
+        """As `psnr_db`, of a lens made so for its own rows; slow, for a few of the best."""
+        ...
+
+    def blur_mm(self, slopes: RowSlopes) -> float:
+        """Root mean square on the screen, across and along the rows together."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """One way to mill the lens.
+
+    rest    : the last of the passes, where a rest pass follows the finish
+    blur_mm : of the finish alone
+    """
+
+    tool: Tool
+    passes: tuple[PassSpec, ...]
+    seconds: tuple[float, ...]  # of each pass
+    marks: Marks
+    blur_mm: float
+    psnr_db: float
+    rest: RestPass | None = None
+
+    @property
+    def finish(self) -> PassSpec:
+        return self.marks.spec
+
+    @property
+    def slopes(self) -> RowSlopes:
+        return self.marks.slopes
+
+    @property
+    def before(self) -> tuple[PassSpec, ...]:
+        """The passes before the finish."""
+        return self.passes[: -1 if self.rest is None else -2]
+
+    @cached_property
+    def hours(self) -> float:
+        return sum(self.seconds) / 3600
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Plan:
+    """The choice. front: the best picture for each time, quickest first; left_out: tool and reason."""
+
+    chosen: Candidate
+    front: tuple[Candidate, ...]
+    left_out: tuple[tuple[str, str], ...]
+    met: bool  # the goal, as far as hours, blur or PSNR were given
+
+    @property
+    def best(self) -> Candidate:
+        return self.front[-1]
+
+    @property
+    def quickest(self) -> Candidate:
+        return self.front[0]
+
+
+class NoPlanError(ValueError):
+    """No tool of the shop can finish the lens; `left_out` says of each why."""
+
+    def __init__(self, left_out: tuple[tuple[str, str], ...]) -> None:
+        super().__init__("; ".join(f"{name}: {reason}" for name, reason in left_out) or "there are no tools")
+        self.left_out = left_out
+
+
+def make_plan(
+    shop: Shop, lenses: Mapping[float, LensForm], light: Light, goal: Goal, *, fillings: Mapping[float, Filled]
+) -> Plan:
+    """The choice among all candidates.
+
+    lenses   : by radius of the finishing ball; a tool without one is not considered
+    fillings : by radius, of balls that leave valleys filled; a smaller one may take out what they leave
+    """
+    candidates, left_out = find_candidates(shop, lenses, light, fillings=fillings)
+    return plan_among(candidates, left_out, light, goal)
+
+
+def find_candidates(
+    shop: Shop, lenses: Mapping[float, LensForm], light: Light, *, fillings: Mapping[float, Filled]
+) -> tuple[list[Candidate], tuple[tuple[str, str], ...]]:
+    """All of them, each with what the light guesses, and the tools left out, each with the reason.
+
+    NoPlanError where all are left out.
+    """
+    left_out: list[tuple[str, str]] = []
+    candidates: list[Candidate] = []
+    rough: Roughing | None = None
+    for tool in shop.tools:
+        form = lenses.get(tool.radius_mm)
+        if form is None:
+            left_out.append((tool.name, "no lens was shaped for it"))
+            continue
+        if (reason := why_not(tool, form, shop) or _unfit(tool, form)) is not None:
+            left_out.append((tool.name, reason))
+            continue
+        rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
+        if rough is None or rough.form is not form:
+            rough = Roughing(form=form, shop=shop, like=rough)
+        candidates += _candidates(tool, rough, rests, light)
+    if not candidates:
+        raise NoPlanError(tuple(left_out))
+    return candidates, tuple(left_out)
+
+
+def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal) -> Plan:
+    """The choice among candidates that the light has guessed."""
+    near = _near_front(candidates)
+    best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
+    light.settle(one.marks for one in best.values())
+    return plan_by_score([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], left_out, goal)
+
+
+def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
+    """The choice among candidates by what they say of themselves."""
+    front = _front(candidates, _WORTH_DB)
+    chosen, met = choose(front, goal)
+    return Plan(chosen=chosen, front=front, left_out=left_out, met=met)
+
+
+def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
+    """The candidate that suits the goal best, and whether it meets it. front: quickest first, each better."""
+    if goal.hours is not None:
+        in_time = [one for one in front if one.hours <= goal.hours]
+        return (in_time[-1], True) if in_time else (front[0], False)
+    if goal.blur_mm is not None:
+        sharp = [one for one in front if one.blur_mm <= goal.blur_mm]
+        return (sharp[0], True) if sharp else (min(front, key=lambda one: one.blur_mm), False)
+    wanted = front[-1].psnr_db - TOLERATED_DB if goal.psnr_db is None else goal.psnr_db
+    good = [one for one in front if one.psnr_db >= wanted]
+    return (good[0], True) if good else (front[-1], False)
+
+
+def _front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...]:
+    """Those that are better than all that are quicker, or as quick and cheaper, by more than worth_db."""
+    front: list[Candidate] = []
+    for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
+        if not front or one.psnr_db > front[-1].psnr_db + worth_db:
+            front.append(one)
+    return tuple(front)
+
+
+def _near_front(candidates: list[Candidate]) -> list[Candidate]:
+    """Those that a guess puts on the front; of good ones also those so little behind that a closer look may."""
+    good_db = max(one.psnr_db for one in candidates) - _GOOD_DB
+    near: list[Candidate] = []
+    best_db = -inf
+    for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
+        if one.psnr_db > best_db + (-_GUESS_DB if one.psnr_db > good_db else _GUESS_DB):
+            near.append(one)
+        best_db = max(best_db, one.psnr_db)
+    return near
+
+
+def _unfit(tool: Tool, form: LensForm) -> str | None:
+    """Whether too much of the lens is too hollow for a ball, as a clause."""
+    if (share := form.reached_share(tool.radius_mm)) >= LEAST_FIT:
+        return None
+    return f"its ball fits {100 * share:.1f} % of the lens; {100 * LEAST_FIT:.0f} % are needed"
+
+
+def _candidates(tool: Tool, rough: Roughing, rests: RestWork, light: Light) -> Iterator[Candidate]:
+    """Every finish with a tool, alone and, where it leaves anything, with a rest pass."""
+    for finish in _finishes(tool, rough.shop):
+        if rough.before(finish) is None:
+            continue
+        yield _candidate(rough, tool, finish, None, light)
+        if (rest := rests.after(finish)) is not None:
+            yield _candidate(rough, tool, finish, rest, light)
+
+
+def _finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
+    speeds, step_down_mm = shop.speeds(tool), shop.finish_step_down_mm(tool)
+    directions: tuple[Direction, ...] = ("x", "y")
+    for strategy in shop.strategies:
+        for direction in directions if strategy == "raster" else directions[:1]:
+            for pitch_mm in pitches_mm(tool):
+                yield tool_pass(
+                    "finish", tool, speeds, pitch_mm=pitch_mm, leaves_mm=0.0, step_down_mm=step_down_mm,
+                    direction=direction, strategy=strategy,
+                )  # fmt: skip
+
+
+def _candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light) -> Candidate:
+    before = rough.before(finish)
+    assert before is not None
+    shop, form = rough.shop, rough.form
+    own_s = rows_s(form, finish, shop.mill) + finish_layers_s(form, finish, before.depth_mm, shop.mill)
+    slopes = shop.slopes(form, finish)
+    after = () if rest is None else (rest,)
+    marks = Marks(spec=finish, slopes=slopes, rest=None if rest is None else Marks(spec=rest.spec, slopes=rest.slopes))
+    return Candidate(
+        tool=tool,
+        passes=(*before.passes, finish, *(one.spec for one in after)),
+        seconds=(*before.seconds, own_s, *(one.extent.seconds for one in after)),
+        marks=marks,
+        blur_mm=light.blur_mm(slopes),
+        psnr_db=light.psnr_db(marks),
+        rest=rest,
+    )

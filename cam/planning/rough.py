@@ -1,0 +1,127 @@
+"""The quickest way from a block to a lens's finish: one rough pass in layers, or two."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from math import atan, ceil, cos, floor, sqrt
+
+import numpy as np
+
+from cam.passes import PassSpec
+from cam.planning.pass_time import LensForm, finish_layers_s, layers_s, rows_s
+from cam.planning.shop import CLEAR_MM, Shop
+from cam.tools import Tool, tool_pass
+
+_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE, _ROUGH_PITCH_SHARE = 0.2, 0.2, 1 / 3
+_SEMI_LEAVES_MM, _SEMI_CUSP_MM = 0.03, 0.01
+_LEAST_LEFT_MM, _LAYER_SHARE = 0.1, 0.9
+"""What a first pass leaves at least, and of a layer of the finish at most where that is to need no layers."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Before:
+    """Passes before the finish, and the deepest stock that they leave to it, measured along Z."""
+
+    passes: tuple[PassSpec, ...]
+    seconds: tuple[float, ...]
+    depth_mm: float
+
+
+class Roughing:
+    """The quickest way from the block to a lens's finish, asked for again and again.
+
+    like : for a lens that differs only by what balls leave of it: first passes take as long
+    """
+
+    def __init__(self, *, form: LensForm, shop: Shop, like: Roughing | None = None) -> None:
+        self.form, self.shop = form, shop
+        self._steep = cos(atan(float(np.quantile(form.slopes, 0.999))))
+        self._firsts: dict[Tool, Before] = {} if like is None else like._firsts
+        self._rough: dict[float, Before | None] = {}
+        self._known: dict[tuple[float, float], Before | None] = {}
+
+    def before(self, finish: PassSpec) -> Before | None:
+        """Rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
+        key = (finish.radius_mm, finish.step_down_mm)
+        if key not in self._known:
+            self._known[key] = self._quickest(finish)
+        return self._known[key]
+
+    def _quickest(self, finish: PassSpec) -> Before | None:
+        rough = self._roughed(finish)
+        if rough is None:
+            return None
+        ways = [rough, *self._leaving_less(rough, finish), *self._with_second(rough, finish)]
+        return min(
+            ways,
+            key=lambda way: sum(way.seconds) + finish_layers_s(self.form, finish, way.depth_mm, self.shop.mill),
+        )
+
+    def _roughed(self, finish: PassSpec) -> Before | None:
+        """By the ball that is quickest; beside its walls the shank of the finish must have room."""
+        if finish.radius_mm not in self._rough:
+            room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
+            ways = [
+                self._first(tool)
+                for tool in self.shop.tools
+                if tool.radius_mm >= finish.radius_mm
+                and 2 * tool.radius_mm >= min(room_mm, self.shop.margin_mm - CLEAR_MM)
+                and 2 * tool.radius_mm + CLEAR_MM <= self.shop.margin_mm
+                and tool.reaches(self.form.deepest_mm)
+            ]
+            self._rough[finish.radius_mm] = min(ways, key=lambda way: sum(way.seconds), default=None)
+        return self._rough[finish.radius_mm]
+
+    def _first(self, tool: Tool) -> Before:
+        if tool not in self._firsts:
+            pitch_mm = _ROUGH_PITCH_SHARE * tool.radius_mm
+            self._firsts[tool] = self._way((), self._spec(tool, pitch_mm, _rough_leaves(tool)))
+        return self._firsts[tool]
+
+    def _leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
+        """The same first pass, where the finish needs no layers if a little less is left. It takes as long."""
+        spec = rough.passes[0]
+        left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
+        left_mm = floor(left_mm * 100 + 1e-9) / 100
+        if _LEAST_LEFT_MM <= left_mm < spec.stock_to_leave_mm:
+            spec = replace(spec, stock_to_leave_mm=left_mm)
+            yield replace(rough, passes=(spec,), depth_mm=self._depth_mm(spec))
+
+    def _with_second(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
+        for tool in self.shop.tools:
+            if finish.radius_mm <= tool.radius_mm <= rough.passes[0].radius_mm:
+                pitch_mm = sqrt(8 * tool.radius_mm * _SEMI_CUSP_MM)
+                yield self._way((rough,), self._spec(tool, pitch_mm, _SEMI_LEAVES_MM))
+
+    def _spec(self, tool: Tool, pitch_mm: float, leaves_mm: float) -> PassSpec:
+        speeds = self.shop.speeds(tool)
+        pitch_mm = max(0.01, ceil(pitch_mm * 100 - 1e-9) / 100)
+        return tool_pass(
+            "rough", tool, speeds, pitch_mm=pitch_mm, leaves_mm=leaves_mm, step_down_mm=speeds.step_down_mm
+        )
+
+    def _way(self, after: tuple[Before, ...], spec: PassSpec) -> Before:
+        if after:
+            depth_mm = after[0].depth_mm
+            seconds = rows_s(self.form, spec, self.shop.mill)
+            seconds += finish_layers_s(self.form, spec, depth_mm, self.shop.mill)
+        else:
+            seconds = layers_s(self.form, spec, self.shop.mill)
+        return Before(
+            passes=(*(spec for way in after for spec in way.passes), spec),
+            seconds=(*(part for way in after for part in way.seconds), seconds),
+            depth_mm=self._depth_mm(spec),
+        )
+
+    def _depth_mm(self, spec: PassSpec) -> float:
+        """The deepest stock after a pass, along Z."""
+        return (spec.stock_to_leave_mm + _cusp_mm(spec)) / self._steep
+
+
+def _cusp_mm(spec: PassSpec) -> float:
+    return spec.pitch_mm**2 / (8 * spec.radius_mm)
+
+
+def _rough_leaves(tool: Tool) -> float:
+    return min(_ROUGH_LEAVES_MM, _ROUGH_LEAVES_SHARE * tool.radius_mm)

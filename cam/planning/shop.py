@@ -1,0 +1,86 @@
+"""What there is to mill with: a shop's tools, its material and its mill; what its rows leave on a lens."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from cam.duration import Kinematics
+from cam.materials import Material
+from cam.passes import PassSpec, Strategy
+from cam.planning.pass_time import LensForm
+from cam.planning.row_slopes import RowSlopes, row_slopes
+from cam.tools import Speeds, Tool
+
+CLEAR_MM = 1.0
+"""Of the margin that must stay beside what a ball clears."""
+
+PITCHES_MM = (0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.07, 0.1, 0.12, 0.14, 0.17, 0.2, 0.24, 0.28, 0.34, 0.4, 0.56, 0.8)
+PITCH_SHARE = 1 / 8
+"""Of the radius, at most, for a pass that finishes."""
+
+_FINISH_STEP_DOWN_MM, _FINISH_STEP_DOWN_SHARE = 0.5, 1 / 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shop:
+    """What there is to mill with.
+
+    spindle_rpm       : slowest and fastest of the mill
+    step_mm, noise_mm : smallest move of its axes; sigma of the height error from row to row
+    whole_steps       : vertices of finishing passes are put where the path goes through whole steps
+    margin_mm         : of the block around the lens
+    strategies        : that finishing passes may take
+    """
+
+    tools: tuple[Tool, ...]
+    material: Material
+    mill: Kinematics
+    spindle_rpm: tuple[float, float]
+    step_mm: float
+    noise_mm: float
+    margin_mm: float
+    whole_steps: bool = False
+    strategies: tuple[Strategy, ...] = ("raster",)
+
+    def speeds(self, tool: Tool) -> Speeds:
+        return Speeds.of(
+            tool,
+            self.material,
+            spindle_rpm=self.spindle_rpm,
+            max_rate_mm_per_min=self.mill.max_rate_mm_per_min,
+        )
+
+    def finish_step_down_mm(self, tool: Tool) -> float:
+        """Most stock that one move of a finishing pass may take off."""
+        share = _FINISH_STEP_DOWN_SHARE * self.speeds(tool).step_down_mm
+        return round(min(_FINISH_STEP_DOWN_MM, share), 3)
+
+    def slopes(self, form: LensForm, spec: PassSpec) -> RowSlopes:
+        """Slope errors that the rows of a finishing pass leave on a lens of that form."""
+        return row_slopes(
+            radius_mm=spec.radius_mm,
+            pitch_mm=spec.pitch_mm,
+            step_mm=self.step_mm,
+            noise_mm=self.noise_mm,
+            vertex_mm=form.usual_chord_mm(spec),
+            whole_steps=self.whole_steps,
+            steepness=form.steepness(spec),
+        )
+
+
+def pitches_mm(tool: Tool) -> tuple[float, ...]:
+    """Of finishing passes with that ball, closest first."""
+    return tuple(pitch for pitch in PITCHES_MM if pitch <= PITCH_SHARE * tool.radius_mm)
+
+
+def why_not(tool: Tool, form: LensForm, shop: Shop) -> str | None:
+    """Why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked elsewhere."""
+    if 2 * tool.radius_mm + CLEAR_MM > shop.margin_mm:
+        need_mm = 2 * tool.radius_mm + CLEAR_MM
+        return f"it clears {2 * tool.radius_mm:g} mm around the lens; that needs stock.margin_mm = {need_mm:g}"
+    steepest = float(form.slopes[-1])
+    if tool.shank_radius_mm > tool.radius_mm and steepest * tool.shank_radius_mm > tool.flute_length_mm:
+        return f"its shank would touch slopes of {steepest:.2g}"
+    if form.deepest_mm > tool.stick_out_mm:
+        return f"it sticks out {tool.stick_out_mm:g} mm; the lens is {form.deepest_mm:.1f} mm deep"
+    return None

@@ -1,0 +1,364 @@
+"""Layers: where more stock stands above the target than one move may take, it comes off in steps.
+
+On a flat block the layers are planes one step-down apart, and each follows the target where that is higher. On stock
+that has a shape already they run parallel to the target, only where something stands above them, and the exact rows
+come last over everything. No layer takes off more than step_down plus the cusps of the layer before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from math import ceil, inf, pi, sqrt
+
+import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import maximum_filter1d
+
+from cam.moves import Array, Path, cut
+from cam.passes import PassSpec
+from cam.rows.entries import Pocket, enter, leave
+from cam.rows.raster import Rows, climbs_rightward, on_ticks, ordered
+from cam.rows.vertices import rough_sag_mm, thinned
+from cam.surface.stock_touch import StockTouch
+from cam.surface.tool_surface import ToolSurface
+
+SKIM_MM = 0.05
+"""What layers keep back for the exact rows when a finishing pass meets an uncut block."""
+
+TOUCH_MM = 1e-6
+"""Stock less than this above a tip is not worth a cut."""
+
+LAYER_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.01
+"""Of the step-down: a layer's cusps and chords. Those of two layers may add up, and the check allows 5 % for them."""
+
+SLOT_FEED = 0.5
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
+on the way from row to row and along the walls it may."""
+
+SLOT_DEPTH_SHARE = 0.3
+"""Of the step-down: stock that stands this much higher on both sides makes a slot."""
+
+_HERE_AND_THERE = 0.1
+"""Of all samples: where more of them have too much stock above them, walls are not what layers are for."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Layer:
+    """Tips at the target plus offset_mm, but not below level_mm."""
+
+    offset_mm: float
+    level_mm: float
+
+    def tips_mm(self, target_mm: Array) -> Array:
+        tips: Array = np.maximum(target_mm + self.offset_mm, self.level_mm)
+        return tips
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Field:
+    """Target tips and the tips at which the ball meets stock, (n rows, n samples), along rows sampled at x_mm."""
+
+    rows: Rows
+    x_mm: Array
+    target_mm: Array
+    stock_mm: Array
+
+    @classmethod
+    def along(cls, rows: Rows, surface: ToolSurface, stock: StockTouch) -> Field:
+        """Sampled as finely as the lens and at least eight times per radius, over all that turns may touch.
+
+        So a later turn, of another layer or of the exact rows, meets no stock that the layer above did not clear.
+        """
+        left, right = rows.left_mm - rows.turn_mm, rows.right_mm + rows.turn_mm
+        count = ceil((right - left) / surface.kernel.node_step) + 1
+        x = on_ticks(np.linspace(left, right, count))
+        target = np.empty((rows.y_mm.size, x.size))
+        blocks = np.array_split(np.arange(rows.y_mm.size), max(1, rows.y_mm.size // 64))
+        heights = ordered(lambda block: surface.tip_rows_mm(x, rows.y_mm[block]), blocks)
+        for block, part in zip(blocks, heights, strict=True):
+            target[block] = part
+        return cls(rows=rows, x_mm=x, target_mm=target, stock_mm=stock.over(x, rows.y_mm))
+
+    @property
+    def step_mm(self) -> float:
+        return float(self.x_mm[1] - self.x_mm[0])
+
+    def refine(self, stock: StockTouch, most_mm: float) -> Field:
+        """The same with exact heights where more than most_mm of stock seems to stand, if that is here and there only:
+        beside walls that another ball has left.
+        """
+        rows, columns = np.nonzero(self.stock_mm - self.target_mm > most_mm)
+        if stock.flat or not 0 < rows.size <= _HERE_AND_THERE * self.stock_mm.size:
+            return self
+        exact = self.stock_mm.copy()
+        exact[rows, columns] = stock.exactly(self.x_mm[columns], self.rows.y_mm[rows])
+        return replace(self, stock_mm=exact)
+
+    def coarser(self, distance_mm: float) -> Field:
+        """Rows no farther apart than distance_mm; the stock over each is the most that stands up to its neighbours, so
+        that nothing between two rows is overlooked.
+        """
+        stride = max(1, int(distance_mm / max(1e-9, float(np.diff(self.rows.y_mm).max()))))
+        if stride == 1:
+            return self
+        rows = self.rows.every(stride)
+        chosen = np.searchsorted(self.rows.y_mm, rows.y_mm)
+        above = maximum_filter1d(self.stock_mm - self.target_mm, 2 * stride + 1, axis=0, mode="nearest")
+        target = self.target_mm[chosen]
+        return Field(rows=rows, x_mm=self.x_mm, target_mm=target, stock_mm=target + above[chosen])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LayerPlan:
+    """Layers from the top down, and whether exact rows over everything follow."""
+
+    layers: tuple[Layer, ...]
+    exact_rows: bool
+
+
+def plan_layers(field: Field, stock: StockTouch, spec: PassSpec) -> LayerPlan:
+    """The fewest layers that keep every engagement within the step-down."""
+    depth = float((field.stock_mm - field.target_mm).max()) + stock.slack_mm
+    if depth <= spec.step_down_mm:
+        return LayerPlan(layers=(), exact_rows=True)
+    if not stock.flat:
+        count = ceil(depth / spec.layer_mm) - 1
+        parallel = (Layer(offset_mm=k * spec.layer_mm, level_mm=-inf) for k in range(count, 0, -1))
+        return LayerPlan(layers=tuple(parallel), exact_rows=True)
+    exact = spec.finishes or spec.strategy == "contour"
+    keep = min(SKIM_MM, spec.step_down_mm / 2) if exact else 0.0
+    top = float(stock.height_mm.max())
+    lowest = float(field.target_mm[field.stock_mm > field.target_mm].min()) + keep
+    count = ceil((top - lowest) / spec.step_down_mm)
+    planes = (Layer(offset_mm=keep, level_mm=top - (k + 1) * spec.step_down_mm) for k in range(count))
+    return LayerPlan(layers=tuple(planes), exact_rows=exact)
+
+
+def layer_row_distance_mm(spec: PassSpec) -> float:
+    """Of layers that exact rows follow: their cusps, p^2 / 8R, are 2 % of the step-down at most."""
+    return min(spec.radius_mm / 5, sqrt(8 * spec.radius_mm * LAYER_CUSP_SHARE * spec.step_down_mm))
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """Samples first..last of one row, cut upward in x or downward; joined to the run before or entered anew."""
+
+    row: int
+    first: int
+    last: int
+    upward: bool
+    joined: bool
+
+    @property
+    def start(self) -> int:
+        return self.first if self.upward else self.last
+
+    @property
+    def end(self) -> int:
+        return self.last if self.upward else self.first
+
+
+def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[tuple[int, int]]:
+    """Stretches (first, last) of True, grown by pad samples and merged across at most gap samples."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
+    merged: list[tuple[int, int]] = []
+    for first, last in zip(edges[::2] - pad, edges[1::2] - 1 + pad, strict=True):
+        low, high = max(0, int(first)), min(active.size - 1, int(last))
+        if merged and low - merged[-1][1] <= gap:
+            merged[-1] = (merged[-1][0], high)
+        else:
+            merged.append((low, high))
+    return merged
+
+
+def chained(
+    by_row: list[list[tuple[int, int]]], *, most_samples: int, link: bool, first_upward: bool = True
+) -> Iterator[Run]:
+    """Every span once: up the rows from neighbour to neighbour, there and back, while the next start is near enough.
+
+    link : False cuts every span by itself, all of them the first way
+    """
+    for bottom in range(len(by_row)):
+        while by_row[bottom]:
+            row, upward = bottom, first_upward
+            first, last = by_row[bottom].pop(0)
+            run = Run(row, first, last, upward, False)
+            yield run
+            while link and row + 1 < len(by_row):
+                row, upward = row + 1, not upward
+                starts = [abs((span[0] if upward else span[1]) - run.end) for span in by_row[row]]
+                if not starts or min(starts) > most_samples:
+                    break
+                first, last = by_row[row].pop(int(np.argmin(starts)))
+                run = Run(row, first, last, upward, True)
+                yield run
+
+
+def layer_paths(
+    field: Field,
+    surface: ToolSurface,
+    stock: StockTouch,
+    layer: Layer,
+    above: Layer | None,
+    spec: PassSpec,
+    *,
+    safe_z_mm: float,
+    on_progress: Callable[[float], None],
+) -> Iterator[Path]:
+    """One layer, cut only where stock stands above it; starts and ends at safe height.
+
+    A link on the layer's own surface is always allowed: nothing stands higher above it than a step-down. It is taken
+    while it is shorter than four radii, and a row's gap is crossed the same way while it is shorter than two.
+    """
+    left, tips = _stock_and_tips(field, layer, above)
+    per_radius = surface.radius_mm / field.step_mm
+    pad, gap, reach = ceil(per_radius / 4), round(2 * per_radius), round(4 * per_radius)
+    sag = _sag_mm(surface, layer, spec)
+    standing = _stands_above(left, tips, stock, above)
+    by_row = [spans(row, pad=pad, gap=gap) for row in _with_neighbours(standing)]
+    now = left.copy()
+    total = sum(map(len, by_row))
+    pocket = _pocket(field, surface, layer)
+    before: Run | None = None
+    place = np.empty(3)
+    linked = spec.link == "u-turn"
+    runs = chained(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
+    for done, run in enumerate(runs, start=1):
+        samples = slice(run.first, run.last + 1)
+        points = np.column_stack(
+            [field.x_mm[samples], np.full(run.last + 1 - run.first, field.rows.y_mm[run.row]), tips[run.row, samples]]
+        )
+        slot = _slots(now, tips, run, least_mm=SLOT_DEPTH_SHARE * spec.step_down_mm, pad=pad)
+        if not run.upward:
+            points, slot = points[::-1], slot[::-1]
+        now[run.row, samples] = np.minimum(now[run.row, samples], tips[run.row, samples])
+        if run.joined and before is not None:
+            yield cut(_link(field, surface, layer, before, run, sag), SLOT_FEED * spec.feed_mm_per_min)
+        else:
+            if before is not None:
+                yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
+            height = float(left[run.row, run.start]) + stock.slack_mm + 2 * sag
+            yield from enter(thinned(points, sag), height, spec, safe_z_mm=safe_z_mm, pocket=pocket)
+        yield from _cuts(points, slot, sag, spec)
+        before, place = run, points[-1]
+        on_progress(done / total)
+    if before is not None:
+        yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
+    if total:
+        yield from _end_walls(field, surface, stock, layer, above, spec, safe_z_mm=safe_z_mm)
+
+
+def _slots(now: Array, tips: Array, run: Run, *, least_mm: float, pad: int) -> npt.NDArray[np.bool_]:
+    """(n,) samples of a run where stock stands on both sides of it, least_mm above it or more.
+
+    now : tips (n rows, n samples) at which the ball would meet the stock of the moment; on a steep surface a row
+          beside, though cut, may lie that much higher
+    """
+    samples = slice(run.first, run.last + 1)
+    below, above = max(run.row - 1, 0), min(run.row + 1, len(now) - 1)
+    lowest = np.minimum(np.minimum(now[below, samples], now[above, samples]), now[run.row, samples])
+    both = lowest - tips[run.row, samples] > least_mm
+    slot = np.zeros_like(both)
+    for first, last in spans(both, pad=pad, gap=2 * pad):
+        slot[first : last + 1] = True
+    return slot
+
+
+def _cuts(points: Array, slot: npt.NDArray[np.bool_], sag_mm: float, spec: PassSpec) -> Iterator[Path]:
+    """The points of a run, thinned; slots at their slower feed."""
+    edges = np.flatnonzero(np.diff(slot)) + 1
+    for first, end in pairwise([0, *edges.tolist(), len(points)]):
+        feed = spec.feed_mm_per_min * (SLOT_FEED if slot[first] else 1.0)
+        yield cut(thinned(points[first:end], sag_mm), feed)
+
+
+def _sag_mm(surface: ToolSurface, layer: Layer, spec: PassSpec) -> float:
+    """How far a layer's chords may be off: a little of what it leaves, and of what the next one may then meet."""
+    return min(rough_sag_mm(surface.allowance_mm + layer.offset_mm), LAYER_SAG_SHARE * spec.step_down_mm)
+
+
+def _pocket(field: Field, surface: ToolSurface, layer: Layer) -> Pocket:
+    """The layer's own surface, over all that its rows and turns may touch."""
+    rows = field.rows
+    return Pocket(
+        floor_mm=lambda x, y: layer.tips_mm(surface.tip_heights_mm(x, y)),
+        region_mm=(float(field.x_mm[0]), float(field.x_mm[-1]), float(rows.y_mm[0]), float(rows.y_mm[-1])),
+    )
+
+
+def _stock_and_tips(field: Field, layer: Layer, above: Layer | None) -> tuple[Array, Array]:
+    """Tips at which the ball meets what the layer above has left, and the layer's own tips."""
+    left = field.stock_mm if above is None else np.minimum(field.stock_mm, above.tips_mm(field.target_mm))
+    return left, layer.tips_mm(field.target_mm)
+
+
+def _stands_above(left: Array, tips: Array, stock: StockTouch, above: Layer | None) -> npt.NDArray[np.bool_]:
+    """(n rows, n samples): whether there is anything to cut."""
+    return np.asarray(left + (stock.slack_mm if above is None else 0.0) > tips + TOUCH_MM)
+
+
+def _with_neighbours(active: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
+    """Active rows and, beside what is active, the rows before and after: a last row leaves stock up to the next."""
+    grown = active.copy()
+    grown[1:] |= active[:-1]
+    grown[:-1] |= active[1:]
+    return grown
+
+
+def _end_walls(
+    field: Field,
+    surface: ToolSurface,
+    stock: StockTouch,
+    layer: Layer,
+    above: Layer | None,
+    spec: PassSpec,
+    *,
+    safe_z_mm: float,
+) -> Iterator[Path]:
+    """Along the walls at which the rows end, where stock stood above the layer: both sides, each from front to back.
+
+    Row ends alone leave flakes on the wall, in other places than a layer whose rows turn at the other side; the ball of
+    a later layer, or a later pass, would take flakes of several layers off at once.
+    """
+    y = _between(field.rows.y_mm, field.step_mm)
+    for x_mm in (field.x_mm[0], field.x_mm[-1]):
+        x = np.full_like(y, x_mm)
+        column = Field(
+            rows=field.rows,
+            x_mm=y,
+            target_mm=surface.tip_heights_mm(x, y)[None, :],
+            stock_mm=stock.over(x[:1], y).T,
+        )
+        left, tips = _stock_and_tips(column, layer, above)
+        sag = _sag_mm(surface, layer, spec)
+        for first, last in spans(_stands_above(left, tips, stock, above)[0], pad=1, gap=y.size):
+            points = thinned(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
+            height = float(left[0, first]) + stock.slack_mm + 2 * sag
+            yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
+            yield cut(points, SLOT_FEED * spec.feed_mm_per_min)
+            yield leave(points[-1, 0], points[-1, 1], safe_z_mm=safe_z_mm)
+
+
+def _between(y_mm: Array, step_mm: float) -> Array:
+    """Positions of the rows and, no farther apart than step_mm, between them."""
+    return np.asarray(on_ticks(np.linspace(y_mm[0], y_mm[-1], ceil((y_mm[-1] - y_mm[0]) / step_mm) + 1)))
+
+
+def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Run, tolerance_mm: float) -> Array:
+    """Half a turn on the layer's surface from one run's end to the next one's start, bulging the way the tool went
+    as far as the run-out allows.
+
+    At the end of the run-out that is straight across: rows cannot end earlier, as the next layer's ball would then
+    meet a wall beside this layer's turns that reaches up to the top of the block.
+    """
+    x0, x1 = field.x_mm[before.end], field.x_mm[run.start]
+    y0, y1 = field.rows.y_mm[before.row], field.rows.y_mm[run.row]
+    count = max(6, ceil(2 * float(np.hypot(x1 - x0, y1 - y0)) / field.step_mm))
+    angle = np.linspace(0.0, pi, count + 1)
+    bulge = field.rows.turn_mm * np.sin(angle) * (1 if before.upward else -1)
+    x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
+    y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
+    points = np.column_stack([x, y, layer.tips_mm(surface.tip_heights_mm(x, y))])
+    return thinned(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points

@@ -1,0 +1,142 @@
+"""Rows along X (`cam.rows.turned` makes them rows along Y): where they lie, and the exact surface along them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from cam.moves import Array
+from cam.passes import PassSpec, Stock
+from cam.rows.vertices import TICKS_PER_MM, VertexRule, march_row, most_vertices
+from cam.surface.contact import touch
+from cam.surface.tool_surface import ToolSurface
+
+THREADS = 2
+THREAD_NAME = "cam-rows"
+ROWS_PER_CHUNK = 16
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Rows at y_mm (n,), each from left_mm to right_mm; turns bulge out by turn_mm beyond either end.
+
+    The tip's region is the aperture grown by one cutter radius on every side; the turns are inside it.
+    """
+
+    y_mm: Array
+    left_mm: float
+    right_mm: float
+    turn_mm: float
+
+    @classmethod
+    def over(cls, stock: Stock, spec: PassSpec) -> Rows:
+        """Even rows, at most one pitch apart, the first and the last exactly one radius outside the aperture."""
+        reach = spec.radius_mm
+        span = stock.height_mm + 2 * reach
+        count = math.ceil(span / spec.pitch_mm - 1e-9)
+        y = on_ticks(np.linspace(-reach, stock.height_mm + reach, count + 1))
+        if np.diff(y).max() > spec.pitch_mm + 1e-9:  # rounding made a gap too wide
+            count = math.ceil(span / (spec.pitch_mm - 1 / TICKS_PER_MM))
+            y = on_ticks(np.linspace(-reach, stock.height_mm + reach, count + 1))
+        turn = math.ceil(spec.pitch_mm / 2 * TICKS_PER_MM) / TICKS_PER_MM
+        left, right = on_ticks(np.array([-reach + turn, stock.width_mm + reach - turn]))
+        return cls(y_mm=y, left_mm=float(left), right_mm=float(right), turn_mm=turn)
+
+    @property
+    def length_mm(self) -> float:
+        return self.right_mm - self.left_mm
+
+    def every(self, stride: int) -> Rows:
+        """Every stride-th row, and the last."""
+        chosen = np.unique(np.append(np.arange(0, self.y_mm.size, stride), self.y_mm.size - 1))
+        return Rows(y_mm=self.y_mm[chosen], left_mm=self.left_mm, right_mm=self.right_mm, turn_mm=self.turn_mm)
+
+
+def on_ticks(values: Array) -> Array:
+    rounded: Array = np.round(values * TICKS_PER_MM) / TICKS_PER_MM
+    return rounded
+
+
+@njit(cache=True, nogil=True)
+def _follow(b, rule, y, rows, left, right, bulge, forward, out):  # type: ignore[no-untyped-def]
+    """The first `rows` rows of y and the turn after each into out; a row after them in y is only turned to.
+
+    A turn is a half circle over (y0, y1), on the surface, in `parts` chords; its points lie on the writing raster.
+    """
+    count = int(np.int64(0))  # a plain 0 is a type of its own: march_row would be compiled twice
+    parts = 4 if bulge < 0.05 else 8
+    for j in range(rows):
+        start, end = (left, right) if forward else (right, left)
+        count = march_row(b, rule, y[j], start, end, out, count)
+        forward = not forward
+        if j + 1 >= y.size:
+            break
+        way = 1.0 if end > start else -1.0
+        px, py = end, y[j]
+        for m in range(1, parts):
+            angle = math.pi * m / parts
+            tx = math.floor((end + way * bulge * math.sin(angle)) * 10_000 + 0.5) / 10_000
+            ty = 0.5 * (y[j] + y[j + 1]) - 0.5 * (y[j + 1] - y[j]) * math.cos(angle)
+            ty = math.floor(ty * 10_000 + 0.5) / 10_000
+            px, py, tip = touch(b, tx, ty, px, py)[:3]
+            out[count, 0], out[count, 1], out[count, 2] = tx, ty, tip
+            count += 1
+    return count
+
+
+def _chunk(surface: ToolSurface, rows: Rows, rule: VertexRule, first: int) -> Array:
+    """Rows first.. of one chunk and the turns after them, the one into the next chunk included."""
+    y = rows.y_mm[first : first + ROWS_PER_CHUNK + 1]
+    count = min(y.size, ROWS_PER_CHUNK)
+    out = np.empty((count * (most_vertices(rows.length_mm, rule) + 8), 3))
+    forward = first % 2 == 0
+    filled = _follow(surface.kernel, rule, y, count, rows.left_mm, rows.right_mm, rows.turn_mm, forward, out)
+    return out[:filled].copy()
+
+
+def continuous_rows(surface: ToolSurface, rows: Rows, rule: VertexRule) -> Iterator[Array]:
+    """All rows there and back on one unbroken path, as pieces (n, 3) in order; a few pieces are in work at a time."""
+    starts = range(0, rows.y_mm.size, ROWS_PER_CHUNK)
+    yield from ordered(lambda first: _chunk(surface, rows, rule, first), starts)
+
+
+def climbs_rightward(spec: PassSpec) -> bool:
+    """Whether rows cut one way, each beyond the last in Y, climb when they run in +X.
+
+    The spindle turns clockwise, so a cutter climbs with the stock on its right: rows in -X, the next one farther in +Y.
+    Rows along Y are made with the axes exchanged (cam.rows.turned), which makes right of left.
+    """
+    return spec.direction == "y"
+
+
+def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightward: bool) -> Iterator[Array]:
+    """Every row by itself, all the same way (paper, Fig. 13)."""
+    start, end = (rows.left_mm, rows.right_mm) if rightward else (rows.right_mm, rows.left_mm)
+
+    def row(index: int) -> Array:
+        out = np.empty((most_vertices(rows.length_mm, rule), 3))
+        return out[: march_row(surface.kernel, rule, rows.y_mm[index], start, end, out, 0)].copy()
+
+    yield from ordered(row, range(rows.y_mm.size))
+
+
+def ordered(work, items) -> Iterator[Array]:  # type: ignore[no-untyped-def]
+    """work(item) of each item in order, THREADS at a time, at most two waiting for each."""
+    waiting: deque[Future[Array]] = deque()
+    with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:
+        try:
+            for item in items:
+                waiting.append(pool.submit(work, item))
+                if len(waiting) > 2 * THREADS:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for future in waiting:
+                future.cancel()

@@ -1,0 +1,156 @@
+"""How low the tip may go before the ball meets the stock that is left."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from cam.moves import Array
+from cam.surface.stock_grid import StockGrid
+
+AIR_MM = -1e6
+"""Where the whole footprint lies beside the block."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StockTouch:
+    """Grey dilation of the stock left by the ball: D(c) = max over q of top(q) - (R - sqrt(R^2 - |q - c|^2)).
+
+    D(c) - tip is then exactly the most stock one move takes off, measured along Z: the engagement.
+
+    height_mm (ny, nx) : D on a lattice whose node [0, 0] stands at (x0_mm, y0_mm)
+    slack_mm           : the most D can be too low, as cells and lattice only sample the ball: s^2 / 4R
+    stock, radius_mm   : what it was made of
+    """
+
+    x0_mm: float
+    y0_mm: float
+    step_mm: float
+    height_mm: Array
+    slack_mm: float
+    flat: bool
+    stock: StockGrid
+    radius_mm: float
+
+    @classmethod
+    def of(cls, stock_top: StockGrid, radius_mm: float) -> StockTouch:
+        top, cell = stock_top.top_mm, stock_top.cell_mm
+        stride = max(1, int(radius_mm / 10 / cell))
+        step, pad = stride * cell, math.ceil(radius_mm / (stride * cell)) + 1
+        nx, ny = (math.ceil(n / stride) + 2 * pad for n in (top.shape[1], top.shape[0]))
+        x0 = stock_top.x0_mm + cell / 2 - pad * step
+        y0 = stock_top.y0_mm + cell / 2 - pad * step
+        flat = bool(np.ptp(top) == 0)
+        height = np.full((ny, nx), AIR_MM)
+        if flat:
+            out_x = _outside(x0 + step * np.arange(nx), stock_top.x0_mm, stock_top.x0_mm + top.shape[1] * cell)
+            out_y = _outside(y0 + step * np.arange(ny), stock_top.y0_mm, stock_top.y0_mm + top.shape[0] * cell)
+            left = radius_mm**2 - out_x[None, :] ** 2 - out_y[:, None] ** 2
+            met = left > 0
+            height[met] = float(top[0, 0]) - radius_mm + np.sqrt(left[met])
+        else:
+            wide = math.ceil(top.shape[1] / stride) * stride
+            by_column = np.full((top.shape[0], wide), AIR_MM)
+            by_column[:, : top.shape[1]] = top
+            phases = by_column.reshape(top.shape[0], -1, stride).transpose(2, 0, 1)
+            _dilate(np.ascontiguousarray(phases), cell, radius_mm, pad, height)
+        return cls(
+            x0_mm=x0,
+            y0_mm=y0,
+            step_mm=step,
+            height_mm=height,
+            slack_mm=0.0 if flat else step**2 / (4 * radius_mm),
+            flat=flat,
+            stock=stock_top,
+            radius_mm=radius_mm,
+        )
+
+    def over(self, x_mm: Array, y_mm: Array) -> Array:
+        """(ny, nx) D at the grid points x (nx,), y (ny,), bilinear between lattice nodes."""
+        out = np.empty((y_mm.size, x_mm.size))
+        _sample(self.height_mm, self.x0_mm, self.y0_mm, 1.0 / self.step_mm, x_mm, y_mm, out)
+        return out
+
+    def exactly(self, x_mm: Array, y_mm: Array) -> Array:
+        """(n,) D at x (n,), y (n,) by the stock's own cells: between two nodes beside a wall the lattice tells of stock
+        that the ball only passes by.
+        """
+        stock, out = self.stock, np.empty(x_mm.size)
+        _touch(stock.top_mm, stock.x0_mm, stock.y0_mm, stock.cell_mm, self.radius_mm, x_mm, y_mm, out)
+        return out
+
+    def under(self, points_mm: Array) -> Array:
+        """(n,) D at points (n, 2) or (n, 3)."""
+        return np.array([self.at(x, y) for x, y in points_mm[:, :2]])
+
+    def at(self, x_mm: float, y_mm: float) -> float:
+        return float(self.over(np.array([x_mm]), np.array([y_mm]))[0, 0])
+
+
+def _outside(values: Array, low: float, high: float) -> Array:
+    """How far outside [low, high]."""
+    result: Array = np.maximum(np.maximum(low - values, values - high), 0.0)
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _dilate(phases, cell, radius, pad, out):  # type: ignore[no-untyped-def]
+    """phases (stride, ny, n): the stock's columns, every stride-th of them together, so that inner loops run straight.
+
+    out (my, mx) : node [j, i] stands over cell [(j - pad) stride, (i - pad) stride]
+    """
+    stride, ny, n = phases.shape
+    reach = int(radius / cell)
+    for j in range(out.shape[0]):
+        below = out[j]
+        below[:] = AIR_MM
+        jc = (j - pad) * stride
+        for a in range(max(-reach, -jc), min(reach, ny - 1 - jc) + 1):
+            for e in range(-reach, reach + 1):
+                left = radius * radius - (a * a + e * e) * cell * cell
+                if left <= 0.0:
+                    continue
+                bump = radius - np.sqrt(left)
+                shift = e // stride - pad
+                first, last = max(0, -shift), min(below.size, n - shift)
+                row = phases[e % stride, jc + a, first + shift : last + shift]
+                for i in range(row.size):
+                    height = row[i] - bump
+                    here = below[first + i]
+                    below[first + i] = height if height > here else here
+
+
+@njit(cache=True, nogil=True)
+def _touch(top, x0, y0, cell, radius, x, y, out):  # type: ignore[no-untyped-def]
+    ny, nx = top.shape
+    for n in range(out.size):
+        out[n] = AIR_MM
+        column, row = (x[n] - x0) / cell - 0.5, (y[n] - y0) / cell - 0.5  # in cells, from the centre of the first
+        reach = radius / cell
+        for j in range(max(0, int(math.ceil(row - reach))), min(ny - 1, int(math.floor(row + reach))) + 1):
+            half = math.sqrt(max(0.0, reach * reach - (j - row) ** 2))
+            for i in range(max(0, int(math.ceil(column - half))), min(nx - 1, int(math.floor(column + half))) + 1):
+                left = radius * radius - ((i - column) ** 2 + (j - row) ** 2) * cell * cell
+                if left > 0.0:
+                    out[n] = max(out[n], top[j, i] - radius + math.sqrt(left))
+
+
+@njit(cache=True, nogil=True)
+def _sample(height, x0, y0, inv, x, y, out):  # type: ignore[no-untyped-def]
+    ny, nx = height.shape
+    for b in range(y.size):
+        v = (y[b] - y0) * inv
+        j = int(np.floor(v))
+        for a in range(x.size):
+            u = (x[a] - x0) * inv
+            i = int(np.floor(u))
+            if i < 0 or j < 0 or i > nx - 2 or j > ny - 2:
+                out[b, a] = AIR_MM
+                continue
+            f, g = u - i, v - j
+            low = (1.0 - f) * height[j, i] + f * height[j, i + 1]
+            high = (1.0 - f) * height[j + 1, i] + f * height[j + 1, i + 1]
+            out[b, a] = (1.0 - g) * low + g * high

@@ -1,0 +1,124 @@
+"""The surface on which the tool tip travels so that the ball touches the lens, or leaves an even allowance on it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike
+from scipy import ndimage
+
+from cam.moves import Array
+from cam.surface.contact import TILE, Ball, touch_points, touch_rows
+from optics.heightfield import Heightfield, spline_jet
+
+GUARD_SHARE = 0.6
+"""Newton alone is trusted below this share of 1/R: the Hessian is only sampled, and det(J) should stay well off 0."""
+
+_RIM = 0.995  # of the radius: the ball's own bend grows without bound towards its equator
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ToolSurface:
+    """Tip heights of one ball over one lens, in and around the aperture; made by `over`.
+
+    lowest_mm, highest_mm : bounds of all tips that may be asked for; a tip is never below the surface under it
+    """
+
+    radius_mm: float
+    allowance_mm: float
+    lowest_mm: float
+    highest_mm: float
+    guarded_share: float
+    kernel: Ball
+
+    @classmethod
+    def over(
+        cls, heightfield: Heightfield, *, radius_mm: float, allowance_mm: float = 0.0, run_out_mm: float | None = None
+    ) -> ToolSurface:
+        """For tips up to run_out_mm (default: one radius) outside the aperture."""
+        ball_mm = radius_mm + allowance_mm
+        run_out_mm = radius_mm if run_out_mm is None else run_out_mm
+        spline = heightfield.spline_with_run_out(run_out_mm + ball_mm + 2 * ball_mm / 8)
+        step = min(heightfield.dx_mm, heightfield.dy_mm, ball_mm / 8)
+        reach = run_out_mm + ball_mm + step
+        x = np.arange(-reach, heightfield.width_mm + reach + step, step) + heightfield.x_mm[0]
+        y = np.arange(-reach, heightfield.height_mm + reach + step, step) + heightfield.y_mm[0]
+        heights, most, bend = (np.empty((y.size, x.size)) for _ in range(3))
+        _lattice(*spline.kernel_arguments, x, y, ball_mm, step / np.sqrt(2), heights, most, bend)
+        guarded = _grown(most > GUARD_SHARE / ball_mm, (ball_mm + step) / step)
+        sides = ((y, heightfield.y_mm), (x, heightfield.x_mm))
+        tips = [(a >= rim[0] - run_out_mm - step) & (a <= rim[-1] + run_out_mm + step) for a, rim in sides]
+        slack = ndimage.maximum_filter(bend, size=3) * step**2 / 4
+        kernel = Ball(
+            *spline.kernel_arguments,
+            radius=ball_mm,
+            below=radius_mm,
+            node_z=heights,
+            node_x0=float(x[0]),
+            node_y0=float(y[0]),
+            node_step=step,
+            guarded=guarded,
+            slack=slack,
+            tile_top=_tile_tops(heights + slack),
+        )
+        return cls(
+            radius_mm=radius_mm,
+            allowance_mm=allowance_mm,
+            lowest_mm=float(heights[np.ix_(*tips)].min()) + allowance_mm,
+            highest_mm=float(heights.max()) + allowance_mm,
+            guarded_share=float(guarded.mean()),
+            kernel=kernel,
+        )
+
+    def contacts_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
+        """(n, 3) contact x, contact y and tip height for tips at x (n,), y (n,); quick if neighbours are close."""
+        x, y = (np.ascontiguousarray(a, dtype=np.float64).ravel() for a in np.broadcast_arrays(x_mm, y_mm))
+        out = np.empty((x.size, 3))
+        if x.size:
+            touch_points(self.kernel, x, y, out)
+        return out
+
+    def tip_heights_mm(self, x_mm: ArrayLike, y_mm: ArrayLike) -> Array:
+        """(n,) tip heights for tips at x (n,), y (n,)."""
+        return self.contacts_mm(x_mm, y_mm)[:, 2]
+
+    def tip_rows_mm(self, x_mm: Array, y_mm: Array) -> Array:
+        """(ny, nx) tip heights on rows y (ny,) at x (nx,)."""
+        out = np.empty((y_mm.size, x_mm.size))
+        touch_rows(self.kernel, x_mm, y_mm, out)
+        return out
+
+
+@njit(cache=True, nogil=True)
+def _lattice(coefs, x0, y0, inv_dx, inv_dy, x, y, radius, aside, heights, most, bend):  # type: ignore[no-untyped-def]
+    """On the lattice x (nx,), y (ny,): heights, the largest eigenvalue of the Hessian, and how fast lens and ball
+    together bend down at most where the ball touches no farther than `aside` from there.
+    """
+    for j in range(y.size):
+        for i in range(x.size):
+            z, zx, zy, zxx, zxy, zyy = spline_jet(coefs, x0, y0, inv_dx, inv_dy, x[i], y[j])
+            mean = 0.5 * (zxx + zyy)
+            spread = np.sqrt(0.25 * (zxx - zyy) ** 2 + zxy * zxy)
+            steep = zx * zx + zy * zy
+            out = min(np.sqrt(steep / (1.0 + steep)) + aside / radius, _RIM)  # of the ball's radius
+            heights[j, i] = z
+            most[j, i] = mean + spread
+            bend[j, i] = max(0.0, spread - mean) + 1.0 / (radius * (1.0 - out * out) ** 1.5)
+
+
+def _tile_tops(values: np.ndarray) -> np.ndarray:
+    """The highest of each TILE x TILE values; those at the far sides may be fewer."""
+    rows, columns = (-(-count // TILE) for count in values.shape)
+    whole = np.full((rows * TILE, columns * TILE), -np.inf)
+    whole[: values.shape[0], : values.shape[1]] = values
+    return np.ascontiguousarray(whole.reshape(rows, TILE, columns, TILE).max(axis=(1, 3)))
+
+
+def _grown(mask: np.ndarray, by: float) -> np.ndarray:
+    """The mask and everything within `by` cells of it."""
+    if not mask.any():
+        return mask
+    return ndimage.distance_transform_edt(~mask) <= ceil(by)

@@ -1,0 +1,112 @@
+"""What a program is held against: the profile's figures, and the controller's own where it has told them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from machines.grbl.settings import ControllerSettings
+from machines.preflight.preflight import Preflight, Triple
+from machines.profiles import MachineProfile
+
+AT_PRESENT_ZERO = "at the present work zero"
+"""So begins a warning that holds until the work zero is set again."""
+
+_AXES = "XYZ"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MillLimits:
+    """Travel, speeds and link of one mill; part of the cache key of a pre-flight.
+
+    bytes_per_s : of the wire; None where blocks do not go over a paced serial line
+    own_figures : the controller's $ settings gave rates and accelerations
+    """
+
+    profile: str
+    dialect: str
+    travel_mm: Triple
+    max_rate_mm_per_min: Triple
+    acceleration_mm_per_s2: Triple
+    junction_deviation_mm: float
+    planner_blocks: int
+    lines_per_s: float
+    bytes_per_s: float | None
+    spindle_rpm: tuple[float, float]
+    own_figures: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        return asdict(self)
+
+    @staticmethod
+    def from_dict(data: dict[str, Any]) -> MillLimits:
+        values: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in data.items()}
+        return MillLimits(**values)
+
+
+def limits_of(profile: MachineProfile, settings: ControllerSettings | None = None) -> MillLimits:
+    """The profile's figures with those of the controller in their place, as far as it has told them."""
+    told = settings or ControllerSettings()
+    fastest = told.number(30)
+    slowest = told.number(31)
+    spindle = (slowest or 0.0, fastest) if fastest else profile.spindle_rpm
+    return MillLimits(
+        profile=profile.name,
+        dialect=profile.dialect,
+        travel_mm=_usable(told.travel_mm) or profile.travel_mm,
+        max_rate_mm_per_min=_usable(told.max_rate_mm_per_min) or profile.max_rate_mm_per_min,
+        acceleration_mm_per_s2=_usable(told.acceleration_mm_per_s2) or profile.acceleration_mm_per_s2,
+        junction_deviation_mm=told.junction_deviation_mm or profile.junction_deviation_mm,
+        planner_blocks=max(2, told.planner_blocks or profile.planner_blocks),
+        lines_per_s=profile.lines_per_s,
+        bytes_per_s=None if profile.link.driver in ("roland-usb", "none") else profile.link.wire_bytes_per_s,
+        spindle_rpm=spindle,
+        own_figures=_usable(told.acceleration_mm_per_s2) is not None,
+    )
+
+
+def _usable(triple: Triple | None) -> Triple | None:
+    return triple if triple is not None and min(triple) > 0 else None
+
+
+def _reach_mm(settings: ControllerSettings, travel_mm: Triple, axis: int) -> tuple[float, float]:
+    """Least and greatest machine coordinate of an axis."""
+    to_low_end = int(settings.number(23) or 0) >> axis & 1
+    return (0.0, travel_mm[axis]) if "Z" in settings.options and to_low_end else (-travel_mm[axis], 0.0)
+
+
+def top_of_travel_mm(settings: ControllerSettings | None) -> float | None:
+    """Highest machine Z; None where it is not known."""
+    if settings is None or settings.travel_mm is None:
+        return None
+    return _reach_mm(settings, settings.travel_mm, 2)[1]
+
+
+def placement_problems(program: Preflight, settings: ControllerSettings) -> tuple[str, ...]:
+    """Where the program, at the controller's present offsets, leaves the machine's travel; one sentence each.
+
+    To be asked right before a start: offsets change when the work is zeroed. Machine coordinates run from -travel to 0,
+    or from 0 to travel for an axis that homes to its low end in a firmware built with a forced origin ($I says Z).
+    Empty also where nothing can be said: travel or offsets not known, or the machine has no homing.
+    """
+    travel, offsets = settings.travel_mm, settings.offsets
+    if travel is None or not offsets or not (settings.homing or settings.soft_limits):
+        return ()
+    problems = []
+    for frame, bounds in program.bounds_by_frame.items():
+        if frame != "machine" and frame not in offsets:
+            continue
+        for axis, name in enumerate(_AXES):
+            least, most = bounds.least_mm[axis], bounds.most_mm[axis]
+            if least is None or most is None:
+                continue
+            shift = 0.0
+            if frame != "machine":
+                shift = sum(offsets[key][axis] for key in (frame, "G92", "TLO") if key in offsets)
+            low, high = _reach_mm(settings, travel, axis)
+            if least + shift < low - 1e-6 or most + shift > high + 1e-6:
+                problems.append(
+                    f"{name} would go from {least + shift:.3f} to {most + shift:.3f} mm in machine coordinates "
+                    f"({frame}); the machine reaches {low:g} to {high:g}"
+                )
+    return tuple(problems)

@@ -1,0 +1,1 @@
+"""The command `causticmill`: one file for each group of commands."""

@@ -1,0 +1,71 @@
+"""The command `coupon`: its arguments, and what it calls.
+
+Everything is imported inside, so that --help answers at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from service.processes.kernel_cache import JOBS
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command to the command line."""
+    app.command()(coupon)
+
+
+def coupon(
+    output: Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder of the test piece.")],
+    photo: Annotated[
+        Path | None,
+        typer.Option("--photo", metavar="FILE", help="A photograph of its light: measures the finish."),
+    ] = None,
+    machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Machine profile.")] = None,
+    throw_mm: Annotated[
+        float | None, typer.Option("--throw-mm", help="From the block's top to the screen; default 20.")
+    ] = None,
+    finish: Annotated[
+        str | None,
+        typer.Option("--finish", metavar="NAME", help="Finish that is foretold; default sanding."),
+    ] = None,
+    spec: Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of the spec. Repeatable.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+) -> None:
+    """A test piece that measures your mill and your finish: its programs, or, with --photo, what a photograph says."""
+    from service.errors import InputError
+    from service.progress import reporting
+
+    if photo is not None:
+        given = {"--machine": machine, "--throw-mm": throw_mm, "--finish": finish, "--spec": spec, "--set": set_}
+        if wrong := [name for name, value in given.items() if value]:
+            raise InputError(f"{wrong[0]}: the test piece is made already; allowed with --photo: -o DIR, --quiet")
+        from service.job.coupon import findings, measuring, piece
+
+        with reporting(quiet) as reporter:
+            result = measuring.measure_coupon(photo, output, reporter=reporter)
+        if not quiet:
+            for line in findings.finding_lines(result):
+                print(line)
+            print(f"figures for a job's spec: {output / piece.FIT_SNIPPET}; the curve: {output / piece.FIT_PICTURE}")
+        return
+    from service.server.worker import warmup as preparing
+
+    with preparing.compile_beside(JOBS):
+        from service.job.coupon import piece, programs
+
+        overrides = list(set_ or ())
+        overrides += [] if finish is None else [f"finish.process={finish}"]
+        resolved = piece.coupon_spec(machine=machine, throw_mm=throw_mm, file=spec, overrides=overrides)
+        with reporting(quiet) as reporter:
+            report = programs.make_coupon(output, resolved, reporter=reporter, force=force)
+    if not quiet:
+        for line in piece.summary_lines(output, report):
+            print(line)

@@ -1,0 +1,180 @@
+"""The commands `submit`, `get` and `jobs`: their arguments, and what each one calls. `runs` is in run_commands.
+
+Everything is imported inside the commands, so that --help answers at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.cli import runs as run_commands
+from service.cli.options import JobArgument, QuietOption, ServerOption, TokenOption
+
+OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for the files.")]
+LimitOption = Annotated[int, typer.Option("--limit", min=1, help="How many at most.")]
+StateOption = Annotated[list[str] | None, typer.Option("--state", help="Only those in this state. Repeatable.")]
+
+jobs_app = typer.Typer(
+    help="The jobs of a server: list, show, follow, cancel, retry, delete.", invoke_without_command=True
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this package to the command line."""
+    app.command()(submit)
+    app.command()(get)
+    app.add_typer(jobs_app, name="jobs")
+    run_commands.register(app)
+
+
+def submit(
+    picture: Annotated[Path, typer.Argument(metavar="PICTURE", help="The picture, as for `make`.")],
+    spec: Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", metavar="NAME", help="Passes: paper, draft or recommended.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. optics.width_mm=40. Repeatable."),
+    ] = None,
+    light_picture: Annotated[
+        Path | None,
+        typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light, as for `make`."),
+    ] = None,
+    priority: Annotated[str, typer.Option("--priority", help="low, normal or high.")] = "normal",
+    follow: Annotated[bool, typer.Option("--follow", "--wait", help="Stay until the job has ended.")] = False,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Follow, then download everything there.")
+    ] = None,
+    server: ServerOption = None,
+    token_file: TokenOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Hand a picture to the job server. Prints the job's id."""
+    from service.client.submit import Submission, spec_text
+    from service.client.submit import submit as submitted
+
+    text = spec_text(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+    order = Submission(picture=picture, spec=text, priority=priority)
+    with _connected(server, token_file) as link:
+        if output is not None:
+            from service.client.download import require_folder
+
+            require_folder(output)
+        job_id = str(submitted(link, order)["id"])
+        print(job_id, flush=True)
+        if follow or output is not None:
+            _followed(link, job_id, quiet=quiet, fetched=output is not None)
+        if output is not None:
+            _got(link, job_id, output, (), quiet)
+
+
+def get(
+    job: JobArgument,
+    output: OutputOption,
+    only: Annotated[list[str] | None, typer.Option("--only", metavar="NAME", help="This file. Repeatable.")] = None,
+    server: ServerOption = None,
+    token_file: TokenOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Download the files of a job. Goes on where an earlier try was cut off; every file is checked by its hash."""
+    with _connected(server, token_file) as link:
+        _got(link, job, output, tuple(only or ()), quiet)
+
+
+@jobs_app.callback()
+def jobs(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """The jobs of a server; without a further word: the latest."""
+    if context.invoked_subcommand is None:
+        jobs_list(server=server, token_file=token_file)
+
+
+@jobs_app.command("list")
+def jobs_list(
+    state: StateOption = None, limit: LimitOption = 20, server: ServerOption = None, token_file: TokenOption = None
+) -> None:
+    """The latest jobs."""
+    from service.client.jobs import job_table, listed
+
+    with _connected(server, token_file) as link:
+        _print(job_table(list(listed(link, states=tuple(state or ()), limit=limit))))
+
+
+@jobs_app.command("show")
+def jobs_show(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """One job: state, stages, programs."""
+    from service.client.jobs import job_lines
+
+    with _connected(server, token_file) as link:
+        _print(job_lines(link.get(f"/v1/jobs/{job}")))
+
+
+@jobs_app.command("follow")
+def jobs_follow(
+    job: JobArgument, server: ServerOption = None, token_file: TokenOption = None, quiet: QuietOption = False
+) -> None:
+    """Watch a job until it has ended; exit code 1 if it did not succeed."""
+    with _connected(server, token_file) as link:
+        link.get(f"/v1/jobs/{job}")  # a server that is not there, or a job that is none, is said at once
+        _followed(link, job, quiet=quiet)
+
+
+@jobs_app.command("cancel")
+def jobs_cancel(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """End a job."""
+    _told(job, "cancel", server, token_file)
+
+
+@jobs_app.command("retry")
+def jobs_retry(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """Start a failed or cancelled job again; what it had finished is kept."""
+    _told(job, "retry", server, token_file)
+
+
+@jobs_app.command("delete")
+def jobs_delete(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """Forget a job that has ended, and its files."""
+    with _connected(server, token_file) as link:
+        link.delete(f"/v1/jobs/{job}")
+    print(f"{job} deleted")
+
+
+def _told(job: str, verb: str, server: str | None, token_file: Path | None) -> None:
+    from service.client.jobs import state_words
+
+    with _connected(server, token_file) as link:
+        answer = link.post(f"/v1/jobs/{job}:{verb}")
+    print(f"{job} {state_words(answer)}")
+
+
+def _followed(link: Any, job_id: str, *, quiet: bool, fetched: bool = False) -> None:
+    from service.client.follow import follow, job_screen, require_success
+    from service.client.jobs import program_lines
+
+    with job_screen(quiet=quiet) as screen:
+        job = follow(link, job_id, screen)
+    require_success(job)
+    if not quiet:
+        hint = "" if fetched else f"; `causticmill get {job_id} -o DIR` downloads its files"
+        _print([f"succeeded{hint}", *program_lines(job)])
+
+
+def _got(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet: bool) -> None:
+    from service.client.download import get_files
+
+    get_files(link, job_id, folder, only=only, quiet=quiet)
+
+
+def _connected(server: str | None, token_file: Path | None) -> Any:
+    from service.client.address import target_of
+    from service.client.server import Server
+
+    return Server(target_of(server=server, token_file=token_file))
+
+
+def _print(lines: list[str]) -> None:
+    for line in lines:
+        print(line)

@@ -1,0 +1,149 @@
+"""Entry point of the command `causticmill`: runs it, and translates whatever ends it.
+
+Errors end in one line each on stderr and an exit code: 2 for what the person gave, 1 for a job that failed, 130 for
+Ctrl-C. Only what the standard library has is imported here, so that an interrupt of a slow start ends well, too.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import signal
+import sys
+from collections.abc import Iterator, Sequence
+from types import FrameType
+
+from service.errors import EXIT_FAILURE, EXIT_INPUT, EXIT_INTERRUPTED, JobError, printable, sentence_of_os_error
+from service.job.files import STOPPING_SIGNALS
+from service.processes.kernel_cache import use_current_kernels
+
+_AGAIN_S = 1.0
+_SOON_S = 0.01
+
+
+def main() -> None:
+    """What the installed command calls."""
+    gc.set_threshold(100_000, 20, 20)  # nearly all that is made is made by imports and stays: no use in looking often
+    code = run(sys.argv[1:])
+    for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
+        if signal.getsignal(kind) is not signal.SIG_IGN:
+            signal.signal(kind, signal.SIG_DFL)
+    if code == EXIT_INTERRUPTED:  # all is cleaned up, and the interpreter would wait for threads still computing
+        sys.stdout.flush()
+        os._exit(code)
+    gc.freeze()  # or the interpreter looks at everything once more before it ends: a second after a lens
+    sys.exit(code)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run a command line and return its exit code; every error becomes one line on stderr."""
+    with _interrupts() as signals:
+        code, error, interrupted = EXIT_FAILURE, None, False
+        try:
+            try:
+                code = _command(arguments)
+            except Exception as raised:
+                error = raised
+            signals.over = True
+        except KeyboardInterrupt:
+            interrupted = True
+        signals.over = True  # from here on nothing is raised: the last words are not cut short
+        if isinstance(error, JobError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
+            return _told(error)
+        if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.came):
+            # whatever an import or a library made of it; typer catches Ctrl-C itself, too, and says nothing
+            return _fail("interrupted; nothing half-written is left", EXIT_INTERRUPTED)
+        return code if error is None else _told(error)
+
+
+def _command(arguments: Sequence[str]) -> int:
+    use_current_kernels()
+    from service.cli.make import app
+
+    result = app(args=list(arguments), prog_name="causticmill", standalone_mode=False)
+    return result if isinstance(result, int) else 0
+
+
+def _told(error: Exception) -> int:
+    """What ended a command as a line on stderr, and its exit code. An error of the program itself is raised again."""
+    match error:
+        case JobError():
+            return _fail(str(error), error.exit_code)
+        case MemoryError():
+            return _fail("out of memory; a smaller image.pixels needs less", EXIT_FAILURE)
+        case BrokenPipeError():
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return EXIT_FAILURE
+        case OSError():
+            return _fail(sentence_of_os_error(error, doing="cannot use"), EXIT_FAILURE)
+    if (message := getattr(error, "format_message", None)) is not None:  # a usage error from the parser
+        return _fail(printable(" ".join(str(message()).split())), EXIT_INPUT)
+    raise error
+
+
+def _fail(text: str, code: int) -> int:
+    for line in text.split("\n"):
+        print(f"error: {line}", file=sys.stderr)
+    return code
+
+
+class _Signals:
+    """`came`: the numbers so far; `over`: the command has ended, and a signal changes nothing any more."""
+
+    def __init__(self) -> None:
+        self.came: list[int] = []
+        self.over = False
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[_Signals]:
+    """SIGTERM and a lost terminal end a command as Ctrl-C does. A signal that is ignored (nohup) stays so.
+
+    More of them change nothing, so that the cleaning is not cut short. An import or a callback may swallow the
+    interrupt, so an alarm raises it again until the command has ended. The compiler is let finish first: its callbacks
+    swallow an interrupt and give it an empty kernel instead, which is then called.
+    """
+    signals = _Signals()
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        if signals.over:
+            return
+        signals.came.append(number)
+        if len(signals.came) == 1:
+            sys.unraisablehook = lambda _: None  # callbacks and destructors of the compiler would tell of it
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S, _AGAIN_S)
+        if len(signals.came) > 1 and number != signal.SIGALRM:
+            return
+        if _compiles(frame):
+            signal.setitimer(signal.ITIMER_REAL, _SOON_S, _AGAIN_S)
+        else:
+            raise KeyboardInterrupt
+
+    told = sys.unraisablehook
+    kinds = [kind for kind in (*STOPPING_SIGNALS, signal.SIGHUP) if signal.getsignal(kind) is not signal.SIG_IGN]
+    try:
+        before = {kind: signal.signal(kind, interrupt) for kind in kinds}
+    except ValueError:  # not in the main thread
+        yield signals
+        return
+    try:
+        yield signals
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        sys.unraisablehook = told
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+
+def _compiles(frame: FrameType | None) -> bool:
+    """Whether this frame was called by the compiler, or is part of it."""
+    while frame is not None:
+        if frame.f_globals.get("__name__", "").startswith("llvmlite."):
+            return True
+        frame = frame.f_back
+    return False
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,208 @@
+"""The commands `make`, `design`, `cam`, `caustic`, `check` and `version`: their arguments, and what each one calls.
+
+Those that drive mills are in `mill_commands`. Everything heavy is imported inside the commands, so that --help answers
+at once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from service.cli import coupon as coupon_command
+from service.cli import jobs as client_commands
+from service.cli import look as look_command
+from service.cli import mill as mill_commands
+from service.cli import plan_options as plan_commands
+from service.cli import serve as host_commands
+from service.cli import tokens as token_commands
+from service.errors import EXIT_FAILURE
+from service.processes.kernel_cache import JOBS, LENSES
+
+if TYPE_CHECKING:
+    from service.progress import Reporter
+
+app = typer.Typer(
+    name="causticmill",
+    help="From a picture to the programs that mill a clear block whose light paints it on a wall.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+PictureArgument = Annotated[Path, typer.Argument(metavar="PICTURE", help="Any picture Pillow reads.")]
+FolderArgument = Annotated[Path, typer.Argument(metavar="DIR", help="The folder of an earlier design or make.")]
+OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Folder for all files of the job.")]
+SpecOption = Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")]
+PresetOption = Annotated[
+    str | None, typer.Option("--preset", metavar="NAME", help="Passes: paper, draft or recommended.")
+]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. optics.width_mm=40. Repeatable.")
+]
+LightOption = Annotated[
+    Path | None,
+    typer.Option("--light-picture", metavar="FILE", help="Measured picture of the light on the aperture, rim to rim."),
+]
+ForceOption = Annotated[bool, typer.Option("--force", help="Write into a folder that holds other files.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
+
+
+@app.command()
+def make(
+    picture: PictureArgument,
+    output: OutputOption,
+    spec: SpecOption = None,
+    preset: PresetOption = None,
+    set_: SetOption = None,
+    light_picture: LightOption = None,
+    force: ForceOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Picture to lens, checked programs, previews and setup sheet."""
+    from service.server.worker import warmup as preparing
+
+    with preparing.compile_beside(JOBS):
+        from service.job import pipeline
+        from service.job.spec import loading as spec_files
+
+        resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        with _reporter(quiet) as reporter:
+            report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
+    _summary(output, report, quiet)
+
+
+@app.command()
+def design(
+    picture: PictureArgument,
+    output: OutputOption,
+    spec: SpecOption = None,
+    preset: PresetOption = None,
+    set_: SetOption = None,
+    light_picture: LightOption = None,
+    force: ForceOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Picture to lens only: heightfield, solid, simulated caustic. No programs."""
+    from service.server.worker import warmup as preparing
+
+    with preparing.compile_beside(LENSES):
+        from service.job import pipeline
+        from service.job.spec import loading as spec_files
+
+        resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        with _reporter(quiet) as reporter:
+            report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
+    _summary(output, report, quiet)
+
+
+@app.command()
+def cam(
+    folder: FolderArgument,
+    spec: SpecOption = None,
+    preset: PresetOption = None,
+    set_: SetOption = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Lens to checked programs, in the folder of an earlier design or make."""
+    from service.job import pipeline
+    from service.job.spec import loading as spec_files
+
+    resolved = spec_files.resolve_for_lens(folder, file=spec, preset=preset, overrides=set_ or ())
+    with _reporter(quiet) as reporter:
+        report = pipeline.cam(folder, resolved, reporter=reporter)
+    _summary(folder, report, quiet)
+
+
+@app.command()
+def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
+    """Simulate the light of an earlier design again: scores, caustic, through-focus."""
+    from service.job import pipeline
+    from service.job.spec import loading as spec_files
+
+    stored = spec_files.stored_spec(folder)
+    with _reporter(quiet) as reporter:
+        report = pipeline.caustic(folder, stored, reporter=reporter)
+    _summary(folder, report, quiet)
+
+
+@app.command()
+def check(
+    programs: Annotated[list[Path], typer.Argument(metavar="PROGRAM...", help="Programs in the order they are run.")],
+    heightfield: Annotated[Path, typer.Option("--heightfield", metavar="FILE", help="The lens: heightfield.npz.")],
+    radius_mm: Annotated[
+        list[float] | None, typer.Option("--radius-mm", help="Ball radius of each program; one serves all.")
+    ] = None,
+    pitch_mm: Annotated[list[float] | None, typer.Option("--pitch-mm", help="Pitch of each program.")] = None,
+    stock_to_leave_mm: Annotated[
+        list[float] | None, typer.Option("--stock-to-leave-mm", help="Stock each program leaves; default 0.")
+    ] = None,
+    step_down_mm: Annotated[
+        list[float] | None, typer.Option("--step-down-mm", help="Most stock one move may take off.")
+    ] = None,
+    thickness_mm: Annotated[float | None, typer.Option("--thickness-mm", help="Thickness of the block.")] = None,
+    margin_mm: Annotated[float | None, typer.Option("--margin-mm", help="Margin of the block.")] = None,
+    machine: Annotated[str | None, typer.Option("--machine", help="Machine profile.")] = None,
+    quiet: QuietOption = False,
+) -> None:
+    """Simulate the removal of written programs; exit code 1 on a gouge or a crash.
+
+    Beside a job's spec.json all settings come from there, and the job's earlier passes are run first.
+    """
+    from service.cli import check as checking
+
+    settings = checking.CheckSettings(
+        radius_mm=tuple(radius_mm or ()),
+        pitch_mm=tuple(pitch_mm or ()),
+        stock_to_leave_mm=tuple(stock_to_leave_mm or ()),
+        step_down_mm=tuple(step_down_mm or ()),
+        thickness_mm=thickness_mm,
+        margin_mm=margin_mm,
+        machine=machine,
+    )
+    with _reporter(quiet) as reporter:
+        verdicts = checking.check_programs(programs, heightfield, settings, reporter=reporter)
+    for verdict in verdicts:
+        if not quiet or not verdict.ok:
+            print(verdict.line(), file=sys.stdout if verdict.ok else sys.stderr)
+    if not all(verdict.ok for verdict in verdicts):
+        raise typer.Exit(EXIT_FAILURE)
+
+
+@app.command()
+def version() -> None:
+    """Print the version."""
+    from importlib import metadata
+
+    print(f"causticmill {metadata.version('causticmill')}")
+
+
+@contextlib.contextmanager
+def _reporter(quiet: bool) -> Iterator[Reporter]:
+    from service.progress import reporting
+
+    with reporting(quiet) as reporter:
+        yield reporter
+
+
+def _summary(folder: Path, report: dict[str, Any], quiet: bool) -> None:
+    if quiet:
+        return
+    from service.cli.summary import summary_lines
+
+    for line in summary_lines(folder, report):
+        print(line)
+
+
+plan_commands.register(app)
+coupon_command.register(app)
+look_command.register(app)
+mill_commands.register(app)
+token_commands.register(app)
+client_commands.register(app)
+host_commands.register(app)

@@ -1,0 +1,179 @@
+"""What the command `plan` does: a plan for a picture or a folder, as a table, as JSON, as a picture and as a spec."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cam.passes import PassSpec
+from cam.planning.planner import Candidate
+from service.errors import InputError, SpecError
+from service.job import arrays
+from service.job import files as job_files
+from service.job.errors import in_the_services_words
+from service.job.picture.limits import OWN_PICTURE
+from service.job.planning.plan import Planned
+from service.job.planning.plan_report import plan_figures
+from service.job.planning.planner import plan_for_lens, plan_for_picture
+from service.job.planning.sentences import blur_warnings, reasons
+from service.job.spec.loading import read_spec_file, resolve_spec, stored_spec
+from service.job.spec.model import JobSpec
+from service.wording import RECOGNISABLE_DB, duration, psnr_in_words
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlanRequest:
+    """goal: hours, blur_mm, psnr_db, of which one may be given."""
+
+    source: Path
+    machine: str | None
+    goal: dict[str, float | None]
+    tools: Path | None
+    output: Path | None
+    spec: Path | None
+    overrides: tuple[str, ...]
+
+
+def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
+    """Plan, write picture and spec where asked for, and say what was found."""
+    if request.output is not None and request.output.suffix.lower() != ".png":
+        raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
+    with in_the_services_words():
+        planned, spec = _planned(request)
+    fragment = spec_fragment(planned, spec)
+    written = []
+    if request.output is not None:
+        from service.job.report.figures.plan import plan_png
+
+        pictured = plan_png(planned, viewed_from=spec.optics.viewed_from)
+        beside = request.output.with_suffix(".toml")
+        job_files.write_bytes(request.output, pictured)
+        job_files.write_bytes(beside, fragment.encode())
+        written = [f"picture: {request.output}", f"spec: {beside} (causticmill make --spec {beside})"]
+    if as_json:
+        yield json.dumps(plan_figures(planned), indent=2)
+        return
+    yield from table(planned)
+    yield ""
+    yield from reasons(planned)
+    yield from (f"warning: {sentence}" for sentence in blur_warnings(planned))
+    if request.source.is_file() and planned.score(planned.chosen).psnr_db < RECOGNISABLE_DB:
+        yield from _what_shows_more(spec, request.source)
+    yield from (written or ["", *fragment.splitlines()])
+
+
+def _what_shows_more(spec: JobSpec, picture: Path) -> Iterator[str]:
+    from service.job.planning.estimate import what_shows_more
+
+    found = sorted(what_shows_more(spec, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
+    yield "what shows more:" if found else "no single change shows plainly more"
+    for change, seen in found:
+        values = " ".join(
+            f"--set {key}={value:g}" if isinstance(value, float) else f"--set {key}={value}"
+            for key, value in change.values.items()
+        )
+        yield (
+            f"  {change.what}: {psnr_in_words(seen['psnr_db'])} ({seen['psnr_db']:.1f} dB), details from "
+            f"{seen['smallest_detail_mm']:.2g} mm, {duration(3600 * seen['hours'])} ({values})"
+        )
+
+
+def _planned(request: PlanRequest) -> tuple[Planned, JobSpec]:
+    if request.source.is_dir():
+        base: dict[str, Any] = {**stored_spec(request.source).plain(), "preset": "recommended"}
+        base.pop("passes", None)
+        spec = _spec(request, base)
+        lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)
+        target = arrays.load_target(request.source / job_files.MAP)
+        return plan_for_lens(spec, lens, target, tools=request.tools), spec
+    from service.job.picture.reading import read_picture
+    from service.job.planning.preparation import aim_at_picture
+
+    spec = _spec(request, {})
+    width_mm, height_mm = spec.optics.screen_size_mm
+    picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)
+    target = aim_at_picture(spec, picture.linear).target
+    return plan_for_picture(spec, target, tools=request.tools), spec
+
+
+def _spec(request: PlanRequest, base: dict[str, Any]) -> JobSpec:
+    """The job that is planned: what was given, its passes left open."""
+    given = read_spec_file(request.spec) if request.spec is not None else {}
+    given.pop("passes", None)
+    goal = {key: value for key, value in request.goal.items() if value is not None}
+    if len(goal) > 1:
+        raise SpecError([("plan", f"{' and '.join(goal)} cannot all be aimed at; allowed: one of them")])
+    overrides = [*request.overrides, *(f"plan.{key}={value!r}" for key, value in goal.items())]
+    if request.machine is not None:
+        overrides.append(f"machine.profile={json.dumps(request.machine)}")
+    merged = {**base, **given, "preset": "recommended"}
+    return resolve_spec(base=merged, overrides=overrides)
+
+
+def table(planned: Planned) -> Iterator[str]:
+    """The best plans by time; the chosen one is marked."""
+    head = ("", "TIME", "PSNR dB", "SSIM", "BLUR mm", "px", "FINISH", "REST", "BEFORE")
+    rows = [head, *(_row(planned, one) for one in planned.plan.front)]
+    if all(one.rest is None for one in planned.plan.front):
+        rows = [(*row[:-2], row[-1]) for row in rows]
+    widths = [max(len(row[column]) for row in rows) for column in range(len(rows[0]))]
+    for row in rows:
+        yield "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+    for name, why in planned.plan.left_out:
+        yield f"without {name}: {why}"
+
+
+def _row(planned: Planned, one: Candidate) -> tuple[str, ...]:
+    finish = one.finish
+    rows = "contours" if finish.strategy == "contour" else f"rows along {finish.direction.upper()}"
+    return (
+        "->" if one is planned.chosen else "",
+        duration(3600 * one.hours),
+        f"{one.psnr_db:.1f}",
+        f"{planned.score(one).ssim:.3f}",
+        f"{one.blur_mm:.2f}",
+        f"{planned.blur_px(one):.1f}",
+        f"R{finish.radius_mm:g} / {finish.pitch_mm:g}, {rows}",
+        _balls([] if one.rest is None else [one.rest.spec]),
+        _balls(one.before),
+    )
+
+
+def _balls(passes: Sequence[PassSpec]) -> str:
+    return ", ".join(f"R{spec.radius_mm:g} / {spec.pitch_mm:g}" for spec in passes)
+
+
+def spec_fragment(planned: Planned, spec: JobSpec) -> str:
+    """TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
+    usual = JobSpec(passes=(), preset="recommended").model_dump(mode="json", exclude_none=True)
+    data = spec.plain()
+    lines = [
+        "# Made by `causticmill plan`.",
+        *(f"# {sentence}" for sentence in reasons(planned)),
+        'preset = "recommended"',
+    ]
+    tables: dict[str, dict[str, Any]] = {name: {} for name in ("image", "optics", "stock", "machine", "finish")}
+    for name, found in tables.items():
+        found.update({key: value for key, value in data.get(name, {}).items() if usual[name].get(key) != value})
+    fragment = planned.fragment()
+    for name in ("optics", "machine", "finish"):
+        tables[name].update(fragment[name])
+    for name, values in tables.items():
+        lines += _toml_table(name, values)
+    for row in fragment["passes"]:
+        lines += ["", "[[passes]]", *(f"{key} = {json.dumps(value)}" for key, value in row.items())]
+    return "\n".join(lines) + "\n"
+
+
+def _toml_table(name: str, values: dict[str, Any]) -> Sequence[str]:
+    if not values:
+        return []
+    plain = {key: value for key, value in values.items() if not isinstance(value, dict)}
+    below = {key: value for key, value in values.items() if isinstance(value, dict)}
+    lines = ["", f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in plain.items())]
+    for key, value in below.items():
+        lines += _toml_table(f"{name}.{key}", value)
+    return lines

@@ -1,0 +1,64 @@
+"""The commands `plan` and `tools`: their arguments, and what each one calls.
+
+Everything is imported inside the commands, so that --help answers at once.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+SourceArgument = Annotated[Path, typer.Argument(metavar="PICTURE|DIR", help="A picture, or an earlier job's folder.")]
+ToolsOption = Annotated[Path | None, typer.Option("--tools", metavar="FILE", help="Tool library; see `tools`.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the command line."""
+    app.command()(plan)
+    app.command()(tools)
+
+
+def plan(
+    source: SourceArgument,
+    machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Machine profile.")] = None,
+    hours: Annotated[float | None, typer.Option("--hours", help="Best picture within this machine time.")] = None,
+    blur_mm: Annotated[float | None, typer.Option("--blur-mm", help="Least time for no more blur than this.")] = None,
+    psnr: Annotated[float | None, typer.Option("--psnr", help="Least time that reaches this PSNR, dB.")] = None,
+    tools: ToolsOption = None,
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="FILE", help="Picture of the trade; beside it a spec.")
+    ] = None,
+    spec: Annotated[Path | None, typer.Option("--spec", metavar="FILE", help="Job spec, TOML or JSON.")] = None,
+    set_: Annotated[
+        list[str] | None, typer.Option("--set", metavar="KEY=VALUE", help="One value of the spec. Repeatable.")
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the plan as JSON.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")] = False,
+) -> None:
+    """Which balls, pitches and passes give which picture in how many hours, and which of them to take."""
+    from service.cli.plan import PlanRequest, run_plan
+
+    request = PlanRequest(
+        source=source,
+        machine=machine,
+        goal={"hours": hours, "blur_mm": blur_mm, "psnr_db": psnr},
+        tools=tools,
+        output=output,
+        spec=spec,
+        overrides=tuple(set_ or ()),
+    )
+    for line in run_plan(request, as_json=json):
+        if not quiet:
+            print(line)
+
+
+def tools(
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A library to read and show.")] = None,
+) -> None:
+    """List the ball end mills that plans choose from."""
+    from service.job.spec import tools as library
+
+    for line in library.table(library.load_tools(file), library.library_file(file)):
+        print(line)

@@ -1,0 +1,215 @@
+"""The command `runs`: programs on the mills of a server. Nothing here moves a mill without a person's word."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from service.cli.options import JobArgument, RunArgument, ServerOption, TokenOption
+
+ConfirmOption = Annotated[
+    list[str] | None,
+    typer.Option("--confirm", metavar="WORDS", help="What you have checked, e.g. tool,zero,stock,clear; else asked."),
+]
+OperatorOption = Annotated[str | None, typer.Option("--operator", metavar="NAME", help="Who confirms; default: you.")]
+FollowOption = Annotated[bool, typer.Option("--follow", help="Stay until the run has ended.")]
+
+runs_app = typer.Typer(
+    help="Programs on the mills of a server: park, start, hold, resume, abort, recover, follow.",
+    invoke_without_command=True,
+)
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module to the command line."""
+    app.add_typer(runs_app, name="runs")
+
+
+@runs_app.callback()
+def runs(context: typer.Context, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """The runs of a server; without a further word: the latest."""
+    if context.invoked_subcommand is None:
+        runs_list(server=server, token_file=token_file)
+
+
+@runs_app.command("list")
+def runs_list(
+    machine: Annotated[str | None, typer.Option("--machine", metavar="NAME", help="Of this mill only.")] = None,
+    server: ServerOption = None,
+    token_file: TokenOption = None,
+) -> None:
+    """The latest runs."""
+    from service.client.runs import run_table
+
+    with _connected(server, token_file) as link:
+        _print(run_table(link.get("/v1/runs", **({"machine": machine} if machine else {}))["runs"]))
+
+
+@runs_app.command("show")
+def runs_show(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """One run: state, tool, stock, zero."""
+    from service.client.runs import run_lines
+
+    with _connected(server, token_file) as link:
+        _print(run_lines(link.get(f"/v1/runs/{run}")))
+
+
+@runs_app.command("park")
+def runs_park(
+    job: JobArgument,
+    machine: Annotated[str, typer.Option("--machine", metavar="NAME", help="The mill.")],
+    program: Annotated[
+        int | None, typer.Option("--program", min=1, help="Number of the pass; default: the next one.")
+    ] = None,
+    server: ServerOption = None,
+    token_file: TokenOption = None,
+) -> None:
+    """Hand a program of a job to a mill. Nothing moves: the run waits for `runs start`."""
+    from urllib.parse import quote
+
+    from service.client.runs import run_lines
+
+    with _connected(server, token_file) as link:
+        body = {"job": job} | ({"program": program} if program is not None else {})
+        run = link.post_once(f"/v1/machines/{quote(machine, safe='')}/runs", body)
+    _print(run_lines(run))
+
+
+@runs_app.command("start")
+def runs_start(
+    run: RunArgument,
+    confirm: ConfirmOption = None,
+    operator: OperatorOption = None,
+    follow: FollowOption = False,
+    server: ServerOption = None,
+    token_file: TokenOption = None,
+) -> None:
+    """Start a parked run, after its setup was shown and confirmed."""
+    _by_a_person(run, "start", confirm, operator, follow, server, token_file)
+
+
+@runs_app.command("recover")
+def runs_recover(
+    run: RunArgument,
+    confirm: ConfirmOption = None,
+    operator: OperatorOption = None,
+    follow: FollowOption = False,
+    server: ServerOption = None,
+    token_file: TokenOption = None,
+) -> None:
+    """Go on with an interrupted or aborted run, after the way back was shown and confirmed."""
+    _by_a_person(run, "recover", confirm, operator, follow, server, token_file)
+
+
+@runs_app.command("hold")
+def runs_hold(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """Let the mill stand still. Not an emergency stop."""
+    _stopped(run, "hold", server, token_file)
+
+
+@runs_app.command("resume")
+def runs_resume(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """Go on after a hold."""
+    from service.client.runs import state_line
+
+    with _connected(server, token_file) as link:
+        machine = link.get(f"/v1/runs/{run}")["machine"]
+        print(state_line(link.order(machine, f"/v1/runs/{run}:resume")))
+
+
+@runs_app.command("abort")
+def runs_abort(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """End a run."""
+    _stopped(run, "abort", server, token_file)
+
+
+@runs_app.command("follow")
+def runs_follow(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
+    """Watch a run until it has ended; exit code 1 if it was not finished."""
+    with _connected(server, token_file) as link:
+        link.get(f"/v1/runs/{run}")
+        _followed(link, run)
+
+
+def _by_a_person(
+    run: str,
+    verb: str,
+    confirm: list[str] | None,
+    operator: str | None,
+    follow: bool,
+    server: str | None,
+    token_file: Path | None,
+) -> None:
+    from urllib.parse import quote
+
+    from service.client.runs import confirmed, run_lines, state_line
+    from service.milling.terminal.confirm import operator_name
+
+    with _connected(server, token_file) as link:
+        seen = link.get(f"/v1/runs/{run}")
+        _print(run_lines(seen))
+        if verb == "recover":
+            plan = link.get(f"/v1/runs/{run}/recovery")
+            _print_plan(plan)
+            rests_on = {"plan": str(plan.get("plan", ""))}
+        else:
+            mill = link.get(f"/v1/machines/{quote(seen['machine'], safe='')}").get("mill") or {}
+            rests_on = {"setup": str(mill.get("setup", ""))}
+        body = {"operator": operator or operator_name(), "checks": confirmed(seen, confirm or ())} | rests_on
+        print(state_line(link.order(seen["machine"], f"/v1/runs/{run}:{verb}", body)), flush=True)
+        if follow:
+            _followed(link, run)
+
+
+def _print_plan(plan: dict[str, Any]) -> None:
+    """The way back; what stands in its way ends the command."""
+    from service.client.server import shown
+    from service.errors import InputError
+
+    obstacles = [*plan.get("refusals", ()), *(need["words"] for need in plan.get("needs", ()))]
+    if obstacles:
+        raise InputError(*(shown(words) for words in obstacles))
+    _print([shown(words) for words in plan.get("words", ())])
+
+
+def _stopped(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
+    """As `_told`; where the order may not have reached the mill, the person is sent to its own stop."""
+    from service.client.server import GoneError, RefusedError
+    from service.errors import FailedError
+
+    try:
+        _told(run, verb, server, token_file)
+    except (GoneError, RefusedError) as error:
+        if isinstance(error, RefusedError) and error.status < 500:
+            raise
+        doubt = f"the {verb} may not have arrived: use the mill's own stop"
+        raise FailedError(*str(error).split("\n"), doubt) from None
+
+
+def _told(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
+    from service.client.runs import state_line
+
+    with _connected(server, token_file) as link:
+        print(state_line(link.post(f"/v1/runs/{run}:{verb}")))
+
+
+def _followed(link: Any, run_id: str) -> None:
+    from service.client.runs import follow_run, require_finished, setup_lines
+
+    run = follow_run(link, run_id)
+    _print(setup_lines(run))
+    require_finished(run)
+
+
+def _connected(server: str | None, token_file: Path | None) -> Any:
+    from service.client.address import target_of
+    from service.client.server import Server
+
+    return Server(target_of(server=server, token_file=token_file))
+
+
+def _print(lines: list[str]) -> None:
+    for line in lines:
+        print(line)

@@ -1,0 +1,93 @@
+"""The arrays that stages hand to one another, as .npz files: the same arrays make the same bytes."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+
+from cam.surface.stock_grid import StockGrid
+from optics.heightfield import Array, Heightfield
+from service.errors import InputError, sentence_of_os_error
+
+
+def heightfield_bytes(heightfield: Heightfield) -> bytes:
+    rim = {"rim_mm": np.array(heightfield.rim_mm)} if heightfield.rim_mm else {}
+    return npz_bytes({"z_mm": heightfield.z_mm, "x_mm": heightfield.x_mm, "y_mm": heightfield.y_mm, **rim})
+
+
+def load_heightfield(path: Path) -> Heightfield:
+    """A heightfield from its .npz; InputError where the file is none."""
+    arrays = load_arrays(path, ("x_mm", "y_mm", "z_mm"), optional=("rim_mm",))
+    rim_mm = float(arrays.pop("rim_mm", np.zeros(())))
+    try:
+        heightfield = Heightfield(**arrays, rim_mm=rim_mm)
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    if (highest_mm := float(heightfield.z_mm.max())) > 0:
+        raise InputError(f"{path}: z_mm reaches {highest_mm:g} mm; allowed: 0, the stock top, and below")
+    return heightfield
+
+
+def stock_bytes(stock_top: StockGrid) -> bytes:
+    place = np.array([stock_top.x0_mm, stock_top.y0_mm, stock_top.cell_mm])
+    return npz_bytes({"place_mm": place, "top_mm": stock_top.top_mm})
+
+
+def load_stock(path: Path) -> StockGrid:
+    """The stock an earlier pass has left."""
+    arrays = load_arrays(path, ("place_mm", "top_mm"))
+    x0_mm, y0_mm, cell_mm = (float(value) for value in arrays["place_mm"])
+    return StockGrid(x0_mm=x0_mm, y0_mm=y0_mm, cell_mm=cell_mm, top_mm=arrays["top_mm"])
+
+
+def picture_bytes(linear: Array) -> bytes:
+    return npz_bytes({"linear": linear})
+
+
+def load_picture(path: Path) -> Array:
+    """The picture (ny, nx) in linear light, row 0 on top."""
+    return load_arrays(path, ("linear",))["linear"]
+
+
+def target_bytes(target: Array) -> bytes:
+    return npz_bytes({"target": target})
+
+
+def load_target(path: Path) -> Array:
+    """The exact target irradiance (work frame, mean 1); map.npz holds it, too, for scores need it again later."""
+    return load_arrays(path, ("target",))["target"]
+
+
+def load_original(path: Path) -> Array | None:
+    """The picture as it was given, of a map.npz whose target is a prepared one; None where the target is that."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            if "original" not in stored:
+                return None
+    except (OSError, ValueError, EOFError, BadZipFile):
+        pass  # said by what reads the array
+    return load_arrays(path, ("original",))["original"]
+
+
+def npz_bytes(arrays: Mapping[str, Array]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def load_arrays(path: Path, names: tuple[str, ...], optional: tuple[str, ...] = ()) -> dict[str, Array]:
+    """Those arrays of an .npz file; InputError where one is missing, or the file is none."""
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            there = (*names, *(name for name in optional if name in stored))
+            return {name: np.asarray(stored[name], dtype=np.float64) for name in there}
+    except FileNotFoundError:
+        raise InputError(f"{path}: there is no such file; `causticmill design` makes it") from None
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing="cannot read")) from None
+    except (ValueError, KeyError, EOFError, BadZipFile, AttributeError) as error:
+        raise InputError(f"{path}: not a file of this program ({' '.join(str(error).split())[:100]})") from None

@@ -1,0 +1,45 @@
+"""The errors of the pure packages, as the service's own: what the person gave, or the job itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cam.errors import CamError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError
+from optics.errors import OpticsError
+from service.errors import FailedError, InputError
+
+
+class SolidError(ValueError):
+    """The lens does not make a solid block."""
+
+
+class ReliefTooDeep(SolidError):
+    """The lens would pierce the back of the block, or leave a floor thinner than wanted."""
+
+    def __init__(self, *, deepest_mm: float, relief_mm: float, thickness_mm: float, min_floor_mm: float) -> None:
+        self.needed_mm = deepest_mm + min_floor_mm
+        floor_mm = thickness_mm - deepest_mm
+        left = (
+            f"leaves a floor of {floor_mm:.2f} mm" if floor_mm > 0 else f"is pierced by {-floor_mm:.2f} mm at the back"
+        )
+        super().__init__(
+            f"relief of {relief_mm:.2f} mm does not fit: its deepest point lies {deepest_mm:.2f} mm below the stock "
+            f"top, a stock.thickness_mm of {thickness_mm:g} {left}; a floor of at least {min_floor_mm:g} mm is wanted, "
+            f"so a thickness of {self.needed_mm:.2f} mm or more, or a longer optics.throw_mm, which makes it flatter"
+        )
+
+
+_INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
+
+
+@contextmanager
+def in_the_services_words() -> Iterator[None]:
+    """InputError or FailedError, one line, in place of a package's own error."""
+    try:
+        yield
+    except (OpticsError, CamError, ValueError) as error:  # SolidError is a ValueError
+        if not isinstance(error, (OpticsError, CamError, SolidError)):
+            raise
+        kind = InputError if isinstance(error, (*_INPUT_ERRORS, ReliefTooDeep)) else FailedError
+        raise kind(" ".join(str(error).split())) from error

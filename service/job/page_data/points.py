@@ -1,0 +1,183 @@
+"""Points of a path with the time at which the tool is there, and the same path by fewer of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from cam.duration import DurationModel, Kinematics, is_block
+from cam.reading.gcode import MoveBatch
+from optics.heightfield import Array
+
+RAPID, HIDDEN, PAUSE = 1, 2, 4
+"""Of the move that ends at a point: a rapid; not drawn; a stop, where only time goes on."""
+
+_LONGEST = 64  # moves that one chord may stand for
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Points:
+    """mm (n, 3), time_s (n,) never falling, line (n,) of the program, kind (n,) of the move that ends there."""
+
+    mm: Array
+    time_s: Array
+    line: NDArray[np.int64]
+    kind: NDArray[np.uint8]
+
+    def __len__(self) -> int:
+        return len(self.kind)
+
+    def __getitem__(self, chosen: Any) -> Points:
+        return Points(mm=self.mm[chosen], time_s=self.time_s[chosen], line=self.line[chosen], kind=self.kind[chosen])
+
+    @classmethod
+    def joined(cls, parts: Sequence[Points]) -> Points:
+        if len(parts) == 1:
+            return parts[0]
+        return cls(
+            mm=np.concatenate([part.mm for part in parts]),
+            time_s=np.concatenate([part.time_s for part in parts]),
+            line=np.concatenate([part.line for part in parts]),
+            kind=np.concatenate([part.kind for part in parts]),
+        )
+
+    @classmethod
+    def none(cls) -> Points:
+        return cls(
+            mm=np.empty((0, 3)),
+            time_s=np.empty(0),
+            line=np.empty(0, dtype=np.int64),
+            kind=np.empty(0, dtype=np.uint8),
+        )
+
+
+class Chords:
+    """The path by chords from which no point of it is farther away than the tolerance, batch by batch.
+
+    Ends of rapids and of stops stay. As the points between run from one end of a chord to the other, every place on
+    the chord has one of them as near, too.
+    """
+
+    def __init__(self, tolerance_mm: float) -> None:
+        self.tolerance_mm = tolerance_mm
+        self._waiting = Points.none()
+
+    def add(self, points: Points) -> Points:
+        """Those of the points so far that are certain to stay, each once."""
+        held = Points.joined([self._waiting, points])
+        if not len(held):
+            return held
+        kept = np.empty(len(held), dtype=np.int64)
+        count, anchor = _choose(held.mm, held.kind, self.tolerance_mm**2, _LONGEST, kept)
+        fresh = kept[:count] if len(self._waiting) else np.concatenate([[0], kept[:count]])
+        self._waiting = held[anchor:]
+        return held[fresh]
+
+    def rest(self) -> Points:
+        """The last point, where it has not been told of."""
+        waiting, self._waiting = self._waiting, Points.none()
+        return waiting[-1:] if len(waiting) > 1 else Points.none()
+
+
+@njit(cache=True, nogil=True)
+def _choose(mm, kind, most2, longest, kept):  # type: ignore[no-untyped-def]
+    """Numbers of points to keep after the first, which is kept; how many, and the last of them."""
+    count = anchor = 0
+    for k in range(1, len(kind)):
+        if k - anchor == 1:
+            continue
+        if k - anchor > longest or kind[k] != kind[anchor + 1] or not _is_near(mm, anchor, k, most2):
+            anchor = k - 1
+            kept[count] = anchor
+            count += 1
+    return count, anchor
+
+
+@njit(cache=True, nogil=True)
+def _is_near(mm, first, last, most2):  # type: ignore[no-untyped-def]
+    """Is every point between within the tolerance of the chord?"""
+    ux, uy, uz = mm[last, 0] - mm[first, 0], mm[last, 1] - mm[first, 1], mm[last, 2] - mm[first, 2]
+    square = ux * ux + uy * uy + uz * uz
+    for k in range(last - 1, first, -1):
+        dx, dy, dz = mm[k, 0] - mm[first, 0], mm[k, 1] - mm[first, 1], mm[k, 2] - mm[first, 2]
+        share = 0.0
+        if square > 0.0:
+            share = min(1.0, max(0.0, (dx * ux + dy * uy + dz * uz) / square))
+        if (dx - share * ux) ** 2 + (dy - share * uy) ** 2 + (dz - share * uz) ** 2 > most2:
+            return False
+    return True
+
+
+def no_box() -> Array:
+    """Corners (2, 3) to be widened."""
+    return np.array([[np.inf] * 3, [-np.inf] * 3])
+
+
+@njit(cache=True, nogil=True)
+def widen(corners, mm, kind, without):  # type: ignore[no-untyped-def]
+    """Make the lowest and highest corner (2, 3) hold all points of no such kind."""
+    for k in range(len(kind)):
+        if kind[k] & without == 0:
+            for d in range(3):
+                corners[0, d] = min(corners[0, d], mm[k, d])
+                corners[1, d] = max(corners[1, d], mm[k, d])
+
+
+class MovePoints:
+    """Takes the batches of a program; gives points as soon as look-ahead knows when the mill is there.
+
+    Moves that go nowhere and take no time make none. `time_s`: of the last point given.
+    """
+
+    def __init__(self, kinematics: Kinematics) -> None:
+        self._model = DurationModel(kinematics)
+        self._waiting = Points.none()
+        self._begun = False
+
+    def add(self, batch: MoveBatch) -> Points:
+        if not len(batch):
+            return Points.none()
+        chosen = is_block(batch)
+        made = Points(
+            mm=batch.end_mm[chosen],
+            time_s=np.empty(np.count_nonzero(chosen)),
+            line=batch.line[chosen],
+            kind=np.where(batch.pause_s[chosen] >= 0.0, PAUSE, batch.is_rapid[chosen] * RAPID).astype(np.uint8),
+        )
+        first = Points.none() if self._begun else _beginning(batch)
+        self._begun = True
+        ends_s = self._model.timed(batch)
+        held = Points.joined([self._waiting, made])
+        self._waiting = held[len(ends_s) :]
+        return Points.joined([first, _timed(held[: len(ends_s)], ends_s)])
+
+    def rest(self) -> Points:
+        """What was waiting for moves that do not come any more."""
+        waiting, self._waiting = self._waiting, Points.none()
+        return _timed(waiting, self._model.waiting_s())
+
+    @property
+    def seconds(self) -> float:
+        """Of the whole program so far."""
+        return self._model.seconds
+
+
+def _beginning(batch: MoveBatch) -> Points:
+    return Points(
+        mm=batch.points_mm[:1], time_s=np.zeros(1), line=batch.line[:1], kind=np.full(1, RAPID, dtype=np.uint8)
+    )
+
+
+def _timed(points: Points, ends_s: np.ndarray) -> Points:
+    """With those times; without stops that take no time."""
+    timed = Points(mm=points.mm, time_s=ends_s, line=points.line, kind=points.kind)
+    stops = timed.kind == PAUSE
+    if not stops.any():
+        return timed
+    took = np.diff(ends_s, prepend=-np.inf) > 0.0
+    return timed[~stops | took]

@@ -1,0 +1,102 @@
+"""A picture file -> its pixels, or one line that says why not. Imports no arrays: the server's checker stays small."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from service.errors import PictureError, printable, sentence_of_os_error
+from service.job.picture.limits import PictureFacts, PictureLimits
+
+MIN_SIDE = 8
+_NEEDS_A_PROGRAM = {"EPS", "WMF"}  # Pillow hands these to Ghostscript or to Windows
+
+
+def decoded(path: Path, limits: PictureLimits, name: str) -> Image.Image:
+    """The first frame, decoded and upright. PictureError, one line that calls the picture by `name`."""
+    with _refusals(name, limits), _loaded(path, limits, name) as image:
+        upright = ImageOps.exif_transpose(image)
+        return upright.copy() if upright is image else upright
+
+
+def checked(path: Path, limits: PictureLimits, name: str) -> PictureFacts:
+    """Decode the picture whole, as `decoded` does, and keep nothing of it."""
+    with _refusals(name, limits), _loaded(path, limits, name) as image:
+        image.getexif()
+        _require_convertible(image, name)
+        return PictureFacts(width=image.width, height=image.height, format=image.format or "", mode=image.mode)
+
+
+def one_line(error: Exception) -> str:
+    """What a library says of a picture, short."""
+    return printable(" ".join(str(error).split()))[:120] or type(error).__name__
+
+
+@contextmanager
+def _loaded(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]:
+    """Every refusal that the header allows comes before decoding. The content says what it is, not the file's name."""
+    with path.open("rb") as file, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files
+        if not file.read(1):
+            raise PictureError(f"{name}: the file is empty")
+        with Image.open(file, formats=limits.formats or _formats()) as image:
+            _require_size(name, limits, *image.size)
+            image.load()
+            yield image
+
+
+@contextmanager
+def _refusals(name: str, limits: PictureLimits) -> Iterator[None]:
+    try:
+        yield
+    except PictureError:
+        raise
+    except Image.DecompressionBombError as error:
+        raise PictureError(f"{name}: {_bomb_pixels(error)} pixels; allowed: at most {limits.max_pixels}") from None
+    except UnidentifiedImageError:
+        can = _readable(limits)
+        raise PictureError(f"{name}: not a picture that can be read ({can} can)") from None
+    except MemoryError:
+        raise PictureError(f"{name}: does not fit in memory") from None
+    except OSError as error:
+        if error.errno is None:  # Pillow's own: truncated, broken data stream ...
+            raise PictureError(f"{name}: the picture is damaged ({one_line(error)})") from None
+        error.filename = name
+        raise PictureError(sentence_of_os_error(error, doing="cannot read the picture")) from None
+    except Exception as error:  # decoders raise anything on damaged data: struct.error, IndexError, SyntaxError ...
+        raise PictureError(f"{name}: the picture is damaged ({one_line(error)})") from None
+
+
+def _readable(limits: PictureLimits) -> str:
+    return ", ".join(limits.formats).replace("WEBP", "WebP") or "PNG, JPEG, TIFF, WebP, GIF ..."
+
+
+def _formats() -> list[str]:
+    Image.init()
+    return [name for name in Image.ID if name not in _NEEDS_A_PROGRAM]
+
+
+def _require_size(name: str, limits: PictureLimits, width: int, height: int) -> None:
+    if width * height > limits.max_pixels:
+        allowed = f"at most {limits.max_pixels}"
+        raise PictureError(f"{name}: {width} x {height} pixels are {width * height}; allowed: {allowed}")
+    if min(width, height) < MIN_SIDE:
+        raise PictureError(f"{name}: {width} x {height} pixels; allowed: at least {MIN_SIDE} x {MIN_SIDE}")
+
+
+def _require_convertible(image: Image.Image, name: str) -> None:
+    """One pixel tells whether the mode can be read as tones."""
+    if image.mode not in ("I", "F") and not image.mode.startswith("I;16"):
+        try:
+            image.crop((0, 0, 1, 1)).convert("RGB")
+        except ValueError as error:
+            raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+
+
+def _bomb_pixels(error: Exception) -> str:
+    numbers = [word.strip("()") for word in str(error).split() if word.strip("()").isdigit()]
+    return numbers[0] if numbers else "too many"

@@ -1,0 +1,138 @@
+"""A picture file -> linear-light luminance in [0, 1] at the job's pixel count, row 0 on top.
+
+Theory of operation: the header alone decides whether the picture is taken at all; then it is decoded, turned by its
+EXIF note, and read strip by strip into linear light, where pixels may be averaged. Resampling keeps averages: each
+target pixel is the mean over the exact area it covers (Catmull-Rom only where the picture must be enlarged).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from PIL import Image
+
+from service.errors import PictureError
+from service.job.picture.decoding import decoded, one_line
+from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.picture.resampling import Span, resampling_weights
+from service.job.picture.tone import invert_tones, linear_strip, value_scale
+
+Array = npt.NDArray[np.float64]
+
+
+class Reading(Protocol):
+    """How a picture is read; the spec's [image] is one. pixels counts along the screen's width."""
+
+    @property
+    def pixels(self) -> int: ...
+    @property
+    def tone(self) -> Literal["srgb", "linear"]: ...
+    @property
+    def fit(self) -> Literal["crop", "pad", "stretch"]: ...
+    @property
+    def invert(self) -> bool: ...
+
+
+_STRIP_PIXELS = 4_000_000
+_BLACK = 1e-7  # far below the first step of 16 bits, above rounding
+_ONE_TONE = 1e-4  # relative spread of a picture that is one tone: far below one 8 bit step
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Picture:
+    """linear (ny, nx) in [0, 1], row 0 on top; what the file was; what the person should know about it.
+
+    warnings : sentences without their subject, the picture: its name is for the caller to say
+    """
+
+    linear: Array
+    width: int
+    height: int
+    mode: str
+    warnings: tuple[str, ...]
+
+    @property
+    def is_one_tone(self) -> bool:
+        return bool(np.ptp(self.linear) <= _ONE_TONE * self.linear.max())
+
+
+def read_picture(
+    path: Path,
+    settings: Reading,
+    *,
+    rows: int,
+    aspect: float,
+    limits: PictureLimits = OWN_PICTURE,
+    name: str | None = None,
+) -> Picture:
+    """The picture at `path` as (rows, settings.pixels) linear light for a screen of aspect = width / height.
+
+    Transparent parts lie over white (mixed in linear light). `pad` adds black: light goes to the picture alone.
+    `invert` is a negative in the picture's own tones. Raises PictureError, one line, and nothing else; it
+    calls the picture by `name`, by default its path.
+    """
+    name = name or str(path)
+    return picture_of(decoded(path, limits, name), settings, rows=rows, aspect=aspect, name=name)
+
+
+def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: float, name: str) -> Picture:
+    """The same of a picture that is decoded already, as often as it is wanted."""
+    width, height = image.size
+    across, down = _spans(width, height, settings.fit, aspect)
+    try:
+        linear = resampled(image, (rows, settings.pixels), across, down, tone=settings.tone, invert=settings.invert)
+    except MemoryError:
+        raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
+    except ValueError as error:  # a mode that Pillow cannot turn into RGB
+        raise PictureError(f"{name}: cannot read its pixels ({one_line(error)})") from None
+    if not linear.max() > _BLACK:
+        inverted = " after inversion" if settings.invert else ""
+        raise PictureError(f"{name}: the picture is black everywhere{inverted}, there is no light to aim")
+    picture = Picture(linear=linear, width=width, height=height, mode=image.mode, warnings=())
+    return _with_warnings(picture, settings)
+
+
+def _with_warnings(picture: Picture, settings: Reading) -> Picture:
+    notes = []
+    if picture.is_one_tone:
+        notes.append("is one tone all over: the lens will be flat")
+    if picture.width < settings.pixels // 2 or picture.height < picture.linear.shape[0] // 2:
+        ny, nx = picture.linear.shape
+        notes.append(f"has {picture.width} x {picture.height} pixels, enlarged to {nx} x {ny}")
+    return Picture(
+        linear=picture.linear, width=picture.width, height=picture.height,
+        mode=picture.mode, warnings=tuple(notes),
+    )  # fmt: skip
+
+
+def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span]:
+    """Which part of the picture, in its own pixels, is spread over the screen: columns and rows."""
+    across, down = Span(0.0, float(width)), Span(0.0, float(height))
+    too_wide = width > height * aspect
+    if fit == "stretch" or width == height * aspect:
+        return across, down
+    if (fit == "crop") == too_wide:
+        return Span.centred(width / 2, height * aspect), down
+    return across, Span.centred(height / 2, width / aspect)
+
+
+def resampled(
+    image: Image.Image, shape: tuple[int, int], across: Span, down: Span, *, tone: str, invert: bool = False
+) -> Array:
+    """(rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a whole."""
+    width, height = image.size
+    columns, lines = resampling_weights(width, across, shape[1]), resampling_weights(height, down, shape[0])
+    scale = value_scale(image)
+    result = np.zeros(shape)
+    step = max(1, _STRIP_PIXELS // width)
+    for top in range(0, height, step):
+        bottom = min(height, top + step)
+        strip = linear_strip(image.crop((0, top, width, bottom)), image.info, tone=tone, scale=scale)
+        if invert:
+            strip = invert_tones(strip, tone)
+        result += lines[:, top:bottom] @ (columns @ strip.T).T
+    return np.clip(result, 0.0, 1.0)

@@ -1,0 +1,48 @@
+"""The ways of what is milled around the passes, and the time that they take."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from cam.around.cut_out import cut_out_paths
+from cam.around.facing import facing_paths
+from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
+from cam.around.specs import CutOut
+from cam.moves import Array
+from cam.moves import Path as ToolPath
+from cam.posts.dialects import POSTS
+from service.job.files import CUT_OUT, FACE
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_of, machine_of
+
+
+def paths_around(spec: JobSpec) -> Iterator[tuple[str, float, list[ToolPath]]]:
+    """(name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
+    stock, machine = cam_stock_of(spec), machine_of(spec)
+    if (facing := facing_of(spec)) is not None:
+        yield FACE, facing.radius_mm, list(facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
+    if (task := cut_out_of(spec)) is not None:
+        loop = cut_out_ways(spec, task)[1]
+        paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
+        yield CUT_OUT, task.radius_mm, list(paths)
+
+
+def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
+    """Time of paths by their lengths and feeds alone."""
+    seconds, place = 0.0, None
+    for path in paths:
+        points = path.points_mm if place is None else np.vstack([place, path.points_mm])
+        length_mm = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+        seconds += 60 * length_mm / (path.feed_mm_per_min or rapid_mm_per_min)
+        place = points[-1]
+    return seconds
+
+
+def cut_out_ways(spec: JobSpec, task: CutOut) -> tuple[Array, Array]:
+    """Corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
+    outline = spec.optics.outline_mm
+    corners = aperture_corners(cam_stock_of(spec)) if outline is None else np.array(outline, dtype=np.float64)
+    digit_mm = POSTS[machine_of(spec).dialect].digits.xy_mm
+    return corners, offset_loop(corners, task.radius_mm, allowance_mm=ALLOWANCE_MM + digit_mm)

@@ -1,0 +1,357 @@
+"""What a job will come to: its lens, hours and blur from that lens and its passes.
+
+In a second from a coarse picture: heights are set by the large forms of a picture, so relief and hours of a coarse lens
+are nearly those of the job; its slopes miss what only fine detail makes steeper, and its light the creases that black
+asks for, which a finish rounds. Exactly, in half a minute, from a lens as fine as the picture, planned as a job's is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from math import ceil, hypot, sqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cam.passes import PassSpec
+from cam.planning.pass_time import LensForm, layers_s, layers_where_s, rows_s
+from cam.planning.planner import Marks
+from cam.planning.rest import Filled, RestExtent
+from cam.planning.row_slopes import RowSlopes, row_slopes
+from cam.posts.dialects import POSTS
+from optics.bench import Bench
+from optics.caustic import simulate_caustic
+from optics.closing import closed_to_radius
+from optics.design import LensDesign, design_lens
+from optics.heightfield import Array, Heightfield
+from optics.settings import LensSettings
+from optics.tolerance import blur_mm, source_rad
+from service.errors import InputError
+from service.job.errors import in_the_services_words
+from service.job.files import CUT_OUT, FACE
+from service.job.picture.decoding import decoded
+from service.job.picture.limits import PictureLimits
+from service.job.picture.reading import picture_of
+from service.job.planning import fit as fitting
+from service.job.planning.around import paths_around, seconds_of
+from service.job.planning.changes import Change, changes_of
+from service.job.planning.estimate_light import MOST_PIXELS, Foretold, foretell, told_by
+from service.job.planning.finished_light import blur_of
+from service.job.planning.lens_facts import LensFacts, measure_lens
+from service.job.planning.lenses import compute_passes, finished_designs, simplify
+from service.job.planning.plan import Planned
+from service.job.planning.planner import plan_for_picture
+from service.job.planning.preparation import aim_at_picture
+from service.job.spec.lens_task import blocked_by_the_screen, branch_of, finish_of, lens_settings
+from service.job.spec.mill import kinematics_of
+from service.job.spec.model import MIN_FLOOR_MM, JobSpec
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, with_plan
+from service.wording import ball
+
+PIXELS = 96
+"""Along the longer side of the picture from which the lens is made."""
+
+_STEEP_DEG = 45.0
+_WORTH_DB = 1.0  # of a change
+_REFLECTED = 1e-6  # share of the light, from which on it is no rounding
+_WIDTH = 2.355  # of a blur at half its height, in standard deviations
+_TUBES, _BEAMS = 2, 7
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class QuickLens:
+    """A job's lens as a coarse picture gives it.
+
+    spec     : with its passes, planned where they were not given
+    settings : of the job's own lens
+    missed   : (ny, nx) its light less what it aims at
+    """
+
+    spec: JobSpec
+    planned: Planned | None
+    settings: LensSettings
+    design: LensDesign
+    facts: LensFacts
+    form: LensForm
+    missed: Array
+    reflected_share: float
+
+    @property
+    def lens(self) -> Heightfield:
+        return self.design.heightfield
+
+    @property
+    def bench(self) -> Bench:
+        return self.settings.bench
+
+
+def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False) -> dict[str, Any]:
+    """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
+    fine = _with_pixels(spec, MOST_PIXELS)
+    coarse = fine if exactly else coarse_spec(spec)
+    with in_the_services_words():
+        (target, whole), (width, height) = _targets(path, coarse, fine, limits=limits, name=name)
+        quick = quick_lens(coarse, target, None if coarse == fine else whole)
+        passes = _with_around(quick.spec, list(_hours(quick)))
+        seen = _foretold(quick, whole, exactly=coarse == fine)
+        blur = _blur(quick, seen)
+    own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
+    detail_mm = max(own_px_mm, blur.detail_mm)
+    refusals = list(_refusals(quick))
+    warnings = [f"{name} {sentence}" for sentence in _of_picture(width, height, spec)]
+    return {
+        "relief_mm": quick.lens.relief_mm,
+        "max_slope_deg": quick.facts.max_slope_deg,
+        "thickness_ok": _floor_mm(quick) >= MIN_FLOOR_MM,
+        "throw_ok": quick.reflected_share <= _REFLECTED and quick.facts.max_slope_deg <= _STEEP_DEG,
+        "smallest_detail_mm": detail_mm,
+        "passes": passes,
+        "planned": quick.planned is not None,
+        "exact": coarse == fine,
+        "hours": sum(row["hours"] for row in passes),
+        "blur_mm": blur.whole_mm,
+        "psnr_db": None if seen is None else seen.psnr_db,
+        "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
+        "refusals": refusals,
+        "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
+        "changes": [asdict(change) for change in changes_of(spec, detail_mm)],
+        "picture": {"width": width, "height": height},
+    }
+
+
+def what_shows_more(spec: JobSpec, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
+    """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
+    own = estimate(spec, path, limits=limits, name=path.name)
+    for change in changes_of(spec, own["smallest_detail_mm"]):
+        try:
+            found = estimate(change.apply_to(spec), path, limits=limits, name=path.name)
+        except InputError:
+            continue
+        if not found["refusals"] and (found["psnr_db"] or 0.0) >= (own["psnr_db"] or 0.0) + _WORTH_DB:
+            yield change, found
+
+
+def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
+    """What a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
+    image = decoded(path, limits, name)
+    found = []
+    for spec in specs:
+        width_mm, height_mm = spec.optics.screen_size_mm
+        picture = picture_of(image, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm, name=name)
+        found.append(aim_at_picture(spec, picture.linear).target)
+    return found, image.size
+
+
+def coarse_spec(spec: JobSpec) -> JobSpec:
+    """The same job with a coarser picture."""
+    return _with_pixels(spec, PIXELS)
+
+
+def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
+    """With at most so many pixels along the longer side."""
+    scale = min(1.0, most / max(spec.image.pixels, spec.pixel_rows))
+    pixels = max(16, round(scale * spec.image.pixels))
+    return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
+
+
+def quick_lens(spec: JobSpec, target: Array, whole: Array | None) -> QuickLens:
+    """The lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
+
+    whole : the same with more pixels, by which finishes are compared
+    """
+    planned: Planned | None = None
+    if spec.to_be_planned:
+        planned = plan_for_picture(spec, target, whole=whole)
+        spec = with_plan(spec, {"plan": _plan(planned)})
+    settings = lens_settings(spec, branch=branch_of(spec, target))
+    quick = simplify(settings)
+    design = design_lens(target, quick, passes=compute_passes(target, quick))
+    lens, shape = design.heightfield, (target.shape[0], target.shape[1])
+    seen = simulate_caustic(lens, quick.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
+    return QuickLens(
+        spec=spec,
+        planned=planned,
+        settings=settings,
+        design=design,
+        facts=measure_lens(lens),
+        form=LensForm.of(lens),
+        missed=seen.irradiance - target,
+        reflected_share=seen.reflected_share,
+    )
+
+
+def _plan(planned: Planned) -> dict[str, Any]:
+    """What `with_plan` takes of a plan, without its pictures and scores."""
+    return {
+        "passes": planned.rows(),
+        "foreseen_blur_mm": planned.foreseen_blur_mm(),
+        "min_radius_mm": planned.chosen.finish.radius_mm,
+        "whole_steps": planned.machine.whole_steps,
+        "finish": planned.finish_table(),
+    }
+
+
+def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
+    """Of each pass, from the stock that the one before leaves."""
+    form, mill = quick.form, kinematics_of(machine_of(quick.spec))
+    stock_mm: Array | None = None
+    for spec in cam_passes_of(quick.spec):
+        made_mm = _left_by(quick.lens, spec)
+        if stock_mm is None:
+            seconds = layers_s(form, spec, mill)
+            if spec.finishes or spec.strategy == "contour" or form.deepest_mm <= spec.step_down_mm:
+                seconds += rows_s(form, spec, mill)
+        else:
+            seconds = _seconds_after(quick, spec, stock_mm - made_mm)
+        stock_mm = made_mm if stock_mm is None else np.minimum(stock_mm, made_mm)
+        yield {"name": spec.name, "tool": f"ball {ball(spec.radius_mm)}", "hours": seconds / 3600}
+
+
+def _with_around(spec: JobSpec, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The same with what is milled around the passes, before and after them."""
+    rates = machine_of(spec).max_rate_mm_per_min
+    around = {
+        name: {"name": name, "tool": f"cutter {ball(radius_mm)}", "hours": seconds_of(paths, min(rates)) / 3600}
+        for name, radius_mm, paths in paths_around(spec)
+    }
+    first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
+    return [*first, *passes, *last]
+
+
+def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
+    """Of a pass that others went before; depth_mm (ny, nx): what it takes off."""
+    form, mill = quick.form, kinematics_of(machine_of(quick.spec))
+    if spec.where == "rest":
+        return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
+    return rows_s(form, spec, mill) + layers_where_s(form, spec, depth_mm, mill)
+
+
+def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
+    """Heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to leave."""
+    spline_z = lens.z_mm
+    filled = closed_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+    slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
+    normal_mm = spec.stock_to_leave_mm + spec.pitch_mm**2 / (8 * spec.radius_mm)
+    return np.asarray(filled + normal_mm * np.sqrt(1.0 + slope**2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Blur:
+    """Root mean squares on the screen, both directions together; detail_mm: how wide the worse one blurs a point."""
+
+    milling_mm: float
+    light_mm: float
+    detail_mm: float
+
+    @property
+    def whole_mm(self) -> float:
+        return hypot(self.milling_mm, self.light_mm)
+
+    def words(self, pixel_mm: float) -> Iterator[str]:
+        if self.detail_mm > pixel_mm:
+            cause = "the light's own size" if self.light_mm > self.milling_mm else "the tool's marks"
+            yield f"details under {self.detail_mm:.2g} mm will blur: {cause}"
+
+
+def _blur(quick: QuickLens, seen: Foretold | None) -> Blur:
+    disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
+    return Blur(
+        milling_mm=_milling_mm(quick),
+        light_mm=disc_mm / 4 * sqrt(2),
+        detail_mm=hypot(0.0 if seen is None else seen.detail_mm, _WIDTH * disc_mm / 4),
+    )
+
+
+def _milling_mm(quick: QuickLens) -> float:
+    """Of what the tool, or the work by hand after it, leaves."""
+    if (finish := finish_of(quick.spec)) is not None:
+        return blur_of(finish)
+    if (slopes := _slopes(quick)) is None:
+        return 0.0
+    drop_mm = quick.bench.throw_mm - float(quick.lens.z_mm.mean())
+    reach_mm = drop_mm * (2.0 if quick.bench.mirror else quick.bench.refractive_index - 1.0)
+    return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
+
+
+def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> Foretold | None:
+    """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
+    planned, finish, slopes = quick.planned, _finish(quick), _slopes(quick)
+    if finish is None or slopes is None:
+        return None
+    if planned is not None and exactly:
+        return told_by(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
+    by_hand = finish_of(quick.spec)
+    found = foretell(
+        target,
+        quick.bench,
+        quick.form,
+        quick.missed,
+        Marks(spec=finish, slopes=slopes),
+        aims=any(quick.spec.optics.foreseen_blur_mm),
+        by_hand=by_hand,
+        design=finished_designs(target, quick.settings) if exactly else None,
+    )
+    if planned is not None and planned.finishing is not None:
+        return replace(found, psnr_db=planned.chosen.psnr_db)
+    return found
+
+
+def _finish(quick: QuickLens) -> PassSpec | None:
+    """The last pass that finishes the whole lens."""
+    finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
+    return finishes[-1] if finishes else None
+
+
+def _slopes(quick: QuickLens) -> RowSlopes | None:
+    """What the last finishing pass leaves; None where none finishes."""
+    machine, finish = machine_of(quick.spec), _finish(quick)
+    if finish is None:
+        return None
+    digit_mm = POSTS[machine.dialect].digits.z_mm
+    return row_slopes(
+        radius_mm=finish.radius_mm,
+        pitch_mm=finish.pitch_mm,
+        step_mm=max(machine.step_mm, digit_mm),
+        noise_mm=machine.z_noise_mm,
+        vertex_mm=quick.form.usual_chord_mm(finish),
+        whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
+    )
+
+
+def _floor_mm(quick: QuickLens) -> float:
+    return quick.spec.stock.thickness_mm - quick.form.deepest_mm
+
+
+def _refusals(quick: QuickLens) -> Iterator[str]:
+    """Why the job would fail before it has a program."""
+    spec, passes = quick.spec, cam_passes_of(quick.spec)
+    if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
+        need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)
+        yield (
+            f"the lens is {quick.form.deepest_mm:.1f} mm deep and leaves {floor_mm:.1f} mm of the block: a block of "
+            f"{need_mm} mm, a wall farther away or a smaller lens"
+        )
+    try:
+        fitting.require_travel(quick.lens, cam_stock_of(spec), passes, machine_of(spec))
+        fitting.require_flutes(quick.lens, passes)
+        fitting.unfit_ball(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
+    except InputError as error:
+        yield str(error)
+
+
+def _warnings(quick: QuickLens) -> Iterator[str]:
+    yield from (advice.words for advice in quick.design.warnings)
+    if quick.reflected_share > _REFLECTED and quick.spec.optics.surface == "lens":
+        share = 100 * quick.reflected_share
+        yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
+    if quick.facts.max_slope_deg > _STEEP_DEG:
+        yield f"slopes of {quick.facts.max_slope_deg:.0f}° are hard to mill; a wall farther away makes them gentler"
+    if blocked := blocked_by_the_screen(quick.spec):
+        yield blocked
+
+
+def _of_picture(width: int, height: int, spec: JobSpec) -> Iterator[str]:
+    if width < spec.image.pixels // 2 or height < spec.pixel_rows // 2:
+        yield f"has {width} x {height} pixels, enlarged to {spec.image.pixels} x {spec.pixel_rows}"

@@ -1,0 +1,101 @@
+"""Does the job fit: the ball into the lens, the moves into the mill, the programs onto the disk?
+
+All of this is asked before the first block is written.
+"""
+
+from __future__ import annotations
+
+import shutil
+from math import isfinite
+from pathlib import Path
+
+from cam.checking.collision import lens_over_flutes_mm
+from cam.passes import PassSpec, Stock
+from cam.program import LEAST_REACHED
+from machines.profiles import MachineProfile
+from optics.heightfield import Heightfield
+from service.errors import FailedError, InputError
+from service.job.planning.lens_facts import LensFacts
+from service.job.planning.program_size import SURE, pass_bytes
+from service.wording import ball
+
+
+def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
+    """A warning when the finishing ball does not fit everywhere; InputError when it touches too little of the lens."""
+    radius_mm = min((spec.radius_mm for spec in passes if spec.finishes), default=0.0)
+    if radius_mm <= facts.min_concave_radius_mm:
+        return None
+    share = facts.reached_share(radius_mm)
+    fits = f"the largest that fits everywhere has {facts.min_concave_radius_mm:.3g} mm"
+    for name, radius in (("99.9 %", facts.radius_for_999_mm), ("99 %", facts.radius_for_99_mm)):
+        fits += f", on {name} of the area {radius:.3g} mm" if isfinite(radius) else f", on {name} of the area any"
+    if share < LEAST_REACHED:
+        raise InputError(
+            f"radius_mm = {radius_mm:g} of the finish pass touches only {100 * share:.0f} % of the lens; "
+            f"allowed: at least {100 * LEAST_REACHED:.0f} %; {fits}"
+        )
+    remedy = "" if shaped_for_mm >= radius_mm else f"; optics.min_radius_mm = {radius_mm:g} shapes the lens for it"
+    return f"the finishing ball {ball(radius_mm)} does not fit {100 * (1 - share):.2g} % of the lens; {fits}{remedy}"
+
+
+def require_flutes(heightfield: Heightfield, passes: tuple[PassSpec, ...]) -> None:
+    """InputError where flutes are shorter than one bite, or the lens itself would stand against the shank.
+
+    Only what is stated of a cutter can be asked; stock that is still to come off is for the check of each program.
+    """
+    for number, spec in enumerate(passes):
+        flutes_mm = spec.flute_length_mm
+        if flutes_mm is None:
+            continue
+        if flutes_mm < spec.step_down_mm:
+            raise InputError(
+                f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is shorter than one bite; allowed: at least the "
+                f"step-down of {spec.step_down_mm:g} mm"
+            )
+        if flutes_mm >= heightfield.relief_mm:  # nothing of the lens can stand above them
+            continue
+        over_mm = lens_over_flutes_mm(heightfield, spec)
+        if over_mm > 0:
+            raise InputError(
+                f"passes.{number}.flute_length_mm = {flutes_mm:g} mm is too short: where it is deepest the lens beside "
+                f"the cutter stands {over_mm:.2f} mm above the flutes, within reach of a shank of radius "
+                f"{spec.shank_radius_mm or spec.radius_mm:g} mm; allowed: at least {flutes_mm + over_mm:.1f} mm"
+            )
+
+
+def require_travel(
+    heightfield: Heightfield, stock: Stock, passes: tuple[PassSpec, ...], machine: MachineProfile
+) -> None:
+    """InputError when the block, or what the tip travels over it, is longer than an axis of the mill."""
+    around_mm = max(spec.radius_mm for spec in passes)
+    lowest_mm = float(heightfield.z_mm.min())
+    needed = (
+        ("X", "machine.travel_mm.0", stock.width_mm + 2 * around_mm, machine.travel_mm[0]),
+        ("Y", "machine.travel_mm.1", stock.height_mm + 2 * around_mm, machine.travel_mm[1]),
+        ("Z", "machine.travel_mm.2", machine.safe_z_mm - lowest_mm, machine.travel_mm[2]),
+    )
+    for axis, key, need_mm, have_mm in needed:
+        if need_mm > have_mm:
+            raise InputError(
+                f"{key} = {have_mm:g} mm ({machine.name}) is too small: the job moves {need_mm:.1f} mm along {axis}; "
+                f"allowed: at least {need_mm:.1f} mm"
+            )
+
+
+def expected_bytes(stock: Stock, spec: PassSpec) -> float:
+    """About how large a program becomes."""
+    size_mm = (stock.width_mm, stock.height_mm)
+    return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
+
+
+def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
+    """A warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
+
+    disk : what the disk of the folder is called
+    """
+    wanted_mb = sum(expected_bytes(stock, spec) for spec in passes) / 1e6
+    free_mb = shutil.disk_usage(folder).free / 1e6
+    sentence = f"the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free"
+    if free_mb < wanted_mb / SURE:
+        raise FailedError(sentence)
+    return sentence if free_mb < wanted_mb else None

@@ -1,0 +1,215 @@
+"""Lenses for the planner: one designed, or left by the ball, for each ball of the shop, and lit once.
+
+Lenses are designed on a coarser picture: what they miss of it is taken over, fine detail as the target has it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
+from threading import Lock
+
+import numpy as np
+
+from cam.planning.pass_time import LensForm
+from cam.planning.planner import Marks
+from cam.planning.rest import Filled
+from optics.ball_fit import ball_fits
+from optics.bench import Bench
+from optics.caustic import share_by_way_of, simulate_caustic
+from optics.closing import closed_to_radius
+from optics.corrections import Corrected, corrected
+from optics.finish import Finish
+from optics.heightfield import Array, Heightfield
+from optics.settings import LensSettings
+from optics.threads import thread_count
+from optics.transport import OpticalPath, solve_transport
+from service.job.picture.resampling import resized
+from service.job.planning.finished_light import Design
+from service.job.planning.predicted_light import PictureLight, Valleys
+
+COARSE = 256  # pixels along the longer side of the picture that lenses are designed for here
+_SMALL = 128 * 128  # pixels
+_TUBES, _BEAMS = 2, 7
+
+Progress = Callable[[float], None]
+
+
+def lit_designs(
+    target: Array,
+    settings: LensSettings,
+    radii_mm: Iterable[float],
+    *,
+    as_given: bool = False,
+    aims: bool = True,
+    on_progress: Progress | None = None,
+) -> PictureLight:
+    """A lens designed for each ball, largest first: where nothing is to be filled, smaller balls have the same one.
+
+    as_given : the settings alone shape the lens, and each ball leaves of it what it can
+    aims     : each lens is to be made sharper by what milling will blur
+    """
+    coarse = _coarser(target)
+    quick = simplify(settings)
+    solving = Lock()
+
+    @cache
+    def solution() -> OpticalPath:
+        return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
+
+    def first() -> OpticalPath:
+        """Of the picture itself: lenses for all balls begin with it."""
+        with solving:
+            return solution()
+
+    def near_first(aim: Array) -> OpticalPath | None:
+        path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())
+        return path if path.converged else None
+
+    def shaped_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
+        made = compute_passes(aim, replace(quick, min_radius_mm=radius_mm), start)
+        missed = made.best.caustic.irradiance - aim
+        return _Shaped(form=LensForm.of(made.best.lens), missed=missed, fits=not made.is_shaped)
+
+    def again(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
+        aim = _coarser(aim)
+        if as_given:
+            lens = compute_passes(aim, quick, lambda: near_first(aim)).best.lens
+            return lambda light: _add_as_left(light, lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
+        shaped = shaped_for(marks.radius_mm, aim, lambda: near_first(aim))
+        return lambda light: light.add(marks.radius_mm, shaped.form, shaped.missed)
+
+    light = PictureLight(target, settings.bench, aims=aims, redesign=again)
+    if as_given:
+        _add_as_left(light, compute_passes(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
+        return light
+    wanted = sorted(set(radii_mm), reverse=True)
+    with ThreadPoolExecutor(thread_count()) as pool:
+        coming = [pool.submit(shaped_for, radius_mm, coarse, first) for radius_mm in wanted]
+        for number, radius_mm in enumerate(wanted):
+            shaped = coming[number].result()
+            light.add(radius_mm, shaped.form, shaped.missed)
+            if on_progress is not None:
+                on_progress((number + 1) / len(wanted))
+            if shaped.fits:
+                pool.shutdown(wait=False, cancel_futures=True)
+                for smaller_mm in wanted[number + 1 :]:
+                    light.same(smaller_mm, radius_mm)
+                break
+    return light
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Shaped:
+    """A lens for a ball; missed: its light less what it aims at. fits: nothing had to be filled for the ball."""
+
+    form: LensForm
+    missed: Array
+    fits: bool
+
+
+def simplify(settings: LensSettings) -> LensSettings:
+    """For a lens that is only looked at: by transport, corrected once at most, not polished, for no finish."""
+    return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
+
+
+def finished_designs(target: Array, settings: LensSettings) -> Design:
+    """Lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the job's."""
+    quick = simplify(settings)
+    whole = replace(quick, corrections=settings.corrections)
+
+    def design(finish: Finish, radius_mm: float, fine: bool) -> tuple[Heightfield, Array]:
+        aim, wanted = (target, whole) if fine else (_coarser(target), quick)
+        made = compute_passes(aim, replace(wanted, finish=finish, min_radius_mm=radius_mm))
+        return made.best.lens, aim
+
+    return design
+
+
+def compute_passes(
+    target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] = lambda: None
+) -> Corrected:
+    """The passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones again.
+
+    first : the target's own solution, or one like it, where there is one
+    """
+    if target.size > _SMALL:
+        return corrected(target, settings, first=first())
+    key = hashlib.blake2b(pickle.dumps((target, settings))).digest()
+    return _compute_once(_Wanted(key=key, make=lambda: corrected(target, settings, first=first())))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Wanted:
+    key: bytes
+    make: Callable[[], Corrected] = field(compare=False)
+
+
+@lru_cache(maxsize=32)
+def _compute_once(wanted: _Wanted) -> Corrected:
+    return wanted.make()
+
+
+def lit_lens(
+    lens: Heightfield,
+    target: Array,
+    bench: Bench,
+    radii_mm: Iterable[float],
+    *,
+    on_progress: Progress | None = None,
+) -> PictureLight:
+    """An existing lens as each ball leaves it: valleys that are tighter stay filled."""
+    light = PictureLight(target, bench)
+    _add_as_left(light, lens, target, radii_mm, on_progress)
+    return light
+
+
+def _add_as_left(
+    light: PictureLight,
+    lens: Heightfield,
+    target: Array,
+    radii_mm: Iterable[float],
+    on_progress: Progress | None,
+) -> None:
+    form, served = LensForm.of(lens), None
+    wanted = sorted(set(radii_mm))
+    for number, radius_mm in enumerate(wanted, 1):
+        fits = ball_fits(lens, radius_mm)
+        if fits and served is not None:
+            light.same(radius_mm, served)
+            continue
+        if fits:
+            served = radius_mm
+            light.add(radius_mm, form, _light_of(lens, light.bench, target) - target)
+        else:
+            z = closed_to_radius(lens.z_mm, radius_mm=radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+            left = replace(lens, z_mm=np.minimum(z, 0.0))
+            valleys = _valleys(lens, left, light.bench, target)
+            light.add(radius_mm, form, _light_of(left, light.bench, target) - target, valleys=valleys)
+        if on_progress is not None:
+            on_progress(number / len(wanted))
+
+
+def _valleys(lens: Heightfield, left: Heightfield, bench: Bench, target: Array) -> Valleys | None:
+    """What a ball leaves filled of a lens; None where it is too little for a rest pass."""
+    filled = Filled(lens=lens, over_mm=left.z_mm - lens.z_mm)
+    if filled.share == 0:
+        return None
+    past = np.where(filled.cells, 0.0, 1.0)
+    shares_past = share_by_way_of(past, lens, bench, pixels=target.shape, tubes_per_cell=_TUBES, beams=_BEAMS)
+    return Valleys(filled=filled, shares_past=shares_past)
+
+
+def _light_of(lens: Heightfield, bench: Bench, target: Array) -> Array:
+    return simulate_caustic(lens, bench, pixels=target.shape, tubes_per_cell=_TUBES, beams=_BEAMS).irradiance
+
+
+def _coarser(target: Array) -> Array:
+    scale = min(1.0, COARSE / max(target.shape))
+    shape = (max(4, round(scale * target.shape[0])), max(4, round(scale * target.shape[1])))
+    coarse = np.maximum(resized(target, shape), 0.0)
+    return coarse / coarse.mean()

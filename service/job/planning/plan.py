@@ -1,0 +1,97 @@
+"""A plan with the eyes it was made with, and its figures."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any
+
+from cam.planning.planner import Candidate, Goal, Plan
+from cam.tools import Tool
+from machines.profiles import MachineProfile
+from optics.heightfield import Array
+from optics.metrics import CausticScore
+from service.job.planning.finish_choice import Finishing
+from service.job.planning.predicted_light import PictureLight
+from service.job.spec.finish import NONE
+from service.job.spec.model import PassRow
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planned:
+    """A plan with the eyes it was made with."""
+
+    plan: Plan
+    light: PictureLight
+    machine: MachineProfile
+    goal: Goal
+    shapes_lens: bool  # the lens is shaped for the ball that is chosen
+    tools: tuple[Tool, ...]
+    finishing: Finishing | None = None  # what is done by hand after milling
+    unfinished: Plan | None = None  # the best without that
+
+    @cached_property
+    def radius_of(self) -> dict[str, float]:
+        return {tool.name: tool.radius_mm for tool in self.tools}
+
+    @property
+    def chosen(self) -> Candidate:
+        return self.plan.chosen
+
+    def picture(self, candidate: Candidate) -> Array:
+        """Predicted light (ny, nx) on the screen of one of the plan's front, work frame."""
+        return self._pictures[self.plan.front.index(candidate)]
+
+    @cached_property
+    def _pictures(self) -> tuple[Array, ...]:
+        return tuple(self.light.picture(one.marks) for one in self.plan.front)
+
+    @cached_property
+    def _scores(self) -> tuple[CausticScore, ...]:
+        return tuple(map(self.light.score, self._pictures))
+
+    def score(self, candidate: Candidate) -> CausticScore:
+        """PSNR, SSIM and the rest of the predicted light of one of the plan's front."""
+        return self._scores[self.plan.front.index(candidate)]
+
+    def foreseen_blur_mm(self, candidate: Candidate | None = None) -> list[float]:
+        """What the lens is to be made sharper for, to the micrometre."""
+        return [round(value, 3) for value in self.light.foreseen_blur_mm((candidate or self.chosen).marks)]
+
+    def blur_px(self, candidate: Candidate) -> float:
+        return candidate.blur_mm / min(self.light.pixel_mm)
+
+    def rows(self, candidate: Candidate | None = None) -> list[dict[str, Any]]:
+        """The passes as the job spec takes them."""
+        passes = (candidate or self.chosen).passes
+        rows = [{key: value for key, value in asdict(spec).items() if key in PassRow.model_fields} for spec in passes]
+        return [{key: value for key, value in row.items() if value is not None} for row in rows]
+
+    def fragment(self, candidate: Candidate | None = None) -> dict[str, Any]:
+        """What laid over the job's spec, section by section, makes it this plan."""
+        one = candidate or self.chosen
+        optics: dict[str, Any] = {"min_radius_mm": one.finish.radius_mm} if self.shapes_lens else {}
+        if any(blur_mm := self.foreseen_blur_mm(one)):
+            optics["foreseen_blur_mm"] = blur_mm
+        machine = {"whole_steps": True} if self.machine.whole_steps else {}
+        return {"passes": self.rows(one), "optics": optics, "machine": machine, "finish": self.finish_table()}
+
+    def finish_table(self) -> dict[str, Any]:
+        """The finish as the job spec takes it."""
+        if (chosen := self.finishing) is None:
+            return {"process": NONE}
+        table = {
+            "process": chosen.process,
+            "k0_rad_per_mm": chosen.finish.k0_rad_per_mm,
+            "order": chosen.finish.order,
+            "depth_um": chosen.depth_um,
+            "minutes": chosen.minutes,
+            "pad_mm": chosen.finish.pad_mm,
+        }
+        return {key: value for key, value in table.items() if value is not None}
+
+    def rest_gain_db(self, one: Candidate) -> float:
+        """What its rest pass brings; 0 without one."""
+        if one.rest is None:
+            return 0.0
+        return one.psnr_db - self.light.aimed_db(replace(one.marks, rest=None))

@@ -1,0 +1,143 @@
+"""A job's passes from its picture, its lens, the shop's tools and its mill: what `cam.planning.planner` needs, and what
+it means in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+from cam.materials import PMMA
+from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
+from cam.planning.shop import CLEAR_MM, Shop
+from cam.posts.dialects import POSTS
+from cam.tools import Tool
+from machines.profiles import MachineProfile
+from optics.heightfield import Array, Heightfield
+from service.errors import InputError
+from service.job.planning.finish_choice import (
+    FinishedPlan,
+    is_surely_worth_it,
+    is_worth_it,
+    list_finishings,
+    plan_finish,
+)
+from service.job.planning.finished_light import Design
+from service.job.planning.lenses import finished_designs, lit_designs, lit_lens
+from service.job.planning.plan import Planned
+from service.job.planning.predicted_light import PictureLight
+from service.job.spec.lens_task import bench_of, branch_of, lens_settings
+from service.job.spec.mill import kinematics_of
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import machine_of
+from service.job.spec.tools import load_tools
+
+Progress = Callable[[float], None]
+COARSE_STEP_MM = 0.0005
+"""Steps from which the light shows that heights between them are not reached."""
+
+
+def plan_for_picture(
+    spec: JobSpec,
+    target: Array,
+    *,
+    whole: Array | None = None,
+    tools: Path | None = None,
+    on_progress: Progress | None = None,
+) -> Planned:
+    """Passes for a lens that is still to be designed, for the ball that finishes it.
+
+    target : (ny, nx) work frame, mean 1
+    whole  : the same with more pixels, where finishes are to be compared by that
+    """
+    shop = shop_of(spec, load_tools(tools))
+    settings = lens_settings(spec, branch=branch_of(spec, target))
+    aims = not any(spec.optics.foreseen_blur_mm)
+    shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
+    light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
+    return _planned(spec, shop, light, finished_designs(target, settings), shapes_lens=shapes, whole=whole)
+
+
+def plan_for_lens(
+    spec: JobSpec, lens: Heightfield, target: Array, *, tools: Path | None = None, on_progress: Progress | None = None
+) -> Planned:
+    """Passes for a lens that exists."""
+    shop = shop_of(spec, load_tools(tools))
+    bench = replace(bench_of(spec), branch=branch_of(spec, target))
+    light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
+    return _planned(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
+
+
+def _score_by(light: PictureLight, plan: Plan) -> Plan:
+    """The plan, its choice scored by another light, without its rest pass."""
+    seen_db = light.aimed_db(replace(plan.chosen.marks, rest=None))
+    return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
+
+
+def mill_of(spec: JobSpec) -> MachineProfile:
+    """The mill as a plan has it run: heights in whole steps where these are coarse, unless the job says otherwise."""
+    machine = machine_of(spec)
+    if spec.machine.whole_steps is not None:
+        return machine
+    return replace(machine, whole_steps=machine.whole_steps or machine.step_mm >= COARSE_STEP_MM)
+
+
+def shop_of(spec: JobSpec, tools: tuple[Tool, ...]) -> Shop:
+    """Tools, material and mill of a job."""
+    machine = mill_of(spec)
+    digit_mm = POSTS[machine.dialect].digits.z_mm
+    return Shop(
+        tools=tools,
+        material=PMMA,
+        mill=kinematics_of(machine),
+        spindle_rpm=machine.spindle_rpm,
+        step_mm=max(machine.step_mm, digit_mm),
+        whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
+        noise_mm=machine.z_noise_mm,
+        margin_mm=spec.stock.margin_mm,
+        strategies=("raster", "contour"),
+    )
+
+
+def _radii(shop: Shop) -> list[float]:
+    """Of the balls that the block has room for; of all, where it has room for none, so that each is refused by name."""
+    radii = {tool.radius_mm for tool in shop.tools}
+    return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
+
+
+def _planned(
+    spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool, whole: Array | None = None
+) -> Planned:
+    goal = Goal(**spec.plan.model_dump())
+    finished: FinishedPlan | None = None
+    try:
+        candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
+        finishings, given = list_finishings(spec), spec.finish.k0_rad_per_mm is not None
+        if finishings and whole is None:
+            finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
+        if finishings and whole is not None:
+            seen, plan = light.against(whole), plan_by_score(candidates, left_out, goal)
+            with ThreadPoolExecutor(1) as beside:
+                guessed = beside.submit(_score_by, seen, plan)
+                finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)
+                milled = guessed.result()
+            if not given and not is_surely_worth_it(finished.plan, milled, goal):
+                plan = plan_among(candidates, left_out, light, goal)
+                milled = _score_by(seen, plan)
+        else:
+            milled = plan = plan_among(candidates, left_out, light, goal)
+    except NoPlanError as error:
+        raise InputError(
+            "none of the tools can finish this lens", *(f"{name}: {why}" for name, why in error.left_out)
+        ) from None
+    if goal.hours is not None and not plan.met:
+        raise InputError(
+            f"plan.hours: {goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
+        )
+    planned = Planned(
+        plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
+    )
+    if finished is None or not (given or is_worth_it(finished.plan, milled, goal)):
+        return planned
+    return replace(planned, plan=finished.plan, light=finished.light, finishing=finished.finishing, unfinished=milled)

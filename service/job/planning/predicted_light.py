@@ -1,0 +1,310 @@
+"""What lenses show as milled, as far as it can be known before a program is written: the planner's eyes.
+
+Facets of a milled surface are much smaller than a pixel: each patch sends its light over all their slopes, and the
+picture is that of the perfect lens convolved with where they send it, darker at its edges, with the stripes of rows
+that are off in height. A groove of width w under a ball R spreads its light over w (1 + reach / R). Where a small ball
+makes the valleys that a big one leaves filled, light through them is spread as the small one's rows do.
+
+A first guess of PSNR takes no picture at all: the errors of a picture's waves add up as squares, and rows keep of each
+wave a part for X times a part for Y. Lenses of the best are then designed once more, sharpened for their own rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from math import hypot, sqrt
+
+import numpy as np
+from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter1d
+
+from cam.passes import PassSpec
+from cam.planning.pass_time import LensForm
+from cam.planning.planner import Marks
+from cam.planning.rest import Filled
+from cam.planning.row_slopes import RowSlopes, chord_grain, row_grain
+from optics.bench import Bench
+from optics.foreseen import sharpened
+from optics.heightfield import Array
+from optics.metrics import CausticScore, score_caustic
+from optics.threads import thread_count
+from service.job.picture.resampling import resized
+from service.job.planning.waves import Waves, lost_when_sharpened, yx_spreads
+
+_SEED, _GRAIN_PIXELS = 20140301, 3.0
+_SEEN_PIXELS = 0.25  # of blur along the rows; less is not worth sharpening for
+
+Redesign = Callable[[Marks, Array], Callable[["PictureLight"], None]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Valleys:
+    """Those that a ball leaves filled; shares (ny, nx): of each pixel's light that comes past them, by the lens."""
+
+    filled: Filled
+    shares_past: Array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Shown:
+    """A lens for one ball: its form, the waves (ny, nx) of the picture that it would show unmilled, were it not
+    sharpened, and the PSNR of that picture; what the ball leaves filled of it.
+    """
+
+    form: LensForm
+    waves: Array
+    perfect_db: float
+    valleys: Valleys | None = None
+
+
+class PictureLight:
+    """Pictures and scores of milled lenses; `cam.planning.planner.Light`.
+
+    aims     : a lens can still be made sharper for the blur of its milling
+    redesign : the lenses of those marks that aim at a picture of the target's size; what it returns puts them in
+               place of the first ones
+    goal     : the target's waves, where they are known
+    """
+
+    def __init__(
+        self,
+        target: Array,
+        bench: Bench,
+        *,
+        aims: bool = False,
+        redesign: Redesign | None = None,
+        goal: Array | None = None,
+    ) -> None:
+        self.target, self.bench, self.aims, self._redesign = target, bench, aims, redesign
+        self.goal = waves_of(target) if goal is None else goal
+        self._peak, self._square = float(target.max()), float(np.square(target).mean())
+        ny, nx = target.shape
+        self.pixel_mm = (bench.screen.height_mm / ny, bench.screen.width_mm / nx)
+        self._along = Waves.of((ny, nx), self.pixel_mm)
+        self.lenses: dict[float, Shown] = {}
+        self._halves: dict[tuple[float, float], tuple[Array, Array]] = {}
+        self._reaches_mm: dict[LensForm, float] = {}
+
+    @property
+    def forms(self) -> dict[float, LensForm]:
+        return {radius: shown.form for radius, shown in self.lenses.items()}
+
+    @property
+    def fillings(self) -> dict[float, Filled]:
+        """By radius, of balls that leave valleys filled."""
+        return {radius: shown.valleys.filled for radius, shown in self.lenses.items() if shown.valleys is not None}
+
+    def add(self, radius_mm: float, form: LensForm, missed: Array, *, valleys: Valleys | None = None) -> None:
+        """A lens for a ball; missed: its light less the picture that it aims at, at any size."""
+        error = resized(missed, self.target.shape)
+        self.lenses[radius_mm] = Shown(
+            form=form,
+            waves=self.goal + waves_of(error),
+            perfect_db=self.psnr_of(self.target + error, 0.0),
+            valleys=valleys and replace(valleys, shares_past=resized(valleys.shares_past, self.target.shape)),
+        )
+
+    def same(self, radius_mm: float, as_of_mm: float) -> None:
+        """The lens for another ball serves this one as well."""
+        self.lenses[radius_mm] = self.lenses[as_of_mm]
+
+    def against(self, target: Array) -> PictureLight:
+        """The same lenses against the picture at another size; what balls leave filled of them is not told."""
+        light = PictureLight(target, self.bench, aims=self.aims)
+        first: dict[Shown, float] = {}
+        for radius_mm, shown in self.lenses.items():
+            if shown in first:
+                light.same(radius_mm, first[shown])
+                continue
+            light.add(radius_mm, shown.form, picture_of_waves(shown.waves - self.goal))
+            first[shown] = radius_mm
+        return light
+
+    def _seen(self, marks: Marks) -> RowSlopes:
+        """Slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
+        form = self.lenses[marks.radius_mm].form
+        reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
+        wider = marks.slopes.across.times(form.widening(marks.spec, reach_mm))
+        return replace(marks.slopes, across=wider)
+
+    def reach_mm(self, form: LensForm) -> float:
+        """How far aside a slope error sends light on the screen, per unit of slope.
+
+        A slope s sends light aside by (n - 1)(s + c s^3) of the way, to third order; its change by 1 + 2 c s^2 times as
+        much, the mean of along it and across it.
+        """
+        if form not in self._reaches_mm:
+            self._reaches_mm[form] = self._reach_of_mm(form)
+        return self._reaches_mm[form]
+
+    def _reach_of_mm(self, form: LensForm) -> float:
+        drop_mm, n = self.bench.throw_mm - float(form.heights_mm.mean()), self.bench.refractive_index
+        cubic = 1.0 if self.bench.mirror else n * (n + 1) / 6 + ((n - 1) ** 2 - 1) / 3
+        leaning = 1.0 + 2.0 * cubic * float(np.square(form.slopes).mean())
+        return drop_mm * (2.0 if self.bench.mirror else n - 1.0) * leaning
+
+    def blur_mm(self, slopes: RowSlopes) -> float:
+        form = next(iter(self.lenses.values())).form
+        return self.reach_mm(form) * sqrt(slopes.across.rms**2 + slopes.along.rms**2)
+
+    def psnr_db(self, marks: Marks) -> float:
+        """At a guess: as if darkness had no floor, and the picture no place where its edges' darkness matters more."""
+        error = self._error_by_contours(marks) if marks.spec.strategy == "contour" else self._error_by_rows(marks)
+        return self.db_of_error(error + self.grain(marks) ** 2 * self._square)
+
+    def aimed_db(self, marks: Marks) -> float:
+        return self.psnr_of(self.smooth_picture(marks), self.grain(marks))
+
+    def unsharpened_db(self, marks: Marks) -> float:
+        """The same of a lens that aims at the picture itself."""
+        return self.psnr_of(self._milled(marks, self.lenses[marks.smallest_mm].waves), self.grain(marks))
+
+    def settle(self, several: Iterable[Marks]) -> None:
+        """Design the lenses of these balls once more, sharpened for those rows; nothing where none is sharpened."""
+        if self._redesign is None:
+            return
+        wanted = [marks for marks in several if any(self.foreseen_blur_mm(marks))]
+        with ThreadPoolExecutor(thread_count()) as pool:
+            designs = list(pool.map(self._redesign, wanted, map(self._aim, wanted)))
+        for marks, put in zip(wanted, designs, strict=True):
+            before = {radius: self.lenses[radius].perfect_db for radius in {marks.radius_mm, marks.smallest_mm}}
+            put(self)
+            for radius, perfect_db in before.items():
+                self.lenses[radius] = replace(self.lenses[radius], perfect_db=perfect_db)
+        self._halves.clear()
+
+    def perfect_db(self, radius_mm: float) -> float:
+        """What the lens for a ball would show without any mark of the tool."""
+        return self.lenses[radius_mm].perfect_db
+
+    def grain(self, marks: Marks) -> float:
+        """Standard deviation of the light of a pixel over its mean: rows off in height, chords off in slope."""
+        own = self._grain_of(marks)
+        if marks.rest is None:
+            return own
+        through = float(picture_of_waves(self._half_waves(marks)[1]).mean())
+        return sqrt((1.0 - through) * own**2 + through * self._grain_of(marks.rest) ** 2)
+
+    def across_mm(self, spec: PassSpec) -> float:
+        """A pixel's side across the rows of a pass."""
+        return self.pixel_mm[0 if spec.direction == "x" else 1]
+
+    def _grain_of(self, marks: Marks) -> float:
+        spec, slopes = marks.spec, marks.slopes
+        across_mm, along_mm = self.across_mm(spec), self.pixel_mm[1 if spec.direction == "x" else 0]
+        reach_mm = round(self.reach_mm(self.lenses[spec.radius_mm].form), 1)
+        rows = row_grain(spec.radius_mm, spec.pitch_mm, slopes.off_mm, reach_mm, across_mm)
+        return hypot(rows, chord_grain(slopes, radius_mm=spec.radius_mm, reach_mm=reach_mm, pixel_mm=along_mm))
+
+    def picture(self, marks: Marks) -> Array:
+        """Irradiance (ny, nx) on the screen, work frame, mean 1; its grain drawn by lot, longer along the rows."""
+        smooth = np.maximum(self.smooth_picture(marks), 0.0)
+        lot = np.random.default_rng(_SEED).standard_normal(smooth.shape)
+        lot = gaussian_filter1d(lot, _GRAIN_PIXELS, axis=1 if marks.spec.direction == "x" else 0)
+        return np.asarray(smooth * np.maximum(1.0 + self.grain(marks) * lot / lot.std(), 0.0))
+
+    def foreseen_blur_mm(self, marks: Marks) -> tuple[float, float]:
+        """(x, y) standard deviations that the lens may be made sharper for; nothing for a lens that exists,
+        nor where contours blur each place in a direction of its own.
+        """
+        if not self.aims or marks.spec.strategy == "contour":
+            return 0.0, 0.0
+        form = self.lenses[marks.radius_mm].form
+        slopes = self._seen(marks)
+        across, along = (self.reach_mm(form) * spread.rms for spread in (slopes.across, slopes.along))
+        along = along if along > _SEEN_PIXELS * min(self.pixel_mm) else 0.0
+        return (along, across) if marks.spec.direction == "x" else (across, along)
+
+    def score(self, picture: Array) -> CausticScore:
+        return score_caustic(picture, self.target)
+
+    def _error_by_rows(self, marks: Marks) -> float:
+        """Mean square of what the waves lack, of a lens that is sharpened as far as light allows."""
+        kept = self._kept(marks)
+        lost = lost_when_sharpened(kept) if self.aims else 1.0 - kept
+        if marks.rest is None:
+            return float(np.square(lost * self.goal - kept * (self.lenses[marks.radius_mm].waves - self.goal)).mean())
+        past, through = self._half_waves(marks)
+        came = kept * past + self._kept(marks.rest) * through
+        return float(np.square(lost * self.goal - (came - kept * self.goal)).mean())
+
+    def _error_by_contours(self, marks: Marks) -> float:
+        """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
+        form, along = self.lenses[marks.radius_mm].form, self._along.by_blocks
+        kept, squared = along.kept_by_contours(form, self._seen(marks), self.reach_mm(form))
+        goal, sums = self.goal, self._along.block_sums
+        if marks.rest is None:
+            own = self.lenses[marks.radius_mm].waves
+            error = (squared * sums(own**2) - 2 * kept * sums(own * goal)).sum()
+        else:
+            own, other = self._half_waves(marks)
+            left = along.kept(form, self._seen(marks.rest), marks.rest.spec, self.reach_mm(form))
+            error = (squared * sums(own**2) + 2 * kept * (left * sums(own * other) - sums(own * goal))).sum()
+            error += (left**2 * sums(other**2) - 2 * left * sums(other * goal)).sum()
+        return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
+
+    def _half_waves(self, marks: Marks) -> tuple[Array, Array]:
+        """Of the light past the valleys that the finishing ball leaves filled, and of that through them, where a rest
+        pass cuts; the lens is as the smaller ball leaves it."""
+        key = (marks.radius_mm, marks.smallest_mm)
+        if key not in self._halves:
+            self._halves[key] = self._split(marks, self.lenses[marks.smallest_mm].waves)
+        return self._halves[key]
+
+    def _split(self, marks: Marks, waves: Array) -> tuple[Array, Array]:
+        valleys = self.lenses[marks.radius_mm].valleys
+        assert valleys is not None, "a rest pass is planned where something is left"
+        past = waves_of(valleys.shares_past * picture_of_waves(waves))
+        return past, waves - past
+
+    def smooth_picture(self, marks: Marks) -> Array:
+        """The picture of the lens for that ball, made sharper and then milled, without grain."""
+        waves = self.lenses[marks.smallest_mm].waves
+        if any(self.foreseen_blur_mm(marks)):
+            waves = waves + waves_of(self._aim(marks) - self.target)
+        return self._milled(marks, waves)
+
+    def _aim(self, marks: Marks) -> Array:
+        """The target, sharper by what those rows will blur."""
+        blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
+        return sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
+
+    def _milled(self, marks: Marks, waves: Array) -> Array:
+        """Blurred; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""
+        reach_mm = self.reach_mm(self.lenses[marks.radius_mm].form)
+        edges = [
+            spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
+            for spread, count, pixel_mm in zip(
+                yx_spreads(self._seen(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
+            )
+        ]
+        if marks.rest is None:
+            blurred = self._kept(marks) * waves
+        else:
+            past, through = self._split(marks, waves)
+            blurred = self._kept(marks) * past + self._kept(marks.rest) * through
+        return np.asarray(picture_of_waves(blurred) * np.outer(*edges))
+
+    def _kept(self, marks: Marks) -> Array:
+        """What is left of each wave (ny, nx)."""
+        form = self.lenses[marks.radius_mm].form
+        return self._along.kept(form, self._seen(marks), marks.spec, self.reach_mm(form))
+
+    def psnr_of(self, picture: Array, grain: float) -> float:
+        """Of a smooth picture and its grain."""
+        error = float(np.square(picture - self.target).mean()) + grain**2 * float(np.square(picture).mean())
+        return self.db_of_error(error)
+
+    def db_of_error(self, mean_square: float) -> float:
+        """PSNR of a picture that is off by so much."""
+        return float(10 * np.log10(self._peak**2 / max(mean_square, 1e-300)))
+
+
+def waves_of(picture: Array) -> Array:
+    return np.asarray(dctn(picture, norm="ortho"))
+
+
+def picture_of_waves(waves: Array) -> Array:
+    return np.asarray(idctn(waves, norm="ortho"))

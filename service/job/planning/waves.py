@@ -1,0 +1,80 @@
+"""What milling leaves of a picture, wave by wave of its cosine transform: rows spread light one way, contours all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cam.passes import PassSpec
+from cam.planning.pass_time import LensForm
+from cam.planning.row_slopes import RowSlopes, SlopeSpread
+from optics.heightfield import Array
+
+_DIRECTIONS = 16
+_STEPS = 128  # between which what is left of a wave is taken as straight
+_BLOCK = 4  # waves along a side that share what contours keep of them
+_SHARPENING = 4.0  # of Landweber's steps, that light without negative places allows on average
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Waves:
+    """The waves of pictures of one size on one screen.
+
+    along_y (ny,), along_x (nx,) : periods to a mm
+    """
+
+    along_y: Array
+    along_x: Array
+
+    @classmethod
+    def of(cls, shape: tuple[int, int], pixel_mm: tuple[float, float]) -> Waves:
+        """shape, pixel_mm: rows and columns; y, x."""
+        y, x = (np.arange(count) / (2 * count * size) for count, size in zip(shape, pixel_mm, strict=True))
+        return cls(along_y=y, along_x=x)
+
+    @property
+    def by_blocks(self) -> Waves:
+        """One for each block of the others."""
+        ny, nx = (one.size // _BLOCK * _BLOCK for one in (self.along_y, self.along_x))
+        return Waves(along_y=self.along_y[:ny:_BLOCK], along_x=self.along_x[:nx:_BLOCK])
+
+    def block_sums(self, values: Array) -> Array:
+        """Of values (ny, nx), one for each wave of `by_blocks`."""
+        ny, nx = (count // _BLOCK for count in values.shape)
+        whole = values[: ny * _BLOCK, : nx * _BLOCK]
+        return np.asarray(whole.reshape(ny, _BLOCK, nx, _BLOCK).sum(axis=(1, 3)))
+
+    def kept(self, form: LensForm, slopes: RowSlopes, spec: PassSpec, reach_mm: float) -> Array:
+        """(ny, nx) what is left of each wave when a slope of 1 sends light `reach_mm` aside."""
+        if spec.strategy == "contour":
+            return self.kept_by_contours(form, slopes, reach_mm)[0]
+        over_y, over_x = yx_spreads(slopes, spec)
+        left = over_y.transfer(self.along_y, reach_mm), over_x.transfer(self.along_x, reach_mm)
+        return np.outer(*left)
+
+    def kept_by_contours(self, form: LensForm, slopes: RowSlopes, reach_mm: float) -> tuple[Array, Array]:
+        """What is left of each wave, and of its square: rows run along the contour lines, so across them is the
+        gradient's direction, which all places share out.
+        """
+        edges = np.linspace(0.0, np.pi, _DIRECTIONS + 1)
+        share = np.histogram(np.mod(form.turns_rad, np.pi), edges)[0] / form.turns_rad.size
+        waves = np.linspace(0.0, float(np.hypot(self.along_x[-1], self.along_y[-1])), _STEPS)
+        across = slopes.across.transfer(waves, reach_mm)
+        turns = np.concatenate([edges[:-1], -edges[1:]]) + np.pi / (2 * _DIRECTIONS)  # waves here have no sign
+        along = np.multiply.outer(np.cos(turns), self.along_x)[:, None, :]
+        along = along + np.multiply.outer(np.sin(turns), self.along_y)[:, :, None]
+        left, parts = np.interp(np.abs(along), waves, across), np.concatenate([share, share]) / 2
+        return np.tensordot(parts, left, 1), np.tensordot(parts, left**2, 1)
+
+
+def yx_spreads(slopes: RowSlopes, spec: PassSpec) -> tuple[SlopeSpread, SlopeSpread]:
+    """Slope errors along Y and along X of rows; both those across them where rows run along contours."""
+    if spec.strategy == "contour":
+        return slopes.across, slopes.across
+    return (slopes.across, slopes.along) if spec.direction == "x" else (slopes.along, slopes.across)
+
+
+def lost_when_sharpened(kept: Array) -> Array:
+    """Part of each wave that is missing in the end, when the lens is sharpened as far as light allows."""
+    return np.asarray((1.0 - kept) * np.clip(1.0 - kept * kept, 0.0, 1.0) ** _SHARPENING)

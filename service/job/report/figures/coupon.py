@@ -1,0 +1,66 @@
+"""The figure of a measured test piece: the photograph in its place, and what the finish left of each ripple."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from optics.coupon.fit import FinishFit
+from optics.finish import Finish
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, srgb_levels
+
+_INK, _MARK, _QUIET = "0.25", "#b5382a", "0.55"
+
+
+def coupon_fit_png(seen: Array, fit: FinishFit, *, extent_mm: Sequence[float], notes: Sequence[str] = ()) -> bytes:
+    """PNG: the rectified photograph (ny, nx), row 0 on top, 1 is straight light; below it H as measured.
+
+    extent_mm : left, right, bottom, top of the photograph on the piece
+    """
+    tall = panel_height(9.2, *seen.shape)
+    figure = new_figure(9.6, tall + 4.4)
+    above, below = figure.subplots(2, 1, height_ratios=(tall, 3.6))
+    above.imshow(
+        srgb_levels(seen, white=3.0),
+        cmap="gray",
+        vmin=0,
+        vmax=255,
+        extent=tuple(extent_mm),
+        interpolation="antialiased",
+    )
+    above.set_title("The photograph, laid over the piece (mm)", fontsize=10, color=_INK)
+    above.tick_params(labelsize=8, colors=_INK)
+    waves = np.array([one.k_rad_per_mm for one in fit.ripples])
+    at = np.geomspace(waves.min() / 1.6, waves.max() * 1.6, 200)
+    for k0 in fit.k0_range:
+        for order in fit.order_range:
+            curve = Finish(k0_rad_per_mm=k0, order=order).transfer(at)
+            below.plot(2 * np.pi / at, curve, color=_MARK, linewidth=0.6, alpha=0.45)
+    found = Finish(k0_rad_per_mm=fit.k0_rad_per_mm, order=fit.order)
+    below.plot(2 * np.pi / at, found.transfer(at), color=_MARK, linewidth=1.8)
+    below.errorbar(
+        [one.period_mm for one in fit.ripples],
+        [one.share for one in fit.ripples],
+        yerr=[2 * one.error for one in fit.ripples],
+        fmt="o", color=_INK, markersize=4.5, capsize=3, linewidth=1,
+    )  # fmt: skip
+    below.set_xscale("log")
+    ticks = [one.period_mm for one in fit.ripples]
+    below.set_xticks(ticks, [f"{tick:.2g}" for tick in ticks])
+    below.minorticks_off()
+    below.set_ylim(-0.05, 1.15)
+    below.set_xlabel("period of the ripple, mm", fontsize=9, color=_INK)
+    below.set_ylabel("left of its height, H", fontsize=9, color=_INK)
+    below.set_title(
+        f"k0 {fit.k0_rad_per_mm:.2f} rad/mm ({fit.k0_range[0]:.2f} to {fit.k0_range[1]:.2f}), order {fit.order:.2f} "
+        f"({fit.order_range[0]:.2f} to {fit.order_range[1]:.2f}); bars are two standard errors",
+        fontsize=10, color=_INK, loc="left",
+    )  # fmt: skip
+    below.tick_params(labelsize=8.5, colors=_INK)
+    below.grid(alpha=0.25, linewidth=0.6)
+    for side in ("top", "right"):
+        below.spines[side].set_visible(False)
+    if notes:
+        below.text(0.99, 0.05, "\n".join(notes), transform=below.transAxes, ha="right", fontsize=8, color=_QUIET)
+    return png_bytes(figure)

@@ -1,0 +1,320 @@
+"""report.html: the setup sheet a person takes to the mill, made from report.json, spec.json and the names of the files.
+
+Everything that may be missing may be missing: after `design` there are no passes, and then the page says so. The page
+has no scripts and loads nothing but the pictures beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from functools import cache
+from math import isfinite, radians, tan
+from pathlib import PurePath
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, Template
+
+from service.job.files import CUT_OUT, FACE
+from service.job.finite_json import table
+from service.job.report.around import around_sentences, facing_zero
+from service.job.report.checks import check_rows, flutes_in_words, order_in_words
+from service.job.report.drawing import SetUp, side_view, top_view
+from service.job.report.finishing import finishing_card
+from service.job.report.milled import milled_sentences
+from service.job.report.optics import (
+    lens_rows,
+    light_sentences,
+    prepared_sentences,
+    score_rows,
+    screen_sentence,
+    tolerance_sentences,
+)
+from service.job.spec.lens_task import source_spread_mm
+from service.job.spec.light import SUN_DEG
+from service.job.spec.outline import ellipse_mm
+from service.wording import duration, number, size, whole
+
+_CLEARANCE_MM = 2.0  # free length beyond the deepest cut, so that the holder stays out of the block
+_UNDER_RAPIDS_MM = 1.0  # what stands on the bed ends so far below the rapid moves
+_SLENDER = 12.0  # free length over diameter from which a plain end mill bends too far
+_PLACES_SHOWN = 6
+_COARSE_PIXELS = 256  # up to here a picture is shown with hard pixels, not blurred up
+
+_AS_MILLED, _AS_FINISHED = "caustic-as-milled.png", "caustic-as-finished.png"
+_PICTURES = (
+    (
+        "prepared.png",
+        "The picture as it was given, and as the lens aims at it: contrast raised in what will show on the wall.",
+    ),
+    ("comparison.png", "Target, simulated caustic and the difference between them."),
+    ("comparison-as-finished.png", "Target, the picture after finishing by hand and the difference between them."),
+    (
+        "as-milled.png",
+        "Target, design and the surface that the programs leave, whole and in the part with the most detail. The last "
+        "one counts the grooves of every move, the steps of the machine and its height errors.",
+    ),
+    (
+        "through-focus.png",
+        "The same lens with the screen at other distances. It is in focus only at the distance it is made for.",
+    ),
+    (
+        "tolerances.png",
+        "When the set-up is not exact: the wall at another distance, light aslant (the picture's shift taken out), and "
+        "a source of another size. Simulated with fewer rays than the scores above, so a decibel or two may lie "
+        "between them: what counts is the loss along a curve.",
+    ),
+    ("lens.png", "The lens surface from above, as it lies on the mill: heights with contour lines, and its relief."),
+    ("flow.png", "The paper's method step by step: how the mapping grows and the difference D fades (its Fig. 6)."),
+    (
+        "toolpath.png",
+        "Each program from above. Left: some rows of the whole part. Right: every move in a small square.",
+    ),
+)
+
+
+def render_report(
+    report: Mapping[str, Any],
+    *,
+    spec: Mapping[str, Any] | None = None,
+    files: Collection[str] = (),
+    title: str | None = None,
+) -> str:
+    """The page as HTML text.
+
+    report : what report.json holds     spec : what spec.json holds     files : names present in the job's folder
+    """
+    spec = spec or {}
+    programs = _programs(report, spec)
+    passes = [row for row in programs if not row["is_around"]]
+    job = _set_up(report, spec, programs)
+    warnings = [*_sentences(report.get("warnings")), *_tool_warnings(passes)]
+    highest_mm = max((_z_bounds(row)[1] for row in programs if _z_bounds(row)), default=None)
+    rapid_z_mm = table(spec.get("machine")).get("safe_z_mm") or highest_mm
+    return _template().render(
+        title=title or _job_name(report) or "lens",
+        report=report,
+        optics=table(report.get("optics")),
+        spec={key: table(spec.get(key)) for key in ("image", "optics", "stock", "machine")},
+        job=job,
+        top_view=top_view(job) if job else None,
+        side_view=side_view(job) if job else None,
+        passes=programs,
+        unreached=_unreached(passes),
+        verdict=_verdict(programs),
+        total_s=sum(row["time_s"] for row in programs) if all(row.get("time_s") for row in programs) else None,
+        warnings=warnings,
+        notes=[note for note in _notes(programs) if note not in warnings],
+        around=around_sentences(spec, report),
+        facing_zero=facing_zero(spec),
+        edge_z_mm=_edge_z_mm(programs, job),
+        coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
+        score_rows=score_rows(report),
+        milled=milled_sentences(table(report.get("as_milled"))),
+        prepared=prepared_sentences(report),
+        lens_rows=lens_rows(report, spec),
+        throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
+        check_rows=check_rows(programs),
+        finishing=finishing_card(report),
+        clearance_mm=_CLEARANCE_MM,
+        rapid_z_mm=rapid_z_mm,
+        highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
+        tool_changes=_tool_changes(programs),
+        lowest_z_mm=min((_z_bounds(row)[0] for row in passes if _z_bounds(row)), default=0.0),
+        main_pictures=[name for name in ("target.png", "caustic.png", _AS_MILLED, _AS_FINISHED) if name in files],
+        finish_pictures=[name for name in (_AS_MILLED, _AS_FINISHED) if {_AS_MILLED, _AS_FINISHED} <= set(files)],
+        pictures=[(name, caption) for name, caption in _PICTURES if name in files],
+        files=frozenset(files),
+    )
+
+
+def _job_name(report: Mapping[str, Any]) -> str:
+    """As the operator page says it: without the kind of file."""
+    return PurePath(str(table(report.get("source")).get("file") or "")).stem
+
+
+@cache
+def _template() -> Template:
+    environment = Environment(
+        loader=PackageLoader("service.job.report", "templates"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(number=number, whole=whole, duration=duration, size=size)
+    return environment.get_template("report.html")
+
+
+def _sentences(value: Any) -> list[str]:
+    return [value] if isinstance(value, str) else [str(sentence) for sentence in value or ()]
+
+
+def _edge_z_mm(programs: Sequence[Mapping[str, Any]], job: SetUp | None) -> float:
+    """The lowest Z of those programs whose cutters reach the edge of the block."""
+    lowest = [0.0]
+    for row in programs:
+        swept = _swept([row])
+        if job is None or swept is None or not _z_bounds(row):
+            continue
+        left, right, front, back = swept
+        ring_mm = job.margin_mm - max(-left, right - job.width_mm, -front, back - job.height_mm)
+        if ring_mm <= 0:
+            lowest.append(_z_bounds(row)[0])
+    return min(lowest)
+
+
+def _set_up(report: Mapping[str, Any], spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]]) -> SetUp | None:
+    """The sizes to draw; None where the spec does not give them."""
+    optics, stock = table(spec.get("optics")), table(spec.get("stock"))
+    relief_mm = table(report.get("optics")).get("relief_mm")
+    try:
+        return SetUp(
+            width_mm=float(optics["width_mm"]),
+            height_mm=float(optics["height_mm"]),
+            throw_mm=float(optics["throw_mm"]),
+            thickness_mm=float(stock["thickness_mm"]),
+            margin_mm=float(stock.get("margin_mm", 0.0)),
+            is_mirror=optics.get("surface") == "mirror",
+            lamp_mm=table(optics.get("light")).get("distance_mm"),
+            outline_mm=_outline(optics),
+            swept_mm=_swept(passes),
+            deepest_mm=None if relief_mm is None else float(relief_mm) + float(stock.get("skim_mm", 0.0)),
+        )
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def _outline(optics: Mapping[str, Any]) -> Sequence[Sequence[float]]:
+    """Corners of a lens that is no rectangle."""
+    outline = optics.get("outline", "rectangle")
+    if outline == "ellipse":
+        return ellipse_mm(float(optics["width_mm"]), float(optics["height_mm"]))
+    return () if isinstance(outline, str) else [(float(x), float(y)) for x, y in outline]
+
+
+def _swept(passes: Sequence[Mapping[str, Any]]) -> tuple[float, float, float, float] | None:
+    """Left, right, front and back of what the balls of all programs go over, their radius included."""
+    sides = []
+    for row in passes:
+        bounds, radius_mm = table(row.get("cut_bounds")) or table(row.get("bounds")), row.get("radius_mm")
+        if radius_mm is None or not all(len(bounds.get(axis) or ()) == 2 for axis in "xy"):
+            return None
+        (left, right), (front, back) = bounds["x"], bounds["y"]
+        sides.append((left - radius_mm, right + radius_mm, front - radius_mm, back + radius_mm))
+    if not sides:
+        return None
+    lefts, rights, fronts, backs = zip(*sides, strict=True)
+    return min(lefts), max(rights), min(fronts), max(backs)
+
+
+def _programs(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """One row per program, in the order in which they are run: the spec's values, the report's over them, and what
+    follows for the tool. number: of the pass; is_around: not one of the lens.
+    """
+    wanted, made = _rows(spec.get("passes")), _rows(report.get("passes"))
+    around = table(report.get("around"))
+    first, last = ([table(around[name])] if name in around else [] for name in (FACE, CUT_OUT))
+    numbered = [*((0, row) for row in first), *enumerate(made, 1), *((len(made) + 1, row) for row in last)]
+    rows = []
+    for number_, program in numbered:
+        is_around = program in first or program in last
+        own = {} if is_around or number_ > len(wanted) else wanted[number_ - 1]
+        row = {**own, **table(program.get("settings")), **program, "number": number_, "is_around": is_around}
+        row["faults"], row["notes"] = _sentences(row.get("faults")), _sentences(row.get("notes"))
+        row["checked"] = "FAILED" if row["faults"] or row.get("ok") is False else "passed" if row.get("ok") else None
+        if _z_bounds(row):
+            row["stick_out_mm"] = _CLEARANCE_MM - min(_z_bounds(row)[0], 0.0)
+        row["flutes"], row["order"] = flutes_in_words(row), order_in_words(row)
+        rows.append(row)
+    return rows
+
+
+def _tool_changes(passes: Sequence[Mapping[str, Any]]) -> str:
+    """When Z0 is to be set again: after another tool was put in, and only then."""
+    radii = [row.get("radius_mm") and (row.get("tool", "ball"), row["radius_mm"]) for row in passes]
+    changed = [k for k in range(1, len(radii)) if radii[k] is None or radii[k] != radii[k - 1]]
+    if len(radii) < 2:
+        return ""
+    if not changed:
+        return "All passes use the same tool: it stays in, and Z0 is set once."
+    before = " and ".join(f"pass {passes[k]['number']}" for k in changed)
+    same = "; between the others the tool stays in and Z0 as it is" if len(changed) < len(radii) - 1 else ""
+    return f"Set it again after each tool change, that is before {before}{same}."
+
+
+def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+    return [f"{row.get('file', 'a pass')}: {note}" for row in passes for note in row["notes"]]
+
+
+def _unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones take."""
+    places = (passes[-1].get("unreached") or ()) if passes else ()
+    return [place if isinstance(place, str) else _place_in_words(table(place)) for place in places[:_PLACES_SHOWN]]
+
+
+def _place_in_words(place: Mapping[str, Any]) -> str:
+    return (
+        f"X {number(place.get('x_mm'), 2)} Y {number(place.get('y_mm'), 2)}: "
+        f"{number(place.get('excess_um'), 1)} µm stay, over {number(place.get('area_mm2'), 3)} mm²"
+    )
+
+
+def _rows(value: Any) -> Sequence[Mapping[str, Any]]:
+    return [table(row) for row in value] if isinstance(value, Sequence) and not isinstance(value, str) else []
+
+
+def _z_bounds(row: Mapping[str, Any]) -> tuple[float, ...]:
+    """(lowest, highest) Z of a program; empty where the report has none."""
+    bounds = table(row.get("bounds")).get("z") or ()
+    return tuple(float(z) for z in bounds if z is not None and isfinite(z)) if len(bounds) == 2 else ()
+
+
+def _verdict(passes: Sequence[Mapping[str, Any]]) -> tuple[str, str]:
+    """(kind, sentence) of the box at the top."""
+    if not passes:
+        return "none", "No programs yet: this folder holds the lens only."
+    failed = [str(row.get("file", "?")) for row in passes if row["checked"] == "FAILED"]
+    if failed:
+        return "bad", f"Do not mill. The check found faults in {', '.join(failed)}."
+    if not all(row["checked"] for row in passes):
+        return "none", "No check is recorded for some of these programs: check them before you mill."
+    count = f"All {len(passes)} programs" if len(passes) > 1 else "The program"
+    return "good", f"{count} passed the check: read back from the written file and cut in simulation."
+
+
+def _tool_warnings(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Cutters that have to reach deeper than a plain end mill of their diameter can."""
+    sentences = []
+    for row in passes:
+        radius_mm, stick_out_mm = row.get("radius_mm"), row.get("stick_out_mm")
+        if radius_mm and stick_out_mm and stick_out_mm > _SLENDER * 2 * radius_mm:
+            sentences.append(
+                f"{row.get('file', 'a pass')}: a ball of {2 * radius_mm:g} mm diameter has to reach "
+                f"{stick_out_mm - _CLEARANCE_MM:.1f} mm deep, {stick_out_mm / (2 * radius_mm):.0f} times its diameter "
+                f"with clearance. Use a tapered ball cutter or one with a long relieved neck, and check that it clears "
+                f"the walls of the lens. A wall farther away makes the lens flatter, about half as deep at twice the "
+                "distance."
+            )
+    return sentences
+
+
+def _throw(
+    job: SetUp | None, spec: Mapping[str, Any], passes: Sequence[Mapping[str, Any]], tolerances: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """Figures for the paragraph on the distance to the wall and the lamp."""
+    if job is None:
+        return None
+    optics, image, stock = table(spec.get("optics")), table(spec.get("image")), table(spec.get("stock"))
+    radii = [row.get("radius_mm") or 0.0 for row in passes]
+    own_mm = tolerances.get("blur_mm") or source_spread_mm(spec, job.throw_mm)
+    spread_mm = job.throw_mm * 2 * tan(radians(SUN_DEG) / 2) if own_mm is None else own_mm
+    screen_mm = float(optics.get("screen_width_mm") or job.width_mm)
+    pixel_mm = screen_mm / float(image["pixels"]) if image.get("pixels") else None
+    return {
+        "one_percent_mm": 0.01 * job.throw_mm,
+        "tolerances": tolerance_sentences(tolerances, throw_mm=job.throw_mm),
+        "from_back_mm": job.throw_mm + job.thickness_mm,
+        "ring_stays": job.ring_mm > 0 and job.margin_mm > 2 * max(radii, default=0.0) and not stock.get("cut_out"),
+        "spread_mm": spread_mm,
+        "spread_pixels": spread_mm / pixel_mm if pixel_mm else None,
+        "spread_of": "The sun's disc" if own_mm is None else "The size of the source",
+        "light": light_sentences(spec),
+        "screen": screen_sentence(spec),
+        "viewed_from": optics.get("viewed_from"),
+    }

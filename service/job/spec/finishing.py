@@ -1,0 +1,261 @@
+"""The finish library: what people do to a milled lens by hand, as transfer functions, minutes and sentences.
+
+`finishing.toml` beside this module holds the usual processes; tables of a person's own finishing.toml, beside their own
+tools.toml, are added to them or take their place. All figures are start values: a test piece measures a shop's own.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from machines.profile_values import BadValueError, Rule, Rules, number
+from service.errors import InputError
+from service.job.spec.tools import own_file, read_library
+
+BUILT_IN = Path(__file__).with_name("finishing.toml")
+_NAME = BUILT_IN.name
+_LEVELLED, _KEPT = 0.1, 0.9  # of a wave's height
+_LONGEST_PAD_MM = 500.0  # beyond it no tool touches the lens: a film or a flame
+AREA_MM2 = 10_000.0  # the minutes of a process that goes over the lens piece by piece are for so much of it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Process:
+    """A way to finish a lens: what it leaves of a wave of k rad/mm is H(k) = exp(-(k/k0)^order).
+
+    order           : 1, 2 or 4, by the physics (`law`)
+    depth_um        : what comes off in `default_minutes`; negative where a layer is added
+    pad_mm          : size of the tool that follows the form; longer waves are not levelled; inf: no tool touches it
+    default_minutes : per 100 cm2 where `by_area`, else for a lens of any size; so is `minutes_range`
+    default_k0_rad_per_mm, k0_exponent : k0 after the default minutes, and the power of the minutes it falls with
+    """
+
+    name: str
+    title: str
+    order: float
+    default_k0_rad_per_mm: float
+    k0_exponent: float
+    default_minutes: float
+    minutes_range: tuple[float, float]
+    by_area: bool
+    depth_um: float
+    depth_grows: bool
+    pad_mm: float
+    needs: tuple[str, ...]
+    steps: tuple[str, ...]
+    removal: str
+    when_to_stop: str
+    donts: tuple[str, ...]
+    law: str
+
+    def minutes(self, area_mm2: float) -> float:
+        """Return the default minutes for a lens of that area."""
+        return self.default_minutes * self._lenses(area_mm2)
+
+    def least_and_most_minutes(self, area_mm2: float) -> tuple[float, float]:
+        """Return the minutes between which the law is believed, for a lens of that area."""
+        low, high = self.minutes_range
+        return low * self._lenses(area_mm2), high * self._lenses(area_mm2)
+
+    def k0_rad_per_mm(self, minutes: float, area_mm2: float) -> float:
+        """Return where H has fallen to 1/e after that many minutes on a lens of that area; inf: nothing is levelled.
+
+        minutes  : of work on the whole lens, >= 0
+        area_mm2 : of the whole lens, > 0
+        """
+        part = self._part(minutes, area_mm2)
+        return self.default_k0_rad_per_mm * part**-self.k0_exponent if part > 0 else math.inf
+
+    def depth_after_um(self, minutes: float, area_mm2: float) -> float:
+        """Return what comes off in that many minutes on a lens of that area; negative where a layer is added."""
+        part = self._part(minutes, area_mm2)
+        return self.depth_um * part if self.depth_grows else self.depth_um * (part > 0)
+
+    def minutes_to(self, k0_rad_per_mm: float, area_mm2: float) -> float:
+        """Return the minutes after which k0 has fallen to that; inf where it never does."""
+        if k0_rad_per_mm >= self.k0_rad_per_mm(0.0, area_mm2):
+            return 0.0
+        if math.isinf(self.default_k0_rad_per_mm):
+            return math.inf
+        return self.minutes(area_mm2) * (self.default_k0_rad_per_mm / k0_rad_per_mm) ** (1 / self.k0_exponent)
+
+    def _part(self, minutes: float, area_mm2: float) -> float:
+        """The minutes as a multiple of the default ones."""
+        return minutes / self.minutes(area_mm2) if self.default_minutes > 0 else 0.0
+
+    def _lenses(self, area_mm2: float) -> float:
+        return area_mm2 / AREA_MM2 if self.by_area else 1.0
+
+
+def instruct_finishing(
+    finish: Mapping[str, Any], *, area_mm2: float, processes: Mapping[str, Process] | None = None
+) -> dict[str, Any] | None:
+    """Return what a person has to be told of a job's finish, as plain values; None where it has none.
+
+    finish   : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes, pad_mm where they are
+               given
+    area_mm2 : of the lens
+    returns  : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
+               wavelengths that are levelled (a tenth is left) and kept (nine tenths are), the run-out that rims need,
+               and the sentences of the process; figures without a process of the library have none
+    """
+    name = str(finish.get("process") or "none")
+    process = (load_processes() if processes is None else processes).get(name) if name != "none" else None
+    k0, order, depth_um, pad_mm = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um", "pad_mm"))
+    if name == "none" and k0 is None:
+        return None
+    title = "a finish of your own" if name == "none" else name
+    told: dict[str, Any] = {"process": name, "title": title, "minutes": finish.get("minutes")}
+    told |= {"needs": [], "steps": [], "donts": []}
+    if process is not None:
+        minutes = process.minutes(area_mm2) if told["minutes"] is None else told["minutes"]
+        low, high = process.least_and_most_minutes(area_mm2)
+        told |= {
+            "minutes": minutes,
+            "title": process.title,
+            "least_minutes": low,
+            "most_minutes": high,
+            **{key: list(getattr(process, key)) for key in ("needs", "steps", "donts")},
+            **{key: getattr(process, key) for key in ("removal", "when_to_stop", "law")},
+        }
+        k0 = process.k0_rad_per_mm(minutes, area_mm2) if k0 is None else k0
+        order = process.order if order is None else order
+        depth_um = process.depth_after_um(minutes, area_mm2) if depth_um is None else depth_um
+        pad_mm = process.pad_mm if pad_mm is None else pad_mm
+    told |= {"k0_rad_per_mm": k0, "order": order, "depth_um": depth_um}
+    if pad_mm is not None and pad_mm <= _LONGEST_PAD_MM:
+        told["pad_mm"] = pad_mm
+    if k0 is not None and order is not None and math.isfinite(k0):
+        told |= {
+            "levelled_mm": wavelength_mm(_LEVELLED, k0, order),
+            "kept_mm": wavelength_mm(_KEPT, k0, order),
+            "run_out_mm": 3 * math.sqrt(2) / k0,
+        }
+    return told
+
+
+def wavelength_mm(share: float, k0_rad_per_mm: float, order: float) -> float:
+    """Return the length of the wave of which that share of its height, within 0 and 1, is left."""
+    return 2 * math.pi / (k0_rad_per_mm * math.log(1 / share) ** (1 / order))
+
+
+def load_processes(own: Path | None = None) -> dict[str, Process]:
+    """Return all processes by name: the built-in ones, and those of a person's own file, which come first.
+
+    own : that file; left out: the one in the person's configuration folder, where there is one
+    InputError names file, process, key, value and what is allowed.
+    """
+    found = _read(BUILT_IN)
+    if own is None:
+        own = own_file(_NAME)
+        if own is None or not own.is_file():
+            return found
+    return {**found, **_read(own)}
+
+
+def _read(path: Path) -> dict[str, Process]:
+    data = read_library(path, "finish library")
+    for name, row in data.items():
+        if not isinstance(row, dict):
+            raise InputError(f"{path}: {name}: must be a table of a process, under a line [{name}]")
+    return {name: _process(path, name, row) for name, row in data.items()}
+
+
+def _process(path: Path, name: str, row: dict[str, Any]) -> Process:
+    place = f"{path}: {name}"
+    if not re.fullmatch(r"[a-z][a-z0-9-]{0,39}", name):
+        raise InputError(f"{place}: allowed as a name: small letters, digits and hyphens, at most 40")
+    try:
+        values = {key: _VALUES.checked(key, value, "") for key, value in row.items()}
+    except BadValueError as error:
+        raise InputError(f"{place}: {error}") from None
+    if missing := [key for key in _NEEDED if key not in values]:
+        raise InputError(f"{place}: {', '.join(missing)}: missing")
+    minutes = values["default_minutes"]
+    left_out = {
+        "k0_exponent": 1 / values["order"],  # what is levelled grows with the time, k0^-order with it
+        "minutes_range": (minutes / 4, minutes * 4),
+        "by_area": True,
+        "depth_um": 0.0,
+        "depth_grows": True,
+        "pad_mm": math.inf,
+        **dict.fromkeys(("needs", "steps", "donts"), ()),
+        **dict.fromkeys(("removal", "when_to_stop", "law"), ""),
+    }
+    process = Process(name=name, default_k0_rad_per_mm=values.pop("k0_rad_per_mm"), **{**left_out, **values})
+    low, high = process.minutes_range
+    if not low <= minutes <= high:
+        raise InputError(f"{place}: default_minutes = {minutes:g}: allowed: within minutes_range, {low:g} to {high:g}")
+    if minutes == 0 and math.isfinite(process.default_k0_rad_per_mm):
+        raise InputError(f"{place}: default_minutes = 0: allowed: more than 0 where k0_rad_per_mm is finite")
+    return process
+
+
+def _sentence(value: Any) -> str:
+    if not isinstance(value, str) or not value.isprintable() or not 1 <= len(value.strip()) <= 600:
+        raise ValueError
+    return value.strip()
+
+
+def _sentences(value: Any) -> tuple[str, ...]:
+    if not isinstance(value, list) or len(value) > 20:
+        raise ValueError
+    return tuple(_sentence(row) for row in value)
+
+
+def _numbers(value: Any) -> tuple[float, float]:
+    low, high = (_number(v) for v in value)
+    if not 0 <= low <= high <= _MOST_MINUTES:
+        raise ValueError
+    return low, high
+
+
+def _number(value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise TypeError
+    return float(value)
+
+
+def _k0(value: Any) -> float:
+    if not _number(value) >= _LEAST_K0:
+        raise ValueError
+    return float(value)
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise TypeError
+    return value
+
+
+_MOST_MINUTES = 10_000
+_LEAST_K0 = 0.05  # below it half of a wave of 90 mm is levelled: no lens is left
+_NEEDED = ("title", "order", "k0_rad_per_mm", "default_minutes")
+_TEXT = Rule(_sentence, "text on one line, 1 to 600 characters")
+_TEXTS = Rule(_sentences, "a list of at most 20 sentences")
+_YES_OR_NO = Rule(_flag, "true or false")
+_VALUES = Rules(
+    {
+        "title": _TEXT,
+        "order": number(0.5, 8),
+        "k0_rad_per_mm": Rule(_k0, f"a number from {_LEAST_K0:g} rad/mm, or inf where nothing is levelled"),
+        "k0_exponent": number(0.05, 4),
+        "default_minutes": number(0, _MOST_MINUTES, "minutes"),
+        "minutes_range": Rule(_numbers, f"two numbers [least, most] from 0 to {_MOST_MINUTES} minutes"),
+        "by_area": _YES_OR_NO,
+        "depth_um": number(-500, 500, "um"),
+        "depth_grows": _YES_OR_NO,
+        "pad_mm": number(0.5, _LONGEST_PAD_MM, "mm"),
+        "needs": _TEXTS,
+        "steps": _TEXTS,
+        "removal": _TEXT,
+        "when_to_stop": _TEXT,
+        "donts": _TEXTS,
+        "law": _TEXT,
+    }
+)

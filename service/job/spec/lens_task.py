@@ -1,0 +1,135 @@
+"""The job spec as the optics package takes it: the bench, its light, and what was decided about the lens."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from math import radians, tan
+from typing import Any
+
+import numpy as np
+
+from optics.bench import Bench, Branch
+from optics.black import suited_branch
+from optics.finish import PAD_MM, Finish
+from optics.heightfield import Array
+from optics.irradiance import flip_between_picture_and_work_frame
+from optics.light import SUN_DEG, Light
+from optics.settings import LensSettings
+from service.job.finite_json import table
+from service.job.spec.model import JobSpec
+from service.job.spec.optics import OpticsSpec
+
+POLISH_STEPS = 20
+_GAUSSIAN_NODES = 129  # from rim to rim: bilinear between them is within 2e-4 of a beam as wide as half the lens
+
+
+def bench_of(spec: JobSpec) -> Bench:
+    """The set-up. Where light crosses the block straight, its thickness is nobody's business and left out."""
+    optics = spec.optics
+    corners = optics.outline_mm
+    block = {"thickness_mm": spec.stock.thickness_mm} if optics.light_crosses_block else {}
+    return Bench.centred(
+        width_mm=optics.width_mm,
+        height_mm=optics.height_mm,
+        throw_mm=optics.throw_mm,
+        refractive_index=optics.refractive_index,
+        screen_mm=optics.screen_size_mm,
+        shift_mm=(optics.screen_shift_x_mm, optics.screen_shift_y_mm),
+        mirror=optics.surface == "mirror",
+        light=light_of(optics),
+        outline_mm=None if corners is None else np.array(corners),
+        **block,
+    )
+
+
+def light_of(optics: OpticsSpec) -> Light:
+    """The source, its profile turned into the work frame."""
+    given = optics.light
+    return Light(
+        kind=given.kind,
+        size_deg=SUN_DEG if given.size_deg is None else given.size_deg,
+        size_mm=given.size_mm or 0.0,
+        distance_mm=math.inf if given.distance_mm is None else given.distance_mm,
+        profile=_profile(optics),
+    )
+
+
+def branch_of(spec: JobSpec, target: Array) -> Branch:
+    """Whether rays cross: as the person wants it, or as the picture and the thickness of the block suggest."""
+    if spec.optics.method == "paper":
+        return "direct"
+    if spec.optics.branch == "auto":
+        in_block = replace(bench_of(spec), thickness_mm=spec.stock.thickness_mm)
+        return suited_branch(target, in_block, spec.lens_radius_mm)
+    return spec.optics.branch
+
+
+def lens_settings(spec: JobSpec, *, branch: Branch) -> LensSettings:
+    """The optical task of a job."""
+    optics = spec.optics
+    return LensSettings(
+        bench=replace(bench_of(spec), branch=branch),
+        skim_mm=spec.stock.skim_mm,
+        method=optics.method,
+        corrections=optics.corrections,
+        min_radius_mm=spec.lens_radius_mm,
+        vertices_per_pixel=optics.vertices_per_pixel,
+        polish_steps=POLISH_STEPS if optics.polish else 0,
+        finish=finish_of(spec),
+        creases=optics.creases,
+    )
+
+
+def finish_of(spec: JobSpec) -> Finish | None:
+    """The finish after milling; None where nothing is levelled, or where it is still to be planned."""
+    given = spec.finish
+    if given.k0_rad_per_mm is None or given.order is None:
+        return None
+    pad_mm = PAD_MM if given.pad_mm is None else given.pad_mm
+    return Finish(k0_rad_per_mm=given.k0_rad_per_mm, order=given.order, pad_mm=pad_mm)
+
+
+def _profile(optics: OpticsSpec) -> Array | None:
+    """Strength on the face, row 0 at the lowest y, mean 1; None where it is even."""
+    light = optics.light
+    if light.profile is not None:
+        seen = np.array(light.profile, dtype=np.float64)
+        rows = flip_between_picture_and_work_frame(seen, optics.viewed_from)
+    elif light.gaussian_mm is not None:
+        x, y = (np.linspace(-side / 2, side / 2, _GAUSSIAN_NODES) for side in (optics.width_mm, optics.height_mm))
+        rows = np.exp(-8.0 * (x[None, :] ** 2 + y[:, None] ** 2) / light.gaussian_mm**2)
+    else:
+        return None
+    return np.asarray(rows / rows.mean())
+
+
+def blocked_by_the_screen(spec: JobSpec) -> str | None:
+    """A mirror is lit past its screen; a sentence where the screen, as it stands, keeps the light from the mirror."""
+    optics, light = spec.optics, spec.optics.light
+    if optics.surface == "lens" or (light.distance_mm or math.inf) <= optics.throw_mm:
+        return None
+    narrowed = 1.0 - optics.throw_mm / light.distance_mm if light.distance_mm else 1.0
+    screen = optics.screen_size_mm
+    need_x = (narrowed * optics.width_mm + screen[0]) / 2
+    need_y = (narrowed * optics.height_mm + screen[1]) / 2
+    if abs(optics.screen_shift_x_mm) >= need_x or abs(optics.screen_shift_y_mm) >= need_y:
+        return None
+    return (
+        f"the screen stands in the light of the mirror and would shade it; optics.screen_shift_x_mm = {need_x:.0f} or "
+        f"optics.screen_shift_y_mm = {need_y:.0f} lets the light pass"
+    )
+
+
+def source_spread_mm(spec: Mapping[str, Any], throw_mm: float) -> float | None:
+    """Diameter that the disc of the source becomes on the wall, of a thin lens; None where it has no size.
+
+    The sun's angle is kept; a lamp of size s at distance d gives s throw / d.
+    """
+    light = table(table(spec.get("optics")).get("light"))
+    if light.get("kind") == "sun":
+        return throw_mm * 2 * tan(radians(float(light.get("size_deg") or 0.0)) / 2)
+    if light.get("kind") == "point" and light.get("size_mm") and light.get("distance_mm"):
+        return throw_mm * float(light["size_mm"]) / float(light["distance_mm"])
+    return None

@@ -1,0 +1,217 @@
+"""Where a job spec comes from: defaults, an earlier job or a TOML/JSON file, a preset, and --set overrides."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from machines.profiles import load_profile
+from service.errors import SpecError, sentence_of_os_error
+from service.job.files import SPEC
+from service.job.spec.errors import as_spec_error, known_keys, unknown_key
+from service.job.spec.model import PRESETS, JobSpec
+from service.job.spec.resolve import LoadProfile, preset_rows, with_feeds, without_derived
+
+RECOMMENDED_MARGIN_MM = 14.0  # a ring at Z0 beside the 12 mm that a 6 mm ball clears
+_MAX_SPEC_BYTES = 1_000_000
+_INDEX = re.compile(r"\d{1,4}")
+
+
+def resolve_spec(
+    *,
+    file: Path | None = None,
+    preset: str | None = None,
+    overrides: Sequence[str] = (),
+    base: Mapping[str, Any] | None = None,
+    light_picture: Path | None = None,
+    load: LoadProfile = load_profile,
+) -> JobSpec:
+    """The complete spec: defaults, then base, then file, then preset, then overrides ('key.key=value').
+
+    light_picture is a measured picture of the light, which becomes optics.light.profile; load reads a mill's profile.
+    Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
+    """
+    data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
+    return with_feeds(validated(data), load)
+
+
+def spec_data(
+    *,
+    file: Path | None = None,
+    preset: str | None = None,
+    overrides: Sequence[str] = (),
+    base: Mapping[str, Any] | None = None,
+    light_picture: Path | None = None,
+) -> dict[str, Any]:
+    """What resolve_spec validates: plain data, put together from all that was given."""
+    data = _merged(base or {}, read_spec_file(file) if file else {})
+    if preset is not None:
+        data = {**data, "preset": preset}
+        data.pop("passes", None)
+    chosen = [text for text in overrides if text.partition("=")[0].strip() == "preset"]
+    for text in chosen:
+        _override(data, text)
+    _require_preset(data.get("preset", "paper"))
+    data.setdefault("passes", preset_rows(data.get("preset", "paper")))
+    if data.get("preset") == "recommended":
+        _leave_room(data)
+    for text in overrides:
+        if text not in chosen:
+            _override(data, text)
+    if light_picture is not None:
+        _set_profile(data, light_picture)
+    return data
+
+
+def validated(data: Mapping[str, Any]) -> JobSpec:
+    """The model of plain data; SpecError in place of pydantic's error."""
+    try:
+        return JobSpec.model_validate(data)
+    except ValidationError as error:
+        raise as_spec_error(error) from None
+
+
+def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
+    """Plain data of a .toml or .json file; SpecError says what is wrong with it, and in which line."""
+    try:
+        with path.open("rb") as file:
+            raw = file.read(_MAX_SPEC_BYTES + 1)  # a pipe or a device does not say its size
+    except OSError as error:
+        raise SpecError([(given_as, sentence_of_os_error(error, doing="cannot read"))]) from None
+    if len(raw) > _MAX_SPEC_BYTES:
+        raise SpecError([(given_as, f"{path} is too large; a spec has at most {_MAX_SPEC_BYTES} bytes")])
+    try:
+        text = raw.decode("utf-8-sig")
+        data = json.loads(text) if path.suffix.lower() == ".json" else tomllib.loads(text)
+    except UnicodeDecodeError:
+        raise SpecError([(given_as, f"{path} is not a text in UTF-8")]) from None
+    except (ValueError, RecursionError) as error:  # ValueError itself: a whole number of thousands of digits
+        kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
+        raise SpecError([(given_as, f"{path} is not valid {kind}: {' '.join(str(error).split())}")]) from None
+    if not isinstance(data, dict):
+        raise SpecError([(given_as, f"{path} must hold a table of keys, not {type(data).__name__}")])
+    return data
+
+
+def stored_spec(folder: Path) -> JobSpec:
+    """The spec of an earlier job; SpecError where there is none."""
+    path = folder / SPEC
+    if not path.is_file():
+        raise SpecError([("DIR", f"{folder} holds no {SPEC}; allowed: the folder of an earlier design or make")])
+    data = read_spec_file(path, given_as="DIR")
+    try:
+        return validated(data)
+    except SpecError as error:
+        raise SpecError([(f"{path}: {key}", sentence) for key, sentence in error.problems]) from None
+
+
+def resolve_for_lens(
+    folder: Path, *, file: Path | None = None, preset: str | None = None, overrides: Sequence[str] = ()
+) -> JobSpec:
+    """The complete spec of new programs for the lens in a job's folder: what was asked for there, then resolve_spec."""
+    stored = stored_spec(folder)
+    wanted = resolve_spec(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
+    require_same_lens(stored, wanted)
+    return wanted
+
+
+def require_same_lens(stored: JobSpec, wanted: JobSpec) -> None:
+    """Programs are for the lens that exists: SpecError where `wanted` asks for another."""
+    pairs = [("image", stored.image, wanted.image), ("optics", stored.optics, wanted.optics)]
+    problems = [
+        (f"{name}.{key}", f"this lens was designed with {old}; allowed: the same, or a new `causticmill design`")
+        for name, before, after in pairs
+        for key, old in before.model_dump().items()
+        if after.model_dump()[key] != old
+    ]
+    stock = ["skim_mm", "thickness_mm"] if stored.optics.light_crosses_block else ["skim_mm"]
+    for key in stock:  # light that slants arrives elsewhere through a thicker block
+        if (old := getattr(stored.stock, key)) != getattr(wanted.stock, key):
+            problems.append((f"stock.{key}", f"this lens was designed with {old}; allowed: the same"))
+    if problems:
+        raise SpecError(problems)
+
+
+def parse_override(text: str) -> tuple[list[str], Any]:
+    """'optics.width_mm=40' -> (['optics', 'width_mm'], 40). Values as in TOML, a bare word is a string."""
+    key, equals, written = text.partition("=")
+    steps = [step.strip() for step in key.split(".")]
+    if not equals or not all(steps) or not written.strip():
+        raise SpecError([("--set", f"'{text}' must read key=value, for example optics.width_mm=40")])
+    try:
+        parsed = tomllib.loads(f"value = {written.strip()}")
+    except (ValueError, RecursionError):
+        parsed = {"value": written.strip()}
+    value = parsed["value"] if set(parsed) == {"value"} else written.strip()
+    return steps, value
+
+
+def _require_preset(preset: object) -> None:
+    if preset not in PRESETS:
+        allowed = ", ".join(f"'{name}'" for name in PRESETS)
+        raise SpecError([("preset", f"'{preset}' is not allowed; allowed: {allowed}")])
+
+
+def _leave_room(data: dict[str, Any]) -> None:
+    """A margin that leaves large balls the choice, where the person has not said how wide it is."""
+    stock = data.get("stock", {})
+    if isinstance(stock, Mapping):
+        data["stock"] = {"margin_mm": RECOMMENDED_MARGIN_MM, **stock}
+
+
+def _merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+    """upper over lower, table by table; lists are replaced whole. A new preset in upper drops lower's passes."""
+    result = dict(lower)
+    if upper.get("preset") not in (None, lower.get("preset")):
+        result.pop("passes", None)
+    for key, value in upper.items():
+        below = result.get(key)
+        result[key] = _merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+    return result
+
+
+def _override(data: dict[str, Any], text: str) -> None:
+    """Set one key in place; tables and the passes on the way are copied, never shared."""
+    steps, value = parse_override(text)
+    here: Any = data
+    for depth, step in enumerate(steps[:-1]):
+        place = steps[: depth + 1]
+        below = here[_index(here, place)] if isinstance(here, list) else here.get(step, {})
+        if not isinstance(below, Mapping | list):
+            raise SpecError([(".".join(steps), f"there is no such key; '{'.'.join(place)}' is a single value")])
+        if isinstance(here, dict) and step not in here and step not in known_keys(_place(steps[:depth])):
+            raise SpecError([(".".join(steps), unknown_key(step, known_keys(_place(steps[:depth]))))])
+        copy = list(below) if isinstance(below, list) else dict(below)
+        here[_index(here, place) if isinstance(here, list) else step] = copy
+        here = copy
+    here[_index(here, steps) if isinstance(here, list) else steps[-1]] = value
+
+
+def _set_profile(data: dict[str, Any], picture: Path) -> None:
+    """The picture's rows at optics.light.profile; its tones are read as those of the job's own picture."""
+    from service.job.picture.light_profile import light_rows  # arrays: not for those who only plan
+
+    optics, image = data.get("optics", {}), data.get("image", {})
+    light = optics.get("light", {}) if isinstance(optics, Mapping) else {}
+    if not isinstance(optics, Mapping) or not isinstance(light, Mapping):
+        return  # a table that is none; it is refused as what it is
+    tone = image.get("tone") if isinstance(image, Mapping) else None
+    rows = light_rows(picture, tone="linear" if tone == "linear" else "srgb")
+    data["optics"] = {**optics, "light": {**light, "profile": rows}}
+
+
+def _index(rows: Sequence[Any], place: Sequence[str]) -> int:
+    if not _INDEX.fullmatch(place[-1]) or int(place[-1]) >= len(rows):
+        allowed = f"0 to {len(rows) - 1}" if rows else "none, the list is empty"
+        raise SpecError([(".".join(place), f"there is no such pass; allowed: {allowed}")])
+    return int(place[-1])
+
+
+def _place(steps: Sequence[str]) -> tuple[int | str, ...]:
+    return tuple(int(step) if step.isdigit() else step for step in steps)

@@ -1,0 +1,16 @@
+"""A job's mill as what foretells times takes it; apart, as planning stages needs no arrays."""
+
+from __future__ import annotations
+
+from cam.duration import Kinematics
+from machines.profiles import MachineProfile
+
+
+def kinematics_of(machine: MachineProfile) -> Kinematics:
+    return Kinematics(
+        max_rate_mm_per_min=machine.max_rate_mm_per_min,
+        acceleration_mm_per_s2=machine.acceleration_mm_per_s2,
+        junction_deviation_mm=machine.junction_deviation_mm,
+        planner_blocks=machine.planner_blocks + 1,  # slots: the one that is always free is not reported
+        lines_per_s=machine.lines_per_s,
+    )

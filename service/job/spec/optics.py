@@ -1,0 +1,134 @@
+"""The lens and the screen of a job."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationInfo, field_validator
+
+from service.job.spec.light import LightSpec
+from service.job.spec.outline import MOST_CORNERS, counter_clockwise, ellipse_mm, outline_fault
+from service.job.spec.section import Distance, Length, Section
+
+_SHAPES = ("rectangle", "ellipse")
+_LEAST_GAUSSIAN = 0.5  # of the aperture's longer side: in the corners of a square 3e-7 of the middle is left
+_PAPER = "optics.method = 'paper'"
+
+Shift = Annotated[float, Field(ge=-20_000, le=20_000)]
+Blur = Annotated[float, Field(ge=0, le=100)]
+Screen = Annotated[float, Field(gt=0, le=20_000)]
+
+
+class OpticsSpec(Section):
+    """The lens and the screen. The throw counts from the stock top; the screen is the aperture's size unless set.
+
+    screen_shift_x_mm, .._y_mm : from the aperture's centre to the screen's, work frame
+    min_radius_mm : valleys tighter than this ball are filled; 0: none are; left out: the ball of the finish pass
+    branch        : "inverted": rays cross before the screen, so that black parts become ridges; "auto" chooses
+    creases       : leave valleys as sharp as the picture wants them, on a finer grid
+    foreseen_blur_mm : what the tool's marks will blur the picture by, standard deviations in X and Y on the screen: the
+                    lens is made sharper by as much; [0, 0]: it is made for a perfect surface
+    outline       : "rectangle", "ellipse", or corners [x_mm, y_mm] as seen from above on the mill
+    """
+
+    width_mm: Length = 100.0
+    height_mm: Length = 100.0
+    throw_mm: Distance = 100.0
+    refractive_index: Annotated[float, Field(ge=1.05, le=3.0)] = 1.49
+    screen_width_mm: Screen | None = None
+    screen_height_mm: Screen | None = None
+    method: Literal["transport", "paper"] = "transport"
+    screen_shift_x_mm: Shift = 0.0
+    screen_shift_y_mm: Shift = 0.0
+    surface: Literal["lens", "mirror"] = "lens"
+    branch: Literal["auto", "direct", "inverted"] = "auto"
+    outline: str | list[list[float]] = "rectangle"
+    min_radius_mm: Annotated[float, Field(ge=0, le=25)] | None = None
+    creases: bool = False
+    vertices_per_pixel: Annotated[int, Field(ge=1, le=8)] = 2
+    viewed_from: Literal["lens", "behind"] = "lens"
+    corrections: Annotated[int, Field(ge=0, le=3)] = 2
+    polish: bool = False
+    foreseen_blur_mm: Annotated[list[Blur], Field(min_length=2, max_length=2)] = [0.0, 0.0]  # noqa: RUF012
+    light: LightSpec = LightSpec()
+
+    @property
+    def screen_size_mm(self) -> tuple[float, float]:
+        """Width and height of the screen; one that is not given follows the other in the aperture's proportion."""
+        width, height = self.screen_width_mm, self.screen_height_mm
+        if width is None:
+            width = self.width_mm if height is None else height * self.width_mm / self.height_mm
+        return width, width * self.height_mm / self.width_mm if height is None else height
+
+    @property
+    def outline_mm(self) -> list[list[float]] | None:
+        """Corners of the lens, counter-clockwise; None: all of the aperture."""
+        if isinstance(self.outline, str):
+            return ellipse_mm(self.width_mm, self.height_mm) if self.outline == "ellipse" else None
+        return counter_clockwise(self.outline)
+
+    @property
+    def light_crosses_block(self) -> bool:
+        """Whether the thickness of the block has a part in where light goes."""
+        return self.surface == "lens" and self.light.kind != "collimated"
+
+    @field_validator("outline", mode="before")
+    @classmethod
+    def _shape_or_corners(cls, outline: Any) -> Any:
+        if outline not in _SHAPES and not _is_list_of_pairs(outline):
+            raise ValueError(
+                f"{' '.join(str(outline).split())[:60]!r} is not allowed; allowed: 'rectangle', 'ellipse', "
+                f"or 3 to {MOST_CORNERS} corners [[x_mm, y_mm], ...]"
+            )
+        return outline
+
+    @field_validator("outline")
+    @classmethod
+    def _lies_in_the_aperture(cls, outline: str | list[list[float]], info: ValidationInfo) -> str | list[list[float]]:
+        size = info.data.get("width_mm"), info.data.get("height_mm")
+        if isinstance(outline, str) or size[0] is None or size[1] is None:
+            return outline
+        if fault := outline_fault(outline, width_mm=size[0], height_mm=size[1]):
+            raise ValueError(fault)
+        return outline
+
+    @field_validator("screen_shift_x_mm", "screen_shift_y_mm", "surface", "branch", "outline", "polish")
+    @classmethod
+    def _known_to_the_method(cls, value: Any, info: ValidationInfo) -> Any:
+        usual = cls.model_fields[str(info.field_name)].default
+        if info.data.get("method") == "paper" and value not in (usual, "direct"):
+            word = f"{usual!r}".lower() if isinstance(usual, bool) else f"{usual!r}"
+            raise ValueError(f"no other than {word} is possible with {_PAPER}; 'transport' knows all")
+        return value
+
+    @field_validator("creases")
+    @classmethod
+    def _no_valley_is_filled(cls, value: bool, info: ValidationInfo) -> bool:
+        if value and info.data.get("min_radius_mm"):
+            radius = info.data["min_radius_mm"]
+            raise ValueError(f"true is not allowed with min_radius_mm = {radius:g}, which fills creases; allowed: one")
+        if value and info.data.get("method") == "paper":
+            raise ValueError(f"no other than false is possible with {_PAPER}; 'transport' knows all")
+        return value
+
+    @field_validator("light")
+    @classmethod
+    def _suits_the_lens(cls, light: LightSpec, info: ValidationInfo) -> LightSpec:
+        if info.data.get("method") == "paper" and (light.kind == "point" or not light.even):
+            raise ValueError(f"only parallel, even light is possible with {_PAPER}; 'transport' knows all")
+        least = _LEAST_GAUSSIAN * max(info.data.get("width_mm", 0.0), info.data.get("height_mm", 0.0))
+        if light.gaussian_mm is not None and light.gaussian_mm < least:
+            raise ValueError(
+                f"gaussian_mm = {light.gaussian_mm:g} leaves the rim of the lens dark; allowed: at least {least:g} mm, "
+                f"half the longer side"
+            )
+        return light
+
+
+def _is_list_of_pairs(value: Any) -> bool:
+    return (
+        isinstance(value, list | tuple)
+        and 3 <= len(value) <= MOST_CORNERS
+        and all(isinstance(pair, list | tuple) and len(pair) == 2 for pair in value)
+        and all(isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < 1e6 for pair in value for x in pair)
+    )

@@ -1,0 +1,267 @@
+"""Passes of a job: presets, speeds and feeds the person left out, and the mill that runs them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from typing import Any, cast
+
+from cam import passes as cam_passes
+from cam.around.specs import BESIDE_MM, CutOut, Facing
+from cam.materials import PMMA, Material
+from cam.passes import PassSpec, Stock
+from cam.posts.setup import Coolant, HighPrecision, ProgramSetup, find_unsupported
+from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from service.errors import SpecError
+from service.job.spec.around import CutOutSpec, FaceSpec
+from service.job.spec.finish import FinishSpec, resolve_finish
+from service.job.spec.model import JobSpec, PassRow, StockSpec
+
+LoadProfile = Callable[[str], MachineProfile]
+_Cutter = PassRow | FaceSpec | CutOutSpec
+_MATERIALS: dict[str, Material] = {"pmma": PMMA}
+_PROFILE_KEYS = {
+    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
+    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm", "whole_steps", "most_program_mb", "most_program_hours",
+    "coolant", "blend_tolerance_mm", "high_precision", "warm_up_s", "trace_outline",
+}  # fmt: skip
+
+
+_AROUND = ("face", "cut_out")
+_CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
+_FLAT_PITCH_SHARE, _BALL_PITCH_SHARE = 1.2, 1 / 6  # of the radius: 60 % of the diameter; cusps of R / 288
+_SLOT_FEED_SHARE = 0.5
+
+
+def preset_rows(preset: str) -> list[dict[str, Any]]:
+    """A preset's passes as plain data, speeds left open. What leaves stock is called rough, the rest finish.
+
+    Those of "recommended" are none: they are planned once the picture is known.
+    """
+    rows = []
+    for spec in cam_passes.PRESETS.get(preset, ()):
+        row = {key: value for key, value in asdict(spec).items() if not key.endswith(("_per_min", "_rpm"))}
+        rows.append({**row, "name": "finish" if spec.finishes else "rough"})
+    return rows
+
+
+def machine_of(spec: JobSpec, load: LoadProfile = load_profile) -> MachineProfile:
+    """The named profile with the job's own figures in place of its. SpecError where its control cannot do all that."""
+    try:
+        profile = load(spec.machine.profile)
+    except UnknownProfileError as error:
+        allowed = ", ".join(f"'{name}'" for name in error.known)
+        raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
+    except ProfileError as error:
+        raise SpecError([("machine.profile", f"'{spec.machine.profile}' cannot be used: {error}")]) from None
+    own: dict[str, Any] = {}
+    for key in _PROFILE_KEYS:
+        value = getattr(spec.machine, key)
+        if value is not None:
+            own[key] = tuple(value) if isinstance(value, list) else value
+    if spec.finish.finishes and spec.machine.whole_steps is None:
+        own["whole_steps"] = True  # a finish takes off errors that alternate from row to row, not those of the control
+    machine = replace(profile, **own)
+    unsupported = find_unsupported(machine.dialect, setup_of(machine))
+    problems = [
+        (f"machine.{key}", f"{value} is not allowed; allowed: {allowed}") for key, value, allowed in unsupported
+    ]
+    if problems:
+        raise SpecError(problems)
+    return machine
+
+
+def setup_of(machine: MachineProfile) -> ProgramSetup:
+    """What programs for this mill switch on before they cut, and off afterwards."""
+    return ProgramSetup(
+        coolant=cast(Coolant, machine.coolant),
+        blend_tolerance_mm=machine.blend_tolerance_mm,
+        high_precision=cast(HighPrecision, machine.high_precision),
+        warm_up_s=machine.warm_up_s,
+        slowest_rpm=machine.spindle_rpm[0],
+    )
+
+
+def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
+    """The same spec with every speed, feed and step-down filled in from the material's start values, and the ball that
+    the lens is shaped for.
+
+    What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
+    spindle taking the feed down with it.
+    """
+    machine = machine_of(spec, load)
+    rows, problems = [], []
+    for number, row in enumerate(spec.passes):
+        problems += _beyond_the_mill(row, machine, f"passes.{number}")
+        rows.append(_filled(row, machine, _MATERIALS[spec.stock.material]))
+    for name in _AROUND:
+        if (tool := getattr(spec.stock, name)) is not None:
+            problems += _beyond_the_mill(tool, machine, f"stock.{name}")
+    problems += _beyond_the_travel(spec, machine)
+    if spec.finish.finishes and spec.optics.polish:
+        problems.append(
+            ("optics.polish", "true is not allowed with a finish, which takes off what it adds; allowed: false")
+        )
+    if problems:
+        raise SpecError(problems)
+    area_mm2 = spec.optics.width_mm * spec.optics.height_mm
+    finish = resolve_finish(spec.finish, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
+    spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine), "finish": finish})
+    if spec.to_be_planned:
+        return spec
+    optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})
+    return spec.model_copy(update={"optics": optics, "passes": tuple(rows)})
+
+
+def without_derived(spec: JobSpec) -> dict[str, Any]:
+    """The spec as plain data without the speeds, feeds and step-downs that `with_feeds` would fill in as they are.
+
+    What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
+    or another ball.
+    """
+    machine, material = machine_of(spec), _MATERIALS[spec.stock.material]
+    rows = []
+    for row in spec.passes:
+        for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it
+            chosen = _filled(row.model_copy(update=dict.fromkeys(keys)), machine, material)
+            same = [key for key in keys if getattr(chosen, key) == getattr(row, key)]
+            row = row.model_copy(update=dict.fromkeys(same))
+        rows.append(row)
+    stock = spec.stock
+    for name in _AROUND:
+        if (tool := getattr(stock, name)) is not None:
+            chosen_keys = sorted(_CHOSEN & set(type(tool).model_fields))
+            bare = stock.model_copy(update={name: tool.model_copy(update=dict.fromkeys(chosen_keys))})
+            chosen = getattr(_stock_filled(bare, machine), name)
+            same = [key for key in chosen_keys if getattr(chosen, key) == getattr(tool, key)]
+            stock = stock.model_copy(update={name: tool.model_copy(update=dict.fromkeys(same))})
+    return spec.model_copy(update={"passes": tuple(rows), "stock": stock}).plain()
+
+
+def with_plan(spec: JobSpec, report: Mapping[str, Any]) -> JobSpec:
+    """The spec with the passes that its stage `passes` has planned; itself where they stand already, or not yet."""
+    if not spec.to_be_planned or "plan" not in report:
+        return spec
+    planned = report["plan"]
+    optics = spec.optics
+    if not any(optics.foreseen_blur_mm):
+        optics = optics.model_copy(update={"foreseen_blur_mm": planned["foreseen_blur_mm"]})
+    if optics.min_radius_mm is None and not optics.creases:
+        optics = optics.model_copy(update={"min_radius_mm": planned["min_radius_mm"]})
+    finish = FinishSpec.model_validate(planned.get("finish", {}))
+    machine = spec.machine
+    if machine.whole_steps is None and planned["whole_steps"]:
+        machine = machine.model_copy(update={"whole_steps": True})
+    rows = tuple(PassRow.model_validate(row) for row in planned["passes"])
+    return spec.model_copy(update={"optics": optics, "passes": rows, "machine": machine, "finish": finish})
+
+
+def cam_passes_of(spec: JobSpec) -> tuple[PassSpec, ...]:
+    """The passes as the CAM package takes them."""
+    return tuple(PassSpec(**row.model_dump()) for row in spec.passes)
+
+
+def cam_stock_of(spec: JobSpec) -> Stock:
+    """The block as the CAM package takes it."""
+    return Stock(
+        width_mm=spec.optics.width_mm,
+        height_mm=spec.optics.height_mm,
+        thickness_mm=spec.stock.thickness_mm,
+        margin_mm=spec.stock.margin_mm,
+    )
+
+
+def facing_of(spec: JobSpec) -> Facing | None:
+    """How the stock's top is faced, as the CAM package takes it; None where it is not."""
+    face = spec.stock.face
+    if face is None:
+        return None
+    assert face.pitch_mm is not None and face.step_down_mm is not None and face.feed_mm_per_min is not None
+    assert face.plunge_mm_per_min is not None and face.spindle_rpm is not None  # by with_feeds
+    return Facing(
+        above_mm=face.above_mm,
+        shape=face.tool,
+        radius_mm=face.radius_mm,
+        pitch_mm=face.pitch_mm,
+        step_down_mm=face.step_down_mm,
+        feed_mm_per_min=face.feed_mm_per_min,
+        plunge_mm_per_min=face.plunge_mm_per_min,
+        spindle_rpm=face.spindle_rpm,
+    )
+
+
+def cut_out_of(spec: JobSpec) -> CutOut | None:
+    """How the lens is cut out, as the CAM package takes it; None where it is not."""
+    return None if spec.stock.cut_out is None else CutOut(**spec.stock.cut_out.model_dump())
+
+
+def _beyond_the_travel(spec: JobSpec, machine: MachineProfile) -> list[tuple[str, str]]:
+    """Where what goes around the lens is longer than an axis of the mill: trace, facing, cutting out."""
+    stock, width_mm, height_mm = spec.stock, spec.optics.width_mm, spec.optics.height_mm
+    if not machine.trace_outline and stock.face is None and stock.cut_out is None:
+        return []
+    beside_mm = 0.0 if stock.face is None else stock.face.radius_mm + BESIDE_MM
+    depth_mm = 0.0 if stock.cut_out is None else stock.thickness_mm + stock.cut_out.through_mm
+    needed = (
+        ("X", width_mm + 2 * (stock.margin_mm + beside_mm)),
+        ("Y", height_mm + 2 * stock.margin_mm),
+        ("Z", machine.safe_z_mm + depth_mm),
+    )
+    return [
+        (
+            f"machine.travel_mm.{number}",
+            f"{machine.travel_mm[number]:g} is not enough; allowed: at least {need_mm:g} mm, which stock.face, "
+            f"stock.cut_out or machine.trace_outline move along {axis} around the lens",
+        )
+        for number, (axis, need_mm) in enumerate(needed)
+        if need_mm > machine.travel_mm[number]
+    ]
+
+
+def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
+    """Facing and cutting out with their pitch, steps, feeds and speeds. The whole slot is cut at half the feed."""
+    material = _MATERIALS[stock.material]
+    filled: dict[str, Any] = {}
+    if stock.face is not None:
+        share = _FLAT_PITCH_SHARE if stock.face.tool == "flat" else _BALL_PITCH_SHARE
+        pitch_mm = stock.face.pitch_mm or round(share * stock.face.radius_mm, 3)
+        filled["face"] = stock.face.model_copy(update={"pitch_mm": pitch_mm, **_speeds(stock.face, machine, material)})
+    if stock.cut_out is not None:
+        slot = _speeds(stock.cut_out, machine, material, feed_share=_SLOT_FEED_SHARE)
+        filled["cut_out"] = stock.cut_out.model_copy(update=slot)
+    return stock.model_copy(update=filled)
+
+
+def _filled(row: PassRow, machine: MachineProfile, material: Material) -> PassRow:
+    return row.model_copy(update=_speeds(row, machine, material))
+
+
+def _speeds(row: _Cutter, machine: MachineProfile, material: Material, *, feed_share: float = 1.0) -> dict[str, float]:
+    start = material.start_values(row.radius_mm)
+    spindle = row.spindle_rpm
+    if spindle is None:
+        spindle = min(max(float(start.spindle_rpm), machine.spindle_rpm[0]), machine.spindle_rpm[1])
+    slower = min(1.0, spindle / start.spindle_rpm)
+    feed = min(feed_share * start.feed_mm_per_min * slower, *machine.max_rate_mm_per_min[:2])
+    plunge = min(start.plunge_mm_per_min * slower, machine.max_rate_mm_per_min[2])
+    return {
+        "spindle_rpm": spindle,
+        "feed_mm_per_min": row.feed_mm_per_min or float(round(feed)),
+        "plunge_mm_per_min": row.plunge_mm_per_min or float(round(plunge)),
+        "step_down_mm": row.step_down_mm or start.step_down_mm,
+    }
+
+
+def _beyond_the_mill(row: _Cutter, machine: MachineProfile, place: str) -> list[tuple[str, str]]:
+    limits = {
+        "spindle_rpm": (*machine.spindle_rpm, "rpm"),
+        "feed_mm_per_min": (0.0, min(machine.max_rate_mm_per_min[:2]), "mm/min"),
+        "plunge_mm_per_min": (0.0, machine.max_rate_mm_per_min[2], "mm/min"),
+    }
+    problems = []
+    for key, (low, high, unit) in limits.items():
+        value = getattr(row, key)
+        if value is not None and not low <= value <= high:
+            allowed = f"{low:g} to {high:g} {unit} on machine '{machine.name}'"
+            problems.append((f"{place}.{key}", f"{value:g} is not allowed; allowed: {allowed}"))
+    return problems

@@ -1,0 +1,184 @@
+"""The stage that shines light through the surface that the programs really leave: the picture a person will get."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from cam.as_milled.noise import Noise
+from cam.as_milled.rows import sample_facets, tip_error_mm, touched_surface
+from cam.as_milled.surface import MilledSurface
+from cam.as_milled.tracks import Tracks
+from cam.passes import PassSpec
+from cam.posts.dialects import POSTS
+from cam.reading.gcode import LANGUAGES, read_parts
+from machines.profiles import MachineProfile
+from optics.caustic import Caustic, simulate_caustic
+from optics.finish import surface_in_light
+from optics.heightfield import Array, Heightfield
+from optics.irradiance import picture_from_irradiance
+from optics.metrics import psnr_db, score_caustic, smallest_detail_mm
+from optics.milled import simulate_milled
+from optics.milled_blur import Deviations, deviations, predicted_light
+from service.job import arrays
+from service.job.files import HEIGHTFIELD, MAP, names_of_pass, read_chunks
+from service.job.finite_json import plain
+from service.job.planning.preparation import scores_against_original
+from service.job.report.milled import CAUSES, detail_lost
+from service.job.spec.lens_task import bench_of, finish_of
+from service.job.spec.resolve import cam_passes_of, machine_of
+from service.job.stages.context import Workshop
+
+_SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; of a small one a quarter, but not fewer
+_FINER = 4.0  # a quarter of the pitch: as good as no grooves
+
+
+def as_milled(shop: Workshop) -> None:
+    """Light through the surface that the finishing programs leave: report `as_milled`, caustic-as-milled.png, and
+    as-milled.png, which shows it beside target and design. Nothing where no pass finishes.
+    """
+    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
+    target = shop.receive(MAP, arrays.load_target)
+    passes = finishing_passes(shop)
+    if not passes:
+        return
+    bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
+    with shop.watch.stage("as milled: surface") as reached:
+        surface = MilledSurface.of_tracks(
+            read_tracks(shop, passes, reached),
+            heightfield,
+            pitch_mm=max(spec.pitch_mm for _, spec in passes),
+            error_mm=error_of_tips_mm(machine_of(shop.spec)),
+        )
+    with shop.watch.stage("as milled: light") as reached:
+        seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
+        found = deviations(_sampled(surface), heightfield, bench, shape)
+    del surface
+    with shop.watch.stage("as milled: causes") as reached:
+        designed = simulate_caustic(surface_in_light(heightfield, finish_of(shop.spec)), bench, pixels=shape)
+        # A finish takes the marks off: what each of them alone would bring is no advice.
+        finishes = shop.spec.finish.finishes
+        gains = {} if finishes else _gains(shop, passes[0][1], heightfield, target, designed, reached)
+    _tell(shop, target, seen, designed, found, gains)
+    _draw(shop, target, designed.irradiance, seen.irradiance)
+
+
+def finishing_passes(shop: Workshop) -> list[tuple[int, PassSpec]]:
+    """Those that make the optical surface, with their numbers from 0."""
+    return [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
+
+
+def read_tracks(
+    shop: Workshop,
+    passes: list[tuple[int, PassSpec]],
+    reached: Callable[[float], None],
+    *,
+    longest_mm: float = math.inf,
+) -> list[Tracks]:
+    """The written programs of these passes as the mill runs them, with its steps and errors.
+
+    longest_mm : an axis stands on a step at least so often, within moves, too
+    """
+    machine, rows = machine_of(shop.spec), shop.so_far["passes"]
+    tracks = []
+    for done, (number, spec) in enumerate(passes, 1):
+        paths = [shop.folder / name for name in names_of_pass(rows[number])]
+        batches = read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect])
+        noise = Noise.of_pass(spec, machine.z_noise_mm, seed=number)
+        one = Tracks.of_program(batches, radius_mm=spec.radius_mm)
+        one = one.divided(longest_mm) if machine.step_mm > 0 and math.isfinite(longest_mm) else one
+        tracks.append(one.made_by(step_mm=machine.step_mm, noise=noise))
+        reached(0.8 * done / len(passes))
+    return tracks
+
+
+def error_of_tips_mm(machine: MachineProfile) -> float:
+    """Standard deviation of the tips' heights on a mill: its steps, its noise, the decimals of its dialect."""
+    return tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm, decimals=_decimals(machine))
+
+
+def _decimals(machine: MachineProfile) -> int:
+    return round(-math.log10(POSTS[machine.dialect].digits.z_mm))
+
+
+def _sampled(surface: MilledSurface) -> Iterator[Array]:
+    samples = min(_SAMPLES, max(_FEW, surface.parts // 4))
+    for number in np.unique(((np.arange(samples) + 0.5) / samples * surface.parts).astype(int)):
+        yield surface.part(int(number))
+
+
+def _gains(
+    shop: Workshop,
+    spec: PassSpec,
+    heightfield: Heightfield,
+    target: Array,
+    designed: Caustic,
+    reached: Callable[[float], None],
+) -> dict[str, float]:
+    """dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
+    machine, bench = machine_of(shop.spec), bench_of(shop.spec)
+    now: dict[str, Any] = {
+        "pitch_mm": spec.pitch_mm,
+        "step_mm": machine.step_mm,
+        "z_noise_mm": machine.z_noise_mm,
+        "decimals": _decimals(machine),
+        "surface": touched_surface(heightfield, spec.radius_mm, spec.direction),
+    }
+    without: dict[str, dict[str, Any]] = {
+        "scallops": {"pitch_mm": max(spec.pitch_mm / _FINER, machine.step_mm)},  # closer rows stand on one another
+        "steps": {"step_mm": 0.0},
+        "noise": {"z_noise_mm": 0.0},
+        "rounding": {"decimals": 9},
+    }
+    scores = []
+    changes: list[dict[str, Any]] = [{}, *(without[cause] for cause in CAUSES)]
+    for number, change in enumerate(changes):
+        facets = sample_facets(heightfield, radius_mm=spec.radius_mm, direction=spec.direction, **{**now, **change})
+        scores.append(psnr_db(predicted_light(designed.irradiance, facets, heightfield, bench), target))
+        reached((number + 1) / (len(without) + 1))
+    return {cause: score - scores[0] for cause, score in zip(CAUSES, scores[1:], strict=True)}
+
+
+def _tell(
+    shop: Workshop, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
+) -> None:
+    machine, pixel_mm = machine_of(shop.spec), shop.spec.optics.screen_size_mm[0] / target.shape[1]
+    shop.report["as_milled"] = plain(
+        {
+            **asdict(score_caustic(seen.irradiance, target)),
+            **scores_against_original(shop.folder / MAP, seen.irradiance),
+            "smallest_detail_mm": smallest_detail_mm(seen.irradiance, target, pixel_mm),
+            "psnr_db_designed": psnr_db(designed.irradiance, target),
+            "outside_share": seen.outside_share,
+            "reflected_share": seen.reflected_share,
+            "slope_rms_mrad": found.slope_mrad,
+            "slope_x_rms_mrad": found.slope_x_mrad,
+            "slope_y_rms_mrad": found.slope_y_mrad,
+            "blur_px": found.blur_px,
+            "blur_x_px": found.blur_x_px,
+            "blur_y_px": found.blur_y_px,
+            "step_mm": machine.step_mm,
+            "z_noise_mm": machine.z_noise_mm,
+            "gain_db_without": gains,
+        }
+    )
+    if shop.spec.finish.finishes:  # which takes the marks off
+        return
+    if lost := detail_lost(shop.report["as_milled"], planned=shop.spec.preset == "recommended"):
+        shop.note("passes", lost)
+
+
+def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None:
+    from service.job.report.figures import base as figures  # what they stand on is slow to import
+    from service.job.report.figures import light as figures_milled
+
+    viewed_from = shop.spec.optics.viewed_from
+    views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
+    white = float(target.max())
+    told = shop.report["as_milled"]
+    shop.draw("caustic-as-milled.png", lambda: figures.picture_png(views[2], white=white))
+    shop.draw("as-milled.png", lambda: figures_milled.as_milled_png(*views, figures=told))

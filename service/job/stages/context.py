@@ -1,0 +1,105 @@
+"""What a stage works with: the job's spec, the folder, what earlier stages said, and what it says itself.
+
+Theory of operation: stages hand files to one another. In the job server each runs in a process of its own and reads
+them back; at the command line all run in one process and find on the `desk` what an earlier one has put there. Files
+whose name begins with a dot are between stages only, so with a desk they are never written.
+"""
+
+from __future__ import annotations
+
+import platform
+import resource
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Literal, TypeVar
+
+from service.job import files as job_files
+from service.job.picture.limits import OWN_PICTURE, PictureLimits
+from service.job.spec.model import JobSpec
+from service.job.stages.picture_queue import PictureQueue
+from service.progress import Stopwatch
+
+Part = Literal["optics", "passes"]
+T = TypeVar("T")
+
+THE_PICTURE = "{picture}"  # in a note: the picture's name, which only the last stage knows
+
+
+@dataclass(frozen=True, kw_only=True)
+class Workshop:
+    """One stage at work.
+
+    number             : of the pass, for a stage that mills one
+    so_far             : report.json as far as earlier stages have made it; report: what this stage adds
+    earlier_notes      : warnings of earlier stages by part of the job; notes: those of this stage
+    files              : names of the job's files that need not stand in the folder
+    picture            : where the person's picture is; picture_name: on the setup sheet
+    picture_called     : in messages; None: by its path
+    picture_queue      : draws the pictures
+    desk               : values by file name, shared by the stages of one process; None: all goes through files
+    """
+
+    spec: JobSpec
+    folder: Path
+    watch: Stopwatch
+    picture_queue: PictureQueue
+    number: int = 0
+    so_far: dict[str, Any] = field(default_factory=dict)
+    earlier_notes: dict[str, list[str]] = field(default_factory=dict)
+    files: frozenset[str] = frozenset()
+    picture: Path = Path()
+    picture_name: str = ""
+    picture_called: str | None = None
+    limits: PictureLimits = OWN_PICTURE
+    desk: dict[str, Any] | None = None
+    report: dict[str, Any] = field(default_factory=dict)
+    notes: dict[str, list[str]] = field(default_factory=dict)
+
+    def note(self, part: Part, sentence: str) -> None:
+        self.notes.setdefault(part, []).append(sentence)
+
+    @property
+    def is_shown(self) -> bool:
+        """Whether what the operator page draws is wanted: the folders of the command line do without."""
+        return self.desk is None
+
+    def save(self, name: str, data: bytes) -> None:
+        job_files.write_bytes(self.folder / name, data)
+
+    def draw(self, name: str, picture: Callable[[], bytes]) -> None:
+        """Save what `picture` returns, drawn beside whatever comes next."""
+        self.picture_queue.draw(self.folder / name, picture)
+
+    def hand_over(self, name: str, value: T, encode: Callable[[T], bytes]) -> None:
+        """Give a later stage this value, as a file of this name where it is one of the job's or there is no desk."""
+        if self.desk is not None:
+            self.desk[name] = value
+        if self.desk is None or not name.startswith("."):
+            self.save(name, encode(value))
+
+    def receive_if_there(self, name: str, decode: Callable[[Path], T]) -> T | None:
+        """The same of what an earlier stage hands over in some jobs only."""
+        is_there = (self.desk is not None and name in self.desk) or (self.folder / name).is_file()
+        return self.receive(name, decode) if is_there else None
+
+    def receive(self, name: str, decode: Callable[[Path], T]) -> T:
+        """What an earlier stage handed over. What is between two stages only leaves the desk, to free its memory."""
+        if self.desk is not None and name in self.desk:
+            value: T = self.desk.pop(name) if name.startswith(".") else self.desk[name]
+            return value
+        return decode(self.folder / name)
+
+
+def versions() -> dict[str, str]:
+    """Versions of this program and of what its numbers depend on."""
+    names = ("causticmill", "numpy", "scipy", "numba", "pillow")
+    return {"python": platform.python_version(), **{name: version(name) for name in names}}
+
+
+def peak_rss_mb() -> float:
+    """The largest memory this process has held, in MB (the unit of ru_maxrss is bytes on macOS, else KiB)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return round(peak * (1 if sys.platform == "darwin" else 1024) / 1e6, 1)

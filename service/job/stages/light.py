@@ -1,0 +1,160 @@
+"""The stage that shines light through the lens: scores and pictures of what it paints."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from typing import Any
+
+from optics.bench import Bench
+from optics.caustic import Caustic, simulate_caustic
+from optics.finish import surface_in_light
+from optics.heightfield import Array, Heightfield
+from optics.irradiance import picture_from_irradiance
+from optics.light import SUN_DEG
+from optics.metrics import CausticScore, score_caustic
+from optics.tolerance import (
+    FOCUS_SHARES,
+    SOURCES_DEG,
+    TILTS_DEG,
+    Tolerances,
+    in_pixels,
+    lens_tolerances,
+    sharp_light,
+)
+from service.job import arrays
+from service.job.files import FOCUS, HEIGHTFIELD, MAP
+from service.job.finite_json import plain
+from service.job.planning.preparation import scores_against_original
+from service.job.spec.lens_task import bench_of, blocked_by_the_screen, finish_of
+from service.job.stages.context import Workshop
+
+_BEAMS_OUT_OF_FOCUS = 7
+THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
+
+
+def caustic(shop: Workshop) -> None:
+    """Simulated light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
+    caustic.png, comparison.png, through-focus.png, and focus.bin for the operator page.
+    """
+    heightfield = surface_in_light(shop.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(shop.spec))
+    target = shop.receive(MAP, arrays.load_target)
+    bench = bench_of(shop.spec)
+    with shop.watch.stage("caustic") as reached:
+        sharp = sharp_light(heightfield, bench, _shape(target))
+        without_size = replace(sharp, irradiance=in_pixels(sharp.irradiance))
+        reached(0.2)
+        in_focus = without_size
+        if bench.light.extended:
+            in_focus = simulate_caustic(heightfield, bench, pixels=_shape(target))
+        reached(0.4)
+        _tell(shop, in_focus, score_caustic(in_focus.irradiance, target))
+        if bench.light.extended:
+            _tell_without_size(shop, score_caustic(without_size.irradiance, target))
+        seen = [in_focus if factor == 1.0 else _at(factor, heightfield, bench, target) for factor in THROUGH_FOCUS]
+        reached(0.7)
+        _draw(shop, target, seen)
+        if shop.is_shown:
+            _through_focus(shop, heightfield, target)
+    with shop.watch.stage("tolerances") as reached:
+        found = lens_tolerances(heightfield, bench, target, sharp=sharp.irradiance, on_progress=reached)
+        shop.report["optics"]["tolerances"] = _figures(found)
+        _draw_tolerances(shop, target, found)
+
+
+def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) -> Caustic:
+    """The light on a screen far out of focus, at that factor of the throw."""
+    moved = replace(bench, throw_mm=factor * bench.throw_mm)
+    return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=1, beams=_BEAMS_OUT_OF_FOCUS)
+
+
+def _through_focus(shop: Workshop, heightfield: Heightfield, target: Array) -> None:
+    from service.job.page_data.focus import focus_bytes  # what it stands on is slow to import
+
+    frames = focus_bytes(
+        heightfield,
+        bench_of(shop.spec),
+        shape=_shape(target),
+        white=float(target.max()),
+        viewed_from=shop.spec.optics.viewed_from,
+    )
+    shop.save(FOCUS, frames)
+
+
+def _shape(target: Array) -> tuple[int, int]:
+    return target.shape[0], target.shape[1]
+
+
+def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
+    from service.job.report.figures import base as figures  # what it stands on is slow to import
+
+    white = float(target.max())
+    pictures = [_as_seen(shop, one.irradiance) for one in seen]
+    in_focus = pictures[THROUGH_FOCUS.index(1.0)]
+    series = list(zip(THROUGH_FOCUS, pictures, strict=True))
+    aim, throw_mm = _as_seen(shop, target), shop.spec.optics.throw_mm
+    shop.draw("caustic.png", lambda: figures.picture_png(in_focus, white=white))
+    shop.draw("comparison.png", lambda: figures.comparison_png(aim, in_focus))
+    shop.draw("through-focus.png", lambda: figures.through_focus_png(series, throw_mm=throw_mm, white=white))
+
+
+def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
+    from service.job.report.figures import light as figures_tolerances
+
+    middle = FOCUS_SHARES.index(0.0)
+    before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)
+    tilt, sun = found.tilts[TILTS_DEG.index(1.0)], found.sources[SOURCES_DEG.index(SUN_DEG)]
+    shown = [
+        (f"wall 1 % nearer, {found.focus[before].psnr_db:.1f} dB", found.focus[before].irradiance),
+        (f"as designed, {found.psnr_db:.1f} dB", found.focus[middle].irradiance),
+        (f"wall 1 % farther, {found.focus[after].psnr_db:.1f} dB", found.focus[after].irradiance),
+        (f"light {tilt.tilt_deg:g}° aslant, {tilt.psnr_db:.1f} dB", tilt.irradiance),
+        (f"source of {sun.size_deg:g}°, {sun.psnr_db:.1f} dB", sun.irradiance),
+    ]
+    pictures = [(caption, _as_seen(shop, irradiance)) for caption, irradiance in shown]
+    white = float(target.max())
+    shop.draw("tolerances.png", lambda: figures_tolerances.tolerances_png(found, pictures, white=white))
+
+
+def _figures(found: Tolerances) -> dict[str, Any]:
+    """The tolerances without their pictures."""
+    return plain(
+        {
+            "psnr_db": found.psnr_db,
+            "focus": [{"offset_mm": p.offset_mm, "psnr_db": p.psnr_db} for p in found.focus],
+            "focus_range_mm": found.focus_range_mm,
+            "tilts": [{"tilt_deg": p.tilt_deg, "shift_mm": p.shift_mm, "psnr_db": p.psnr_db} for p in found.tilts],
+            "sources": [
+                {key: getattr(p, key) for key in ("size_deg", "diameter_mm", "diameter_px", "psnr_db")}
+                for p in found.sources
+            ],
+            "blur_mm": found.blur_mm,
+            "blur_px": found.blur_px,
+        }
+    )
+
+
+def _tell(shop: Workshop, in_focus: Caustic, score: CausticScore) -> None:
+    shop.report["optics"] = plain(
+        {
+            **asdict(score),
+            **scores_against_original(shop.folder / MAP, in_focus.irradiance),
+            "outside_share": in_focus.outside_share,
+            "reflected_share": in_focus.reflected_share,
+        }
+    )
+    if in_focus.reflected_share > 1e-6 and shop.spec.optics.surface == "lens":
+        share = 100 * in_focus.reflected_share
+        shop.note(
+            "optics", f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
+        )
+    if blocked := blocked_by_the_screen(shop.spec):
+        shop.note("optics", blocked)
+
+
+def _tell_without_size(shop: Workshop, score: CausticScore) -> None:
+    """What the lens itself is worth, where the size of the source is most of what is missing."""
+    shop.report["optics"]["from_a_point_source"] = plain(asdict(score))
+
+
+def _as_seen(shop: Workshop, irradiance: Array) -> Array:
+    return picture_from_irradiance(irradiance, viewed_from=shop.spec.optics.viewed_from)

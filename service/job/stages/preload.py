@@ -1,0 +1,33 @@
+"""Importing this imports what the lens is computed with, so that a process forked afterwards starts at once.
+
+`LATER` is what other stages need, piece by piece, to be imported when there is time. Nothing of this starts a
+thread or compiles anything.
+"""
+
+from __future__ import annotations
+
+from service.processes.kernel_cache import use_current_kernels
+
+use_current_kernels()  # before numba is imported
+
+from service.job.stages import lens, run  # noqa: E402
+
+LATER = (
+    "service.job.stages.light",
+    "service.job.stages.programs",
+    "service.job.stages.check",
+    "service.job.stages.sheet",
+    "networkx",
+    "trimesh",
+    "manifold3d",
+    "matplotlib.figure",
+    "matplotlib.axes",
+    "service.job.report.solid",
+    "service.job.report.figures.base",
+    "service.job.report.figures.lens",
+    "service.job.report.figures.light",
+    "service.job.report.figures.paths",
+    "service.job.page_data.focus",
+)
+
+__all__ = ["LATER", "lens", "run"]

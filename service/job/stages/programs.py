@@ -1,0 +1,227 @@
+"""Stages from the lens to checked programs: generate, write, read back and simulate; the stock left is carried over."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+from itertools import count
+from pathlib import Path
+
+from cam.around.outline import TRACE_FEED_MM_PER_MIN, trace_paths
+from cam.checking.check import PassCheck, check_program
+from cam.moves import Path as ToolPath
+from cam.parts import PartLimits
+from cam.passes import PassSpec, Stock
+from cam.posts.dialects import POSTS
+from cam.posts.digits import Digits
+from cam.program import generate_parts
+from cam.reading.gcode import LANGUAGES, ProgramError
+from cam.surface.stock_grid import StockGrid
+from machines.profiles import MachineProfile
+from optics.heightfield import Heightfield
+from service.errors import FailedError
+from service.job import arrays
+from service.job.files import (
+    FACED_STOCK,
+    HEIGHTFIELD,
+    LAST_STOCK,
+    WrittenProgram,
+    program_name,
+    read_chunks,
+    stock_name,
+    write_program,
+)
+from service.job.planning.fit import require_flutes, require_travel, unfit_ball
+from service.job.planning.lens_facts import measure_lens
+from service.job.spec.mill import kinematics_of
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, setup_of
+from service.job.stages.context import Workshop
+
+_COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
+_CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
+
+
+def one_pass(shop: Workshop) -> None:
+    """One program, written and then checked from its text; its row of report `passes`, and the stock it leaves.
+
+    FailedError with the faults where it does not pass; the folder, and the program with it, are then removed.
+    """
+    heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
+    spec, stock = cam_passes_of(shop.spec)[shop.number - 1], cam_stock_of(shop.spec)
+    if shop.number == 1:
+        require_millable(shop, heightfield)
+        stock_top = first_stock(stock) if shop.spec.stock.face is None else shop.receive(FACED_STOCK, arrays.load_stock)
+    else:
+        stock_top = shop.receive(stock_name(shop.number - 1), arrays.load_stock)
+    written = _write(shop, spec, heightfield, stock_top)
+    verdict = _check(shop, [part.file for part in written], spec, heightfield, stock_top)
+    rest_follows = any(later.where == "rest" for later in shop.spec.passes[shop.number :])
+    notes = () if rest_follows else verdict.notes  # what is left here is taken there
+    for sentence in (*notes, *_of_coarse_steps(shop.spec, spec), *_of_parts(written)) if spec.finishes else ():
+        shop.note("passes", f"{written[0].file}: {sentence}")
+    row = {
+        "file": written[0].file,
+        **verdict.as_report(),
+        **asdict(written[0]),
+        **({"parts": [asdict(part) for part in written]} if len(written) > 1 else {}),
+        "settings": shop.spec.passes[shop.number - 1].model_dump(),
+    }
+    shop.report["passes"] = [row]
+    if shop.number < len(shop.spec.passes):
+        shop.hand_over(stock_name(shop.number), verdict.stock_top, arrays.stock_bytes)
+    elif shop.spec.stock.cut_out is not None:
+        shop.hand_over(LAST_STOCK, verdict.stock_top, arrays.stock_bytes)
+
+
+def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
+    """Everything about the balls of all passes and the travel that can be known before the first block."""
+    passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
+    with shop.watch.stage("fit"):
+        require_travel(heightfield, stock, passes, machine_of(shop.spec))
+        require_flutes(heightfield, passes)
+        unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.lens_radius_mm)
+        if unfit:
+            shop.note("passes", unfit)
+        if not passes[-1].finishes:
+            left = passes[-1].stock_to_leave_mm
+            shop.note("passes", f"the last pass leaves {left:g} mm of stock: no pass makes the optical surface")
+
+
+def first_stock(stock: Stock) -> StockGrid:
+    """The uncut block at the resolution of the whole-part simulation."""
+    longest_mm = max(stock.width_mm, stock.height_mm) + 2 * stock.margin_mm
+    return StockGrid.block(stock, max(0.005, longest_mm / _CELLS_ACROSS))
+
+
+def simulate(
+    paths: Sequence[Path],
+    spec: PassSpec,
+    heightfield: Heightfield,
+    stock: Stock,
+    stock_top: StockGrid,
+    machine: MachineProfile,
+    on_progress: Callable[[float], None] | None = None,
+) -> PassCheck:
+    """Read a pass's programs back, one after the other, and simulate what they remove from stock_top."""
+    return check_program(
+        read_chunks(paths[0]),
+        further=map(read_chunks, paths[1:]),
+        heightfield=heightfield,
+        spec=spec,
+        stock=stock,
+        stock_top=stock_top,
+        kinematics=kinematics_of(machine),
+        travel_mm=machine.travel_mm,
+        safe_z_mm=machine.safe_z_mm,
+        language=LANGUAGES[machine.dialect],
+        digit_mm=_digits(machine).z_mm,
+        total_bytes=sum(path.stat().st_size for path in paths),
+        on_progress=on_progress,
+    )
+
+
+def _digits(machine: MachineProfile) -> Digits:
+    """The raster on which programs for this mill state positions."""
+    return POSTS[machine.dialect].digits.coarsened(_step_mm(machine))
+
+
+def _step_mm(machine: MachineProfile) -> float:
+    return machine.step_mm if machine.whole_steps else 0.0
+
+
+def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[str]:
+    if len(written) > 1:
+        yield (
+            f"the pass is split into {len(written)} programs up to {written[-1].file}; each goes on in the track of "
+            f"the one before, {len(written) - 1} entries more at the most: do not change tool or zero between them"
+        )
+
+
+def _of_coarse_steps(job: JobSpec, spec: PassSpec) -> Iterator[str]:
+    """What the raster of heights does to the light, where it can be seen.
+
+    Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
+    the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
+    """
+    digits = _digits(machine_of(job))
+    if digits.z_mm < _COARSE_STEP_MM or job.finish.finishes:
+        return
+    slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
+    yield (
+        "the mill's steps in height will blur the picture; finer positions or a larger ball show more (steps of "
+        f"{digits.z_mm:g} mm tilt the surface by about {1000 * slope:.0f} µm per mm ({1000 * slope:.0f} mrad) from row "
+        f"to row: about {49 * slope:.2g} mm on a screen 100 mm away, in acrylic with its refractive index of 1.49)"
+    )
+
+
+def part_limits_of(machine: MachineProfile) -> PartLimits:
+    megabytes, hours = machine.most_program_mb, machine.most_program_hours
+    return PartLimits(
+        most_bytes=math.inf if megabytes is None else 1e6 * megabytes,
+        most_s=math.inf if hours is None else 3600 * hours,
+        rapid_mm_per_min=min(machine.max_rate_mm_per_min),
+    )
+
+
+def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> list[WrittenProgram]:
+    """The programs of the pass: one, or its parts."""
+    machine = machine_of(shop.spec)
+    post = POSTS[machine.dialect]
+    setup, is_first = setup_of(machine), shop.number == 1 and shop.spec.stock.face is None
+    with shop.watch.stage(f"write pass {shop.number} {spec.name}") as reached:
+        parts = generate_parts(
+            heightfield,
+            spec,
+            cam_stock_of(shop.spec),
+            stock_top=stock_top,
+            post=post,
+            safe_z_mm=machine.safe_z_mm,
+            limits=part_limits_of(machine),
+            step_mm=_step_mm(machine),
+            shaped=shop.spec.finish.finishes,
+            number=shop.number,
+            setup=setup if is_first else setup.without_warm_up(),
+            trace=trace_of(shop.spec, machine) if is_first else (),
+            on_progress=reached,
+        )
+        return write_parts(shop.folder, partial(program_name, shop.number, spec.name, post.suffix), parts)
+
+
+def write_parts(
+    folder: Path, name_of: Callable[[int | None], str], parts: Iterable[Iterable[bytes]]
+) -> list[WrittenProgram]:
+    """The programs of a pass; name_of: their files, by the number of the part, or None where there is but one."""
+    names = map(name_of, count(1))
+    written = [write_program(folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
+    if len(written) == 1:
+        (folder / written[0].file).rename(folder / name_of(None))
+        return [replace(written[0], file=name_of(None))]
+    return written
+
+
+def trace_of(spec: JobSpec, machine: MachineProfile) -> tuple[ToolPath, ...]:
+    """Around block and lens at the safe height, for the first program of a job; nothing where it is not asked for."""
+    if not machine.trace_outline:
+        return ()
+    feed = min(TRACE_FEED_MM_PER_MIN, *machine.max_rate_mm_per_min[:2])
+    outline = spec.optics.outline_mm or ()
+    return trace_paths(cam_stock_of(spec), outline, safe_z_mm=machine.safe_z_mm, feed_mm_per_min=feed)
+
+
+def _check(
+    shop: Workshop, files: list[str], spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
+) -> PassCheck:
+    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    called = files[0] if len(files) == 1 else f"{files[0]} to {files[-1]}, lines counted through"
+    with shop.watch.stage(f"check pass {shop.number} {spec.name}") as reached:
+        try:
+            paths = [shop.folder / file for file in files]
+            verdict = simulate(paths, spec, heightfield, stock, stock_top, machine, reached)
+        except ProgramError as error:
+            raise FailedError(f"{called}: {error}") from error
+    if not verdict.ok:
+        raise FailedError(*(f"{called}: {fault}" for fault in verdict.faults))
+    return verdict

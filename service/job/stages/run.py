@@ -1,0 +1,153 @@
+"""One stage in a process of its own: its inputs come from the artifact store, its outputs go there."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from service.errors import FailedError, InputError, JobError, SpecError, sentence_of_os_error
+from service.job.errors import in_the_services_words
+from service.job.planning import fit as fitting
+from service.job.spec.loading import validated
+from service.job.spec.resolve import cam_passes_of, cam_stock_of
+from service.job.stages.context import Workshop, peak_rss_mb
+from service.job.stages.order import FileRef, StageOrder, StageResult
+from service.job.stages.picture_queue import PictureQueue
+from service.job.stages.table import Stage, reads, stage_of
+from service.progress import Stopwatch
+from service.store.base import MissingObjectError, Store
+
+_PICTURE = ".picture"  # the person's own file
+
+
+def run_order(order: StageOrder, store: Store, on_progress: Callable[[float], None]) -> StageResult:
+    """Do the whole work of a stage; returns what it made once all of it is in the store.
+
+    JobError in words that name files as the person knows them. The scratch folder is gone afterwards, come what may.
+    """
+    begun = time.perf_counter()
+    stage, scratch = stage_of(order.stage), Path(order.scratch)
+    on_progress(0.0)
+    with _without_paths(scratch), _scratch_folder(scratch), PictureQueue() as picture_queue:
+        shop = _workshop(order, stage, scratch, Stopwatch(_Shares(stage, on_progress)), picture_queue)
+        fetched = _fetch(order, stage, store, scratch)
+        if stage.number:
+            _require_space(shop)
+        with in_the_services_words():
+            stage.load()(shop)
+            picture_queue.finish()
+        outputs = _put(scratch, fetched, store)
+    peak_mb = peak_rss_mb()
+    shop.report.update(timings_s=dict(shop.watch.timings_s), peak_rss_mb=peak_mb)
+    on_progress(1.0)
+    return StageResult(
+        outputs=outputs,
+        report=shop.report,
+        notes=shop.notes,
+        seconds=round(time.perf_counter() - begun, 3),
+        peak_rss_mb=peak_mb,
+    )
+
+
+def _workshop(
+    order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue
+) -> Workshop:
+    return Workshop(
+        spec=validated(order.spec),
+        folder=scratch,
+        watch=watch,
+        picture_queue=picture_queue,
+        number=stage.number,
+        so_far=order.report,
+        earlier_notes=order.notes,
+        files=frozenset(name for name in order.inputs if not name.startswith(".")),
+        picture=scratch / _PICTURE,
+        picture_name=order.image_name,
+        picture_called=order.image_name,
+        limits=order.limits,
+    )
+
+
+def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[str]:
+    """The files that the stage reads, put into the scratch folder; their names there."""
+    wanted = {name: order.inputs[name].sha256 for name in reads(order.stage, order.inputs)}
+    if stage.picture:
+        wanted[_PICTURE] = order.image_sha256
+    for name, sha256 in wanted.items():
+        called = order.image_name if name == _PICTURE else name
+        try:
+            store.fetch(sha256, scratch / name)
+        except MissingObjectError:
+            raise FailedError(f"{called}: it is not in the artifact store any more") from None
+    return set(wanted)
+
+
+def _put(scratch: Path, fetched: set[str], store: Store) -> dict[str, FileRef]:
+    """Every file that the stage has made, into the store."""
+    outputs = {}
+    for path in sorted(scratch.iterdir()):
+        if path.name not in fetched:
+            stored = store.put_file(path)
+            outputs[path.name] = FileRef(sha256=stored.sha256, bytes=stored.bytes)
+    return outputs
+
+
+def _require_space(shop: Workshop) -> None:
+    spec = cam_passes_of(shop.spec)[shop.number - 1]
+    fitting.shortage(shop.folder, "the server's disk", cam_stock_of(shop.spec), (spec,))
+
+
+@contextmanager
+def _scratch_folder(scratch: Path) -> Iterator[None]:
+    """Empty at first, gone in the end."""
+    try:
+        shutil.rmtree(scratch, ignore_errors=True)
+        try:
+            scratch.mkdir(parents=True)
+        except OSError as error:
+            error.filename = None
+            raise FailedError(sentence_of_os_error(error, doing="cannot make a folder to work in")) from error
+        yield
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+
+
+@contextmanager
+def _without_paths(scratch: Path) -> Iterator[None]:
+    """Errors name files, not the folder they lay in; what is damaged in the store is no fault of the person."""
+    try:
+        yield
+    except SpecError:
+        raise
+    except JobError as error:
+        text = str(error)
+        lines = text.replace(f"{scratch}/", "").replace(str(scratch), "the working folder").splitlines()
+        kind = type(error)
+        if isinstance(error, InputError) and str(scratch) in text:
+            kind = FailedError
+        raise kind(*lines) from error
+
+
+class _Shares:
+    """Told of the parts of a stage, tells the share of the whole."""
+
+    def __init__(self, stage: Stage, on_progress: Callable[[float], None]) -> None:
+        self._parts = stage.parts
+        self._on_progress = on_progress
+
+    def started(self, stage: str) -> None:
+        self.reached(stage, 0.0)
+
+    def reached(self, stage: str, share: float) -> None:
+        before = 0.0
+        for prefix, weight in self._parts:
+            if stage.startswith(prefix):
+                self._on_progress(before + weight * min(1.0, max(0.0, share)))
+                return
+            before += weight
+
+    def ended(self, stage: str, seconds: float) -> None:
+        self.reached(stage, 1.0)

@@ -1,0 +1,43 @@
+"""The last stage: spec.json, report.json, and the setup sheet report.html made from them."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from service.job import files as job_files
+from service.job.report.setup_sheet import render_report
+from service.job.spec.finishing import instruct_finishing
+from service.job.spec.resolve import machine_of
+from service.job.stages.context import THE_PICTURE, Workshop, peak_rss_mb, versions
+from service.job.stages.order import merge_notes, merge_reports
+
+
+def sheet(shop: Workshop) -> None:
+    """Complete the report and write the files; report.json comes last and says that the job is whole."""
+    notes = merge_notes(({"optics": [], "passes": []}, shop.earlier_notes))
+    by_part = {
+        part: [sentence.replace(THE_PICTURE, shop.picture_name) for sentence in sentences]
+        for part, sentences in notes.items()
+    }
+    shop.report.update(
+        {
+            "passes": [],
+            "warnings": [sentence for sentences in by_part.values() for sentence in sentences],
+            "warnings_by_part": by_part,
+            "peak_rss_mb": peak_rss_mb(),
+            "versions": versions(),
+        }
+    )
+    if shop.picture_name:
+        shop.report["source"] = {"file": shop.picture_name}
+    spec = shop.spec.plain()
+    area_mm2 = shop.spec.optics.width_mm * shop.spec.optics.height_mm
+    if told := instruct_finishing(spec.get("finish", {}), area_mm2=area_mm2):
+        shop.report["finishing"] = told
+    report = merge_reports((shop.so_far, shop.report))
+    job_files.write_json(shop.folder / job_files.SPEC, spec)
+    spec["machine"] = {**asdict(machine_of(shop.spec)), **spec["machine"]}
+    files = {path.name for path in shop.folder.iterdir()} | shop.files | {job_files.REPORT, job_files.REPORT_PAGE}
+    page = render_report(report, spec=spec, files=files)
+    shop.save(job_files.REPORT_PAGE, page.encode())
+    job_files.write_json(shop.folder / job_files.REPORT, report)

@@ -1,0 +1,154 @@
+"""Server-sent events: what happens at the mill, to any number of readers, none of whom can hold the mill up.
+
+Every message has an id `<life>-<number>`; `life` is new at each start of the agent. A reader that comes back with
+Last-Event-ID gets what it missed as far as the ring reaches, and a `gap` event where it does not. Of statuses only the
+latest counts, so those are not kept: a reader always begins with one. A reader that does not keep up is dropped and
+may come back.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import secrets
+from collections import deque
+from dataclasses import dataclass, field
+
+from starlette.types import Receive, Scope, Send
+
+from service.http.problems import Problem, problem_response
+from service.http.streaming import sent, while_connected
+
+_QUEUE = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    number: int
+    kind: str  # "status" or "event"
+    data: str  # JSON
+
+
+@dataclass(eq=False, slots=True)
+class Reader:
+    """One open connection. `queue` takes None as the end; a status that waits is replaced by a newer one."""
+
+    queue: asyncio.Queue[Message | None] = field(default_factory=lambda: asyncio.Queue(_QUEUE + 1))
+    dropped: bool = False
+
+
+class Hub:
+    """Hands messages to readers; all calls from the event loop's thread."""
+
+    def __init__(self, *, ring: int, readers: int) -> None:
+        self.life = secrets.token_hex(4)
+        self._number = 0
+        self._ring: deque[Message] = deque(maxlen=ring)
+        self._status: Message | None = None
+        self._forgotten = 0  # number of the last event that fell out of the ring
+        self._readers: set[Reader] = set()
+        self._most = readers
+        self._closed = False
+
+    def status(self, data: dict[str, object]) -> None:
+        self._status = self._message("status", data)
+        self._send(self._status)
+
+    def event(self, data: dict[str, object]) -> None:
+        message = self._message("event", data)
+        if len(self._ring) == self._ring.maxlen:
+            self._forgotten = self._ring[0].number
+        self._ring.append(message)
+        self._send(message)
+
+    def join(self, last_id: str) -> tuple[Reader, list[Message]]:
+        """A new reader, and what it is to be sent first."""
+        if self._closed or len(self._readers) >= self._most:
+            raise Problem(503, f"{len(self._readers)} readers already; allowed: {self._most}. Close one and try again")
+        reader = Reader()
+        self._readers.add(reader)
+        return reader, self._missed(last_id) + ([self._status] if self._status else [])
+
+    def leave(self, reader: Reader) -> None:
+        self._readers.discard(reader)
+
+    def close(self) -> None:
+        """End all streams; the agent stops."""
+        self._closed = True
+        for reader in list(self._readers):
+            self._drop(reader)
+
+    def text(self, message: Message) -> bytes:
+        number = f"id: {self.life}-{message.number}\n" if message.number else ""
+        return f"{number}event: {message.kind}\ndata: {message.data}\n\n".encode()
+
+    def _missed(self, last_id: str) -> list[Message]:
+        life, _, number = last_id.partition("-")
+        if not last_id:
+            return []
+        if life != self.life or not number.isdigit():
+            return [_gap("the agent was started anew"), *self._ring]
+        seen = int(number)
+        missed = [message for message in self._ring if message.number > seen]
+        return [_gap("older events are no longer kept"), *missed] if self._forgotten > seen else missed
+
+    def _message(self, kind: str, data: dict[str, object]) -> Message:
+        self._number += 1
+        return Message(self._number, kind, json.dumps(data, separators=(",", ":")))
+
+    def _send(self, message: Message) -> None:
+        for reader in list(self._readers):
+            if reader.queue.qsize() >= _QUEUE:
+                self._drop(reader)
+            elif message.kind != "status" or reader.queue.qsize() < _QUEUE // 4:  # a late reader skips statuses
+                reader.queue.put_nowait(message)
+
+    def _drop(self, reader: Reader) -> None:
+        reader.dropped = True
+        self._readers.discard(reader)
+        with contextlib.suppress(asyncio.QueueFull):
+            reader.queue.put_nowait(None)
+
+
+class EventStream:
+    """The response to GET /v1/events: an ASGI app of its own, because a stuck connection must be given up."""
+
+    def __init__(self, hub: Hub, last_id: str, *, heartbeat_s: float) -> None:
+        self._hub = hub
+        self._last_id = last_id
+        self._heartbeat_s = heartbeat_s
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        try:
+            reader, first = self._hub.join(self._last_id)
+        except Problem as problem:
+            await problem_response(problem)(scope, receive, send)
+            return
+        try:
+            await while_connected(receive, self._write(reader, first, send))
+        finally:
+            self._hub.leave(reader)
+
+    async def _write(self, reader: Reader, first: list[Message], send: Send) -> None:
+        headers = [
+            (b"content-type", b"text/event-stream"),
+            (b"cache-control", b"no-store"),
+            (b"x-accel-buffering", b"no"),
+        ]
+        await send({"type": "http.response.start", "status": 200, "headers": headers})
+        await sent(send, b"retry: 1000\n\n" + b"".join(map(self._hub.text, first)))
+        while not (reader.dropped and reader.queue.empty()):
+            try:
+                message = await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)
+            except TimeoutError:
+                await sent(send, b": still here\n\n")
+                continue
+            if message is None:
+                break
+            await sent(send, self._hub.text(message))
+        await sent(send, b"", more=False)
+
+
+def _gap(words: str) -> Message:
+    return Message(0, "event", json.dumps({"kind": "gap", "words": words}))

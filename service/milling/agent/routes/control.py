@@ -1,0 +1,115 @@
+"""/v1/control: what an operator can ask of the mill beside a run. Stops are taken at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from machines.driver import (
+    CheckMode,
+    Command,
+    Home,
+    Jog,
+    Override,
+    ProbeZ,
+    ReadSettings,
+    Reset,
+    SendBlock,
+    SetZero,
+    TrustPosition,
+    Unlock,
+)
+from machines.mill.console_lines import describe_effect
+from machines.mill.mill import Mill
+from machines.mill.orders import Stop
+from service.http.problems import Problem
+from service.milling.agent.agent import Agent
+from service.milling.agent.callers import read_caller
+from service.milling.agent.request_fields import Fields, fields_of
+
+_MOST_MM = 5000.0
+_AXES = ("X", "Y", "Z", "XY", "XZ", "YZ", "XYZ")
+_RANGES = {"feed": (10, 200), "rapid": (25, 100), "spindle": (10, 200)}
+_STOPS = frozenset(Stop)
+
+
+class ControlRoutes:
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+
+    def routes(self) -> list[Route]:
+        return [Route("/v1/control/{what}", self.control, methods=["POST"])]
+
+    async def control(self, request: Request) -> Response:
+        what = request.path_params["what"]
+        access, caller = self._agent.access, read_caller(request)
+        if what in _STOPS:  # before the body is looked at: nothing in it could matter
+            await access.halt(Stop(what), caller)
+            return self._accept()
+        if what not in _COMMANDS and what != "resume":
+            allowed = ", ".join(sorted([*_STOPS, *_COMMANDS, "resume"]))
+            raise Problem(404, f"no control '{what}'; allowed: {allowed}")
+        fields = await fields_of(request)
+        if what == "resume":
+            fields.done()
+            await access.order("resume", Mill.resume, caller, needs_lease=True)
+            return self._accept()
+        command = _COMMANDS[what](fields)
+        fields.done()
+        await access.order(what, lambda mill: mill.command(command), caller, needs_lease=True)
+        return self._accept()
+
+    def _accept(self) -> Response:
+        return JSONResponse(self._agent.access.status(), status_code=202)
+
+
+def _jog(fields: Fields) -> Command:
+    return Jog(by_mm=fields.triple("by_mm", _MOST_MM), feed_mm_per_min=fields.number("feed_mm_per_min", 1, 20000, 500))
+
+
+def _probe(fields: Fields) -> Command:
+    return ProbeZ(
+        depth_mm=fields.number("depth_mm", 0.001, 200),
+        feed_mm_per_min=fields.number("feed_mm_per_min", 1, 1000, 50),
+        plate_mm=fields.number("plate_mm", -100, 100, 0),
+        retract_mm=fields.number("retract_mm", 0, 100, 2),
+    )
+
+
+def _override(fields: Fields) -> Command:
+    what = fields.text("what", allowed=_RANGES)
+    low, high = _RANGES[what]
+    percent = fields.number("percent", low, high)
+    if percent != int(percent) or (what == "rapid" and percent not in (25, 50, 100)):
+        allowed = "25, 50, 100" if what == "rapid" else f"whole percents, {low} to {high}"
+        raise Problem(422, f"percent is {percent:g}; allowed: {allowed}", field="percent")
+    return Override(what, int(percent))
+
+
+def _block(fields: Fields) -> Command:
+    text = fields.text("text", longest=255)
+    if not text.isascii() or not text.isprintable() or any(character in text for character in "?!~"):
+        raise Problem(422, "text must be one line of plain G-code, without ? ! ~", field="text")
+    if not fields.flag("confirm", False) and (effect := describe_effect(text)):
+        effect = f"'{text.strip()}' {effect}"
+        words = f'{effect}. To send it all the same, send it again with "confirm": true'
+        raise Problem(409, words, field="confirm", more={"code": "confirm", "effect": effect})
+    return SendBlock(text)
+
+
+_COMMANDS: dict[str, Callable[[Fields], Command]] = {
+    "reset": lambda fields: Reset(),
+    "unlock": lambda fields: Unlock(),
+    "home": lambda fields: Home(),
+    "jog": _jog,
+    "probe": _probe,
+    "zero": lambda fields: SetZero(fields.text("axes", "XYZ", allowed=_AXES)),
+    "trust-position": lambda fields: TrustPosition(),
+    "override": _override,
+    "check": lambda fields: CheckMode(fields.flag("on")),
+    "block": _block,
+    "settings": lambda fields: ReadSettings(),
+}

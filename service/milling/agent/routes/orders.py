@@ -1,0 +1,77 @@
+"""/v1/grants, /v1/lease, /v1/orders: who may order what, and who has ordered what."""
+
+from __future__ import annotations
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from machines.mill.orders import GRANT_S, LEASE_S
+from service.http.problems import Problem
+from service.milling.agent.agent import Agent
+from service.milling.agent.callers import read_control
+from service.milling.agent.request_fields import fields_of
+
+_MOST_ORDERS = 500
+
+
+class OrderRoutes:
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+        self._orders = agent.access.orders
+
+    def routes(self) -> list[Route]:
+        return [
+            Route("/v1/grants", self.grant, methods=["POST"]),
+            Route("/v1/lease", self.take, methods=["POST"]),
+            Route("/v1/lease/check", self.check, methods=["POST"]),
+            Route("/v1/lease", self.release, methods=["DELETE"]),
+            Route("/v1/orders", self.list_orders, methods=["GET"]),
+        ]
+
+    async def grant(self, request: Request) -> Response:
+        """One order may be carried out under it, for a moment from now on."""
+        fields = await fields_of(request)
+        stops = int(fields.number("stops", 0, 1 << 53)) if fields.has("stops") else None
+        fields.done()
+        grant = self._orders.issue_grant(read_control(request), stops_seen=stops)
+        return JSONResponse({"grant": grant.word, "valid_s": GRANT_S, "stops": grant.stops}, status_code=201)
+
+    async def take(self, request: Request) -> Response:
+        fields = await fields_of(request)
+        operator, principal = fields.text("operator", longest=100), fields.text("principal", longest=200)
+        take_over = fields.flag("take_over")
+        fields.done()
+        secret, lease, new = self._orders.take_lease(operator, principal, read_control(request), take_over=take_over)
+        await self._agent.access.call(lambda mill: mill.publish())
+        told = lease.as_dict() | {"control": secret, "expires_s": LEASE_S}
+        return JSONResponse(told, status_code=201 if new else 200)
+
+    async def check(self, request: Request) -> Response:
+        """OrderRefusedError where somebody else than the caller has control."""
+        self._orders.require_free(read_control(request))
+        return Response(status_code=204)
+
+    async def release(self, request: Request) -> Response:
+        """Nobody has control, if it was the caller's. OrderRefusedError where it is somebody else's."""
+        control = read_control(request)
+        if not self._orders.release_lease(control):
+            self._orders.require_free(control)
+        await self._agent.access.call(lambda mill: mill.publish())
+        return Response(status_code=204)
+
+    async def list_orders(self, request: Request) -> Response:
+        """Newest first: orders, stops, and what came of them."""
+        before, limit = _number(request, "before", 1 << 53), _number(request, "limit", 50)
+        limit = max(1, min(limit, _MOST_ORDERS))
+        entries = await self._agent.access.work(lambda: self._agent.audit.read(before, limit))
+        return JSONResponse({"orders": entries, "next": entries[-1]["number"] if len(entries) == limit else None})
+
+
+def _number(request: Request, name: str, default: int) -> int:
+    text = request.query_params.get(name)
+    if text is None:
+        return default
+    if not (text.isascii() and text.isdigit() and len(text) <= 16):
+        raise Problem(422, f"{name} is {text[:40]!r}; allowed: a whole number", field=name)
+    return int(text)

@@ -1,0 +1,152 @@
+"""/v1/runs: parked, started, held, resumed, aborted, recovered. Each start is a person's word, by name."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from machines.mill.mill import Mill
+from machines.mill.orders import Stop
+from machines.preflight.preflight import Preflight
+from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from service.http.problems import Problem
+from service.milling.agent.agent import Agent
+from service.milling.agent.callers import read_caller
+from service.milling.agent.mill_access import START_S
+from service.milling.agent.request_fields import Fields, fields_of
+
+
+class RunRoutes:
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+        self._parking = asyncio.Lock()
+
+    def routes(self) -> list[Route]:
+        return [
+            Route("/v1/runs", self.list_runs, methods=["GET"]),
+            Route("/v1/runs", self.park, methods=["POST"]),
+            Route("/v1/runs/{run}:start", self.start, methods=["POST"]),
+            Route("/v1/runs/{run}:recover", self.recover, methods=["POST"]),
+            Route("/v1/runs/{run}:hold", self.halt(Stop.HOLD), methods=["POST"]),
+            Route("/v1/runs/{run}:abort", self.halt(Stop.ABORT), methods=["POST"]),
+            Route("/v1/runs/{run}:resume", self.resume, methods=["POST"]),
+            Route("/v1/runs/{run}/recovery", self.recovery, methods=["GET"]),
+            Route("/v1/runs/{run}", self.show, methods=["GET"]),
+        ]
+
+    async def list_runs(self, _request: Request) -> Response:
+        return JSONResponse({"runs": [run.as_dict() for run in self._runs()]})
+
+    async def show(self, request: Request) -> Response:
+        return JSONResponse(self._run(request).as_dict())
+
+    async def park(self, request: Request) -> Response:
+        fields = await fields_of(request)
+        program = fields.text("program")
+        name = fields.text("name", program[:12], longest=200)
+        key = fields.text("key", longest=100) if fields.has("key") else ""
+        fields.done()
+        path = self._agent.store.path_of(program)
+        async with self._parking:  # a client that asks again must not overtake itself
+            if (known := self._find_parked(key, program)) is not None:
+                return _run_response(known, status=200)
+            facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
+            run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
+            if key:
+                await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
+        return _run_response(run, status=201)
+
+    def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
+        """On the mill's thread, as is a removal: the program is still there once the run is known."""
+        self._agent.store.entry(path.stem)
+        return mill.park(facts, path, name)
+
+    def _find_parked(self, key: str, program: str) -> RunView | None:
+        """The run that this key has parked; a Problem where it was for another program."""
+        run_id = self._agent.keys.run_of(key) if key else None
+        run = next((run for run in self._runs() if run.id == run_id), None)
+        if run is not None and run.program != program:
+            raise Problem(409, f"key '{key}' has parked run {run.id} of another program; take a new key", field="key")
+        return run
+
+    async def start(self, request: Request) -> Response:
+        run, fields = self._run(request), await fields_of(request)
+        said = _read_confirmation(fields, START_CHECKS)
+        setup = fields.text("setup", longest=100) if fields.has("setup") else None
+        fields.done()
+        await self._agent.access.order(
+            "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
+        )
+        return self._answer(request)
+
+    async def recover(self, request: Request) -> Response:
+        run, fields = self._run(request), await fields_of(request)
+        said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
+        fields.done()
+        await self._agent.access.order(
+            "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
+        )
+        return self._answer(request)
+
+    async def recovery(self, request: Request) -> Response:
+        run = self._run(request)
+        plan = await self._agent.access.call(lambda mill: mill.plan_recovery(run.id))
+        return JSONResponse(plan.as_dict())
+
+    async def resume(self, request: Request) -> Response:
+        self._require_present(run := self._run(request))
+        await self._agent.access.order(f"resume {run.name}", Mill.resume, read_caller(request))
+        return self._answer(request)
+
+    def halt(self, stop: Stop) -> Callable[..., object]:
+        """A stop of the live run. For another run it is refused, but it is counted all the same: no order that was
+        given before it, such as this run's start, is carried out any more.
+        """
+
+        async def endpoint(request: Request) -> Response:
+            access = self._agent.access
+            run = self._run(request)
+            if access.snapshot.run is not None and access.snapshot.run.id == run.id:
+                await access.halt(stop, read_caller(request))
+            else:
+                access.orders.count_stop()
+                self._require_present(run)
+            return self._answer(request)
+
+        return endpoint
+
+    def _require_present(self, run: RunView) -> None:
+        """Problem 409 where the mill is about another run: this would be an order to the wrong one."""
+        present = self._agent.access.snapshot.run
+        if present is None or present.id != run.id:
+            raise Problem(
+                409, f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself"
+            )
+
+    def _answer(self, request: Request) -> Response:
+        return JSONResponse(self._run(request).as_dict(), status_code=202)
+
+    def _runs(self) -> tuple[RunView, ...]:
+        return self._agent.access.snapshot.runs
+
+    def _run(self, request: Request) -> RunView:
+        """By our own id, or by the key that the job server gave it."""
+        wanted = request.path_params["run"]
+        own = self._agent.keys.run_of(wanted) or wanted
+        for run in self._runs():
+            if run.id == own:
+                return run
+        raise Problem(404, f"no run '{wanted}' here; GET /v1/runs lists them", field="run")
+
+
+def _run_response(run: RunView, *, status: int) -> Response:
+    return JSONResponse(run.as_dict(), status_code=status, headers={"Location": f"/v1/runs/{run.id}"})
+
+
+def _read_confirmation(fields: Fields, allowed: frozenset[str]) -> Confirmation:
+    return Confirmation(operator=fields.text("operator", longest=100), checks=fields.texts("checks", allowed))

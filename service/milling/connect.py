@@ -1,0 +1,66 @@
+"""From a machine's name and a port to a Mill with its own thread: what `mill` and `stream` have in common."""
+
+from __future__ import annotations
+
+from machines.driver import Driver
+from machines.drivers import open_driver
+from machines.errors import ProgramRefusedError
+from machines.grbl.settings import ControllerSettings
+from machines.port import stable_name
+from machines.preflight.preflight import Preflight
+from machines.profiles import MachineProfile, load_profile
+from service.errors import InputError
+
+_FIND_THEMSELVES = ("roland-usb", "none")  # "none" says itself that it cannot be driven
+
+
+def machine_and_port(machine: str, port: str | None) -> tuple[MachineProfile, str]:
+    """The profile, and where the mill is: as given, else as the profile says; "" where the driver finds it itself."""
+    profile = load_profile(machine)
+    url = port or profile.link.port
+    if not url and profile.link.driver not in _FIND_THEMSELVES:
+        raise InputError(
+            f"--port: machine '{machine}' names no port of its own; allowed: --port /dev/serial/by-id/..., "
+            "socket://host:port, or port = ... under [link] in a profile of yours"
+        )
+    return profile, stable_name(url) if url else ""
+
+
+def demand_blocks(facts: Preflight, name: str) -> None:
+    """An empty file, or one of comments only, would be `finished` at once: never what was meant."""
+    if facts.blocks == 0:
+        raise ProgramRefusedError(0, "", f"{name}: {facts.lines} lines and not one block in them; allowed: a program")
+
+
+class Connector:
+    """Opens the link each time the mill asks for it. The first time may be done beforehand, to see it fail."""
+
+    def __init__(self, profile: MachineProfile, url: str) -> None:
+        self._profile = profile
+        self._url = url
+        self._ready: Driver | None = None
+        self._latest: Driver | None = None
+
+    @property
+    def settings(self) -> ControllerSettings | None:
+        """What the controller said of itself; None where it has not, or the link has no such answers."""
+        settings = getattr(self._latest, "settings", None)
+        return settings if isinstance(settings, ControllerSettings) and settings.values else None
+
+    def open_now(self) -> None:
+        """Open the link and keep it for the first call; PortError where that cannot be done."""
+        if self._ready is None:
+            self._ready = self()
+
+    def close_unused(self) -> None:
+        """Let go of a link that nobody called for."""
+        if self._ready is not None:
+            self._ready.close()
+            self._ready = None
+
+    def __call__(self) -> Driver:
+        if self._ready is not None:
+            driver, self._ready = self._ready, None
+            return driver
+        self._latest = open_driver(self._profile, self._url or None)
+        return self._latest

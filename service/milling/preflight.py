@@ -1,0 +1,195 @@
+"""Pre-flight of a program: read whole by a child process before it may run, remembered by its content.
+
+The compiled scanner lives in the child, so that the process that streams stays small. A result is kept under the
+sha256 of the program and everything it was held against; a quick key (size, time, inode) saves hashing a program that
+has not been touched. That key proves nothing: while streaming, each piece is hashed again before it is sent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache as once
+from pathlib import Path
+from typing import Any
+
+from machines.errors import MachineError, ProgramRefusedError
+from machines.grbl.settings import ControllerSettings
+from machines.preflight.limits import AT_PRESENT_ZERO, MillLimits, limits_of, placement_problems
+from machines.preflight.preflight import Preflight
+from machines.profiles import MachineProfile
+from service.errors import sentence_of_os_error
+from service.processes.private import make_private
+from service.processes.python_path import python_path
+
+_ROOT = Path(__file__).parents[2]
+_CHUNK_BYTES = 1 << 20
+_KEPT_BYTES = 200_000_000  # of results and quick keys
+
+
+class PreflightError(MachineError):
+    """Pre-flight itself did not work: the file cannot be read, or the child process failed."""
+
+
+def default_cache() -> Path:
+    """$XDG_CACHE_HOME/causticmill/preflight."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill" / "preflight"
+
+
+def preflight(
+    path: Path,
+    profile: MachineProfile,
+    *,
+    settings: ControllerSettings | None = None,
+    cache: Path | None = None,
+    on_progress: Callable[[float], None] | None = None,
+) -> Preflight:
+    """What is known of the program at `path` before it may run on this mill.
+
+    settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
+               what the program would leave of the travel at the present work zero (never kept: a zero moves)
+    ProgramRefusedError names line, text and way out; PreflightError where the file cannot be read at all.
+    """
+    folder = cache or default_cache()
+    limits = limits_of(profile, settings)
+    path = path.absolute()
+    try:
+        make_private(folder)
+        stat = path.stat()
+        if not path.is_file():
+            raise PreflightError(f"{path}: not a file")
+        quick = folder / f"quick-{_digest([stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns])}.txt"
+        held_against = _digest([limits.to_dict(), _sources()])
+        found = _remembered(folder, held_against, _noted(quick))
+        if found is None and list(folder.glob(f"{held_against}-{stat.st_size}-*.json")):
+            found = _remembered(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
+        if found is None:
+            found = _computed(path, limits, folder, held_against, on_progress)
+            _forget_oldest(folder)
+        _note(quick, f"{found.bytes}-{found.sha256}")
+    except OSError as error:
+        raise PreflightError(sentence_of_os_error(error, doing="pre-flight")) from None
+    problems = placement_problems(found, settings) if settings else ()
+    return replace(found, warnings=(*found.warnings, *(f"{AT_PRESENT_ZERO} {words}" for words in problems)))
+
+
+def _computed(
+    path: Path, limits: MillLimits, folder: Path, held_against: str, on_progress: Callable[[float], None] | None
+) -> Preflight:
+    """Run the child; its result gets the name of its content."""
+    staging = folder / f".new-{os.getpid()}-{_digest([str(path), held_against])}.json"
+    request = json.dumps({"path": str(path), "limits": limits.to_dict(), "result": str(staging)})
+    child = subprocess.Popen(
+        [sys.executable, "-m", "service.milling.preflight_child"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": python_path()},
+        text=True,
+    )
+    try:
+        answer = _conversation(child, request, on_progress)
+        if refused := answer.get("refused"):
+            raise ProgramRefusedError(refused["line"], refused["text"], refused["reason"])
+        if "done" not in answer:
+            raise PreflightError(f"pre-flight of {path}: {answer.get('failed') or 'the reading process ended early'}")
+        text = staging.read_text(encoding="utf-8")
+        found = Preflight.from_json(text)
+        staging.replace(folder / f"{held_against}-{found.bytes}-{found.sha256}.json")
+        return found
+    finally:
+        if child.poll() is None:
+            child.kill()
+        child.wait()
+        for end in (child.stdin, child.stdout, child.stderr):
+            if end is not None:
+                with contextlib.suppress(OSError):  # what was left unsent to a child that is gone
+                    end.close()
+        staging.unlink(missing_ok=True)
+
+
+def _conversation(
+    child: subprocess.Popen[str], request: str, on_progress: Callable[[float], None] | None
+) -> dict[str, Any]:
+    """Give the request, pass shares on, return the last answer."""
+    assert child.stdin is not None and child.stdout is not None and child.stderr is not None
+    with contextlib.suppress(BrokenPipeError):  # a child that is gone says why on its error output
+        child.stdin.write(request)
+        child.stdin.close()
+    answer: dict[str, Any] = {}
+    for line in child.stdout:
+        answer = json.loads(line)
+        if "share" in answer and on_progress is not None:
+            on_progress(answer["share"])
+    if "share" in answer or not answer:
+        said = child.stderr.read().strip().splitlines()
+        return {"failed": f"the reading process ended early{f' ({said[-1]})' if said else ''}"}
+    return answer
+
+
+def _remembered(folder: Path, held_against: str, content: str | None) -> Preflight | None:
+    """The kept result for this content, if it is there and whole."""
+    if content is None:
+        return None
+    kept = folder / f"{held_against}-{content}.json"
+    try:
+        found = Preflight.from_json(kept.read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    with contextlib.suppress(OSError):
+        os.utime(kept)
+    return found
+
+
+def _noted(quick: Path) -> str | None:
+    try:
+        return quick.read_text(encoding="ascii")
+    except (OSError, UnicodeDecodeError):
+        return None
+
+
+def _note(quick: Path, content: str) -> None:
+    staging = quick.with_name(f".{quick.name}.{os.getpid()}")
+    staging.write_text(content, encoding="ascii")
+    staging.replace(quick)
+
+
+def _forget_oldest(folder: Path) -> None:
+    """Keep the folder small: least recently used first."""
+    with contextlib.suppress(OSError):
+        files = sorted(folder.iterdir(), key=lambda file: file.stat().st_mtime)
+        excess = sum(file.stat().st_size for file in files) - _KEPT_BYTES
+        for file in files[:-2]:
+            if excess <= 0:
+                break
+            excess -= file.stat().st_size
+            file.unlink(missing_ok=True)
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with path.open("rb", buffering=0) as file:
+        while chunk := file.read(_CHUNK_BYTES):
+            digest.update(chunk)
+    return digest.hexdigest()
+
+
+def _digest(values: list[Any]) -> str:
+    return hashlib.blake2b(json.dumps(values, sort_keys=True).encode(), digest_size=12).hexdigest()
+
+
+@once
+def _sources() -> str:
+    """State of the code that judges: a new version judges anew."""
+    digest = hashlib.sha256()
+    machines = _ROOT / "machines"
+    files = [file for pattern in ("gcode/*.py", "preflight/*.py", "roland/rml*.py") for file in machines.glob(pattern)]
+    for file in (*sorted(files), _ROOT / "cam" / "duration.py", _ROOT / "service" / "milling" / "preflight_child.py"):
+        digest.update(file.read_bytes())
+    return digest.hexdigest()

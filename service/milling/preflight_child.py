@@ -1,0 +1,180 @@
+"""The child process of pre-flight: reads a whole program compiled, and writes what it found as one JSON file.
+
+Run as `python -m service.milling.preflight_child` with the request as JSON on standard input. Answers are JSON lines on
+standard output: {"share": 0..1} while it works, then {"done": true}, {"refused": ...} or {"failed": "..."}.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from service.processes.kernel_cache import use_current_kernels
+from service.processes.priority import give_way
+
+if TYPE_CHECKING:
+    from machines.preflight.limits import MillLimits
+    from machines.preflight.preflight import Preflight
+
+_CHUNK_BYTES = 1 << 22
+
+
+def main() -> int:
+    """Carry out one request; the exit code is 0 whenever an answer was given."""
+    request = json.load(sys.stdin)
+    use_current_kernels()
+    give_way()  # the stream of another program goes first
+    from machines.errors import ProgramRefusedError
+    from machines.preflight.limits import MillLimits
+
+    try:
+        limits = MillLimits.from_dict(request["limits"])
+        found = examine(Path(request["path"]), limits, lambda share: _answer({"share": share}))
+        _write(Path(request["result"]), found)
+        _answer({"done": True})
+    except ProgramRefusedError as error:
+        _answer({"refused": {"line": error.line, "text": error.text, "reason": error.reason}})
+    except OSError as error:
+        _answer({"failed": f"{error.filename or request['path']}: {error.strerror}"})
+    return 0
+
+
+def examine(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
+    """Read a whole program in this process; ProgramRefusedError where the mill may not run it."""
+    if limits.dialect == "rml-1":
+        return _read_rml(path, limits, on_share)
+    return _read_gcode(path, limits, on_share)
+
+
+def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
+    from cam.duration import DurationModel, Kinematics
+    from machines.gcode import tally
+    from machines.gcode.scan import ProgramScan
+    from machines.preflight import rules
+    from machines.preflight.preflight import Preflight
+
+    model = DurationModel(
+        Kinematics(
+            max_rate_mm_per_min=limits.max_rate_mm_per_min,
+            acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
+            junction_deviation_mm=limits.junction_deviation_mm,
+            planner_blocks=limits.planner_blocks + 1,  # the slot that is always free is not reported
+            lines_per_s=limits.lines_per_s,
+            bytes_per_s=limits.bytes_per_s,
+        )
+    )
+    scan = ProgramScan(limits.dialect, limits.max_rate_mm_per_min)
+    digest = hashlib.sha256()
+    with ThreadPoolExecutor(1) as helper:  # one batch's time is planned while the next is read
+        busy: Future[None] | None = None
+        for batch in scan.batches(_chunks(path, digest, on_share)):
+            if busy is not None:
+                busy.result()
+            busy = helper.submit(model.add, batch)
+        if busy is not None:
+            busy.result()
+    events, totals = scan.events.tolist(), scan.totals.tolist()
+    feeds = (totals[tally.LEAST_FEED], totals[tally.MOST_FEED]) if totals[tally.MOST_FEED] else None
+    spindle = (totals[tally.LEAST_RPM], totals[tally.MOST_RPM]) if totals[tally.MOST_RPM] else None
+    boxes = rules.bounds_by_frame(scan.bounds.tolist())
+    rules.require_travel(boxes, limits)
+    rules.require_spindle(scan.dialect, limits, spindle)
+    ends = scan.state.ended
+    warnings = rules.warnings(
+        events, dialect=scan.dialect, limits=limits, spindle=spindle, ends=ends, moves=totals[tally.PATH_MM] > 0
+    )
+    return Preflight(
+        sha256=digest.hexdigest(),
+        bytes=scan.bytes,
+        lines=scan.lines,
+        blocks=int(totals[tally.BLOCKS]),
+        dialect=limits.dialect,
+        profile=limits.profile,
+        bounds_mm=boxes.get("G54") or next(iter(boxes.values()), None),
+        bounds_by_frame=boxes,
+        feeds_mm_per_min=feeds,
+        spindle_rpm=spindle,
+        path_length_mm=totals[tally.PATH_MM],
+        time_s=model.seconds,
+        ends=ends,
+        mist_line=events[tally.MIST][0] if events[tally.MIST][1] else 0,
+        assumed=rules.assumed(events),
+        warnings=tuple(warnings),
+        index=scan.index,
+    )
+
+
+def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None]) -> Preflight:
+    from machines.gcode.text_index import TextIndex
+    from machines.preflight.preflight import Bounds, Preflight
+    from machines.profiles import MachineProfile
+    from machines.roland.rml import check_rml
+
+    digest, index = hashlib.sha256(), TextIndex(limits.dialect)
+    profile = MachineProfile(
+        name=limits.profile,
+        dialect=limits.dialect,
+        travel_mm=limits.travel_mm,
+        max_rate_mm_per_min=limits.max_rate_mm_per_min,
+        acceleration_mm_per_s2=limits.acceleration_mm_per_s2,
+        step_mm=0.01,
+        junction_deviation_mm=limits.junction_deviation_mm,
+        planner_blocks=limits.planner_blocks,
+        lines_per_s=limits.lines_per_s,
+        spindle_rpm=limits.spindle_rpm,
+        safe_z_mm=0.0,
+    )
+    facts = check_rml(index.passing(_chunks(path, digest, on_share)), profile)
+    box = Bounds(*facts.bounds_mm) if facts.bounds_mm else None
+    return Preflight(
+        sha256=digest.hexdigest(),
+        bytes=facts.bytes,
+        lines=index.index.lines,
+        blocks=index.blocks,
+        dialect=limits.dialect,
+        profile=limits.profile,
+        bounds_mm=box,
+        bounds_by_frame={"user": box} if box else {},
+        feeds_mm_per_min=facts.feeds_mm_per_min,
+        spindle_rpm=facts.spindle_rpm,
+        path_length_mm=facts.path_length_mm,
+        time_s=facts.time_s,
+        ends=facts.ends,
+        warnings=facts.warnings,
+        index=index.index,
+    )
+
+
+def _chunks(path: Path, digest: hashlib._Hash, on_share: Callable[[float], None]) -> Iterator[bytes]:
+    """The file in pieces, hashed on the way, with its share told."""
+    with path.open("rb", buffering=0) as file:
+        size, done = max(1, os.fstat(file.fileno()).st_size), 0
+        while chunk := file.read(_CHUNK_BYTES):
+            digest.update(chunk)
+            done += len(chunk)
+            yield chunk
+            on_share(min(1.0, done / size))
+
+
+def _write(target: Path, found: Preflight) -> None:
+    """Whole or not at all."""
+    staging = target.with_name(f".{target.name}.{os.getpid()}")
+    try:
+        staging.write_text(found.to_json(), encoding="utf-8")
+        staging.replace(target)
+    finally:
+        staging.unlink(missing_ok=True)
+
+
+def _answer(words: dict[str, Any]) -> None:
+    print(json.dumps(words), flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

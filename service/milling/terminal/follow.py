@@ -1,0 +1,261 @@
+"""Watches a run from the terminal until it ends: keys, signals, the display. The mill is driven by its own thread.
+
+Without a terminal a signal is an order to stop for good: hold, then abort from hold. On a terminal Ctrl-C holds and
+asks. Whatever ends this loop, the mill stands, or the last line says plainly that it may not.
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+
+from machines.driver import Override
+from machines.errors import MachineError
+from machines.mill.mill import Mill
+from machines.mill.orders import Stop
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
+from machines.preflight.preflight import Preflight
+from machines.runs import RunState
+from service.milling.terminal.keys import Keys, Question, Wish, keys_in
+from service.milling.terminal.leaving import CLEAR_WAIT_S, Buffers
+from service.milling.terminal.orders import give_order, stop_mill
+from service.milling.terminal.screen import Screen, StreamView
+from service.milling.terminal.signals import Signals
+
+_LOOK_S = 0.25
+_ABORT_WAIT_S = 20.0
+_ASK_EVERY_S = 2.0
+_REPORTED_S = 5.0
+_STEP_PERCENT = 10
+_NEWS = ("notice", "journal")
+
+
+class Ended(Enum):
+    FINISHED = "finished"
+    ABORTED = "aborted"
+    FAULT = "fault"
+    LEFT = "left held"
+    ABANDONED = "abandoned"  # the mill could not be brought to a standstill from here
+
+
+_FINAL = {
+    RunState.FINISHED: Ended.FINISHED,
+    RunState.ABORTED: Ended.ABORTED,
+    RunState.INTERRUPTED: Ended.FAULT,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    ended: Ended
+    snapshot: MillSnapshot
+    cleared: bool  # the controller holds nothing any more, for certain
+    words: str = ""  # why this end was chosen here, where the mill does not say it
+
+
+class Follower:
+    """One run, followed."""
+
+    def __init__(
+        self,
+        thread: MillThread,
+        buffers: Buffers,
+        run_id: str,
+        facts: Preflight,
+        screen: Screen,
+        *,
+        keyboard: int | None,
+    ) -> None:
+        self._thread = thread
+        self._buffers = buffers
+        self._run_id = run_id
+        self._facts = facts
+        self._screen = screen
+        self._keyboard = keyboard
+        self._keys = Keys()
+        self._abort_by_s: float | None = None
+        self._over_s: float | None = None
+        self._asked_s = time.monotonic()
+        self._words = ""
+        self._protected: tuple[str, ...] = ()
+        self._told = thread.snapshot.events[-1].number if thread.snapshot.events else 0
+        self._feed_asked = (float("-inf"), 100)
+
+    def follow(self, signals: Signals) -> Outcome:
+        while True:
+            snapshot = self._thread.snapshot
+            ended = self._ended(snapshot)
+            self._tell_news(snapshot)
+            self._screen.show(self._view(snapshot))
+            if ended is not None:
+                return self._outcome(ended)
+            self._end_if_nobody_can_resume(snapshot)
+            sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
+            ready, _, _ = select.select(sources, [], [], _LOOK_S)
+            for number in signals.came() if signals.descriptor in ready else ():
+                if (over := self._signalled(number)) is not None:
+                    return self._outcome(over)
+            if self._keyboard is not None and self._keyboard in ready and (over := self._typed()) is not None:
+                return self._outcome(over)
+
+    def _outcome(self, ended: Ended) -> Outcome:
+        snapshot = self._thread.snapshot
+        return Outcome(ended, snapshot, self._buffers.are_empty(snapshot), self._words)
+
+    def _tell_news(self, snapshot: MillSnapshot) -> None:
+        """What a person should read and would miss in the panel, each once, above it."""
+        for entry in snapshot.events:
+            if entry.number > self._told and entry.kind in _NEWS:
+                self._screen.say(f"{entry.kind}: {entry.words}")
+            self._told = max(self._told, entry.number)
+
+    def _is_driven(self) -> bool:
+        """The mill's thread still answers."""
+        now = time.monotonic()
+        if now < self._asked_s + _ASK_EVERY_S:
+            return True
+        self._asked_s = now
+        try:
+            self._thread.call(lambda _: None)
+        except MachineError as error:
+            self._screen.say(str(error))
+            return False
+        return True
+
+    def _end_if_nobody_can_resume(self, snapshot: MillSnapshot) -> None:
+        """Held for want of a journal and without a person at the keys: abort from hold, and say why."""
+        run = snapshot.run
+        if self._keyboard is not None or self._abort_by_s is not None or run is None or run.state is not RunState.HELD:
+            return
+        failures = [entry.words for entry in snapshot.events if entry.kind == "journal"]
+        if failures:
+            self._words = failures[-1]
+            self._do(Wish.ABORT)
+
+    def _ended(self, snapshot: MillSnapshot) -> Ended | None:
+        run = snapshot.run
+        if not self._is_driven():
+            return Ended.ABANDONED
+        if run is not None and run.id == self._run_id and run.state in _FINAL:
+            return _FINAL[run.state] if self._is_settled(snapshot) else None
+        if self._abort_by_s is not None and time.monotonic() > self._abort_by_s:
+            return Ended.ABANDONED
+        return None
+
+    def _is_settled(self, snapshot: MillSnapshot) -> bool:
+        """The controller holds nothing any more, or waiting for that is of no use, or there was time enough for it."""
+        if self._over_s is None:
+            self._over_s = time.monotonic()
+        if self._buffers.are_empty(snapshot) or not self._buffers.will_be_empty(snapshot):
+            return True
+        return time.monotonic() > self._over_s + CLEAR_WAIT_S
+
+    def _signalled(self, number: int) -> Ended | None:
+        if self._keyboard is not None and number == signal.SIGINT:
+            return self._do(self._keys.interrupt())
+        if number == signal.SIGHUP:
+            self._keyboard = None  # the terminal is gone
+        if self._abort_by_s is None:
+            self._screen.say(f"{signal.Signals(number).name}: feed hold, then abort")
+            return self._do(Wish.ABORT)
+        return None
+
+    def _typed(self) -> Ended | None:
+        assert self._keyboard is not None
+        try:
+            data = os.read(self._keyboard, 256)
+        except OSError:
+            data = b""
+        if not data:  # the terminal is gone: nobody watches the mill any more
+            self._keyboard = None
+            return self._do(Wish.ABORT)
+        for key in keys_in(data):
+            if (wish := self._keys.key(key)) is not None and (over := self._do(wish)) is not None:
+                return over
+        return None
+
+    def _do(self, wish: Wish) -> Ended | None:
+        match wish:
+            case Wish.HOLD:
+                stop_mill(self._thread, Stop.HOLD)
+            case Wish.RESUME:
+                self._tell("resume", Mill.resume)
+            case Wish.FASTER:
+                self._override(_STEP_PERCENT)
+            case Wish.SLOWER:
+                self._override(-_STEP_PERCENT)
+            case Wish.ABORT:
+                self._keys.question = Question.ABORTING
+                self._abort_by_s = time.monotonic() + _ABORT_WAIT_S
+                stop_mill(self._thread, Stop.ABORT)
+            case Wish.LEAVE:
+                return self._leave()
+            case Wish.GIVE_UP:
+                return Ended.ABANDONED
+        return None
+
+    def _leave(self) -> Ended | None:
+        """Leave the mill held; while it still moves that is not on offer."""
+        run = self._thread.snapshot.run
+        if run is None or run.state is not RunState.HELD:
+            self._screen.say("the mill does not stand yet; press l again when it does")
+            return None
+        return Ended.LEFT
+
+    def _override(self, change: int) -> None:
+        """Keys may come faster than the mill reports what the last one did."""
+        now, asked = time.monotonic(), self._feed_asked
+        base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
+        percent = min(200, max(10, base + change))
+        self._feed_asked = (now, percent)
+        self._tell("override", lambda mill: mill.command(Override("feed", percent)))
+
+    def _tell(self, doing: str, order: Callable[[Mill], object]) -> None:
+        try:
+            give_order(self._thread, doing, order)
+        except MachineError as error:
+            self._screen.say(f"not done: {error}")
+
+    def _protections(self, snapshot: MillSnapshot) -> tuple[str, ...]:
+        """Those of this run; a link that is away for the moment tells none."""
+        self._protected = snapshot.protections or self._protected
+        return self._protected
+
+    def _view(self, snapshot: MillSnapshot) -> StreamView:
+        status, progress, run = snapshot.status, snapshot.progress, snapshot.run
+        capacity = "?" if status.buffer_bytes is None else str(status.buffer_bytes)
+        over = run is not None and run.state in _FINAL
+        spindle = "" if status.spindle_rpm is None else f"{status.spindle_rpm:.0f} rpm"
+        return StreamView(
+            state=status.state.value,
+            detail=status.detail,
+            run_state=run.state.value if run is not None else "",
+            line=progress.sent_line,
+            executed_line=run.executed_line if run is not None else 0,
+            total_lines=self._facts.lines,
+            time_left_s=run.time_left_s if run is not None else None,
+            position_mm=status.work_mm,
+            buffer=f"{progress.bytes_in_flight} of {capacity} bytes, {progress.lines_in_flight} lines",
+            feed_mm_per_min=status.feed_mm_per_min,
+            spindle=spindle,
+            overrides=status.overrides,
+            protections=self._protections(snapshot),
+            question=self._keys.question.value if self._keyboard is not None and not over else "",
+        )
+
+
+def at_once(thread: MillThread) -> Callable[[], None]:
+    """What a signal does before anything else: the hold."""
+    return lambda: stop_mill(thread, Stop.HOLD)
+
+
+def keyboard() -> int | None:
+    """The terminal's descriptor, None where there is no terminal on both sides."""
+    return sys.stdin.fileno() if sys.stdin.isatty() and sys.stdout.isatty() else None

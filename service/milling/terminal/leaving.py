@@ -1,0 +1,109 @@
+"""Whether the controller may still hold lines when this command ends, and what is done so that it does not.
+
+Lines that a controller holds are cut by the next cycle start at the machine, after the command has gone: a line known
+to be damaged, too. They are certainly gone when the controller has said its banner since they were sent, or has
+carried out the last line of the program. No other end is silent.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Iterator
+
+from machines.driver import MillState
+from machines.mill.orders import Stop
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
+from machines.runs import RunState
+from service.errors import printable
+from service.milling.terminal.orders import stop_mill
+
+CLEAR_WAIT_S = 20.0  # hold to standstill is 4 s on a slow mill, a reset after a limit switch 2 s more
+_LOOK_S = 0.1
+_ON_ITS_WAY = (MillState.HOLDING, MillState.HELD, MillState.ALARM, MillState.CONNECTING, MillState.DOOR, MillState.TOOL)
+
+STILL_HELD = (
+    "THE CONTROLLER MAY STILL HOLD LINES OF THE PROGRAM: do not press cycle start, it would cut them. "
+    "Press the mill's own reset (or switch it off) before anything else"
+)
+
+
+class Buffers:
+    """What the controller may hold of what this command has sent. Counts banners: `status.epoch`."""
+
+    def __init__(self, thread: MillThread) -> None:
+        self._thread = thread
+        self._epoch = 0
+        self._run_id = ""
+        self._empty = True
+
+    def fill(self, run_id: str = "") -> None:
+        """Something is about to be sent that moves the mill: a run, or a homing cycle."""
+        self._epoch, self._run_id = self._thread.snapshot.status.epoch, run_id
+        self._empty = False
+
+    def mark_empty(self) -> None:
+        """What was sent has been carried out."""
+        self._empty = True
+
+    def are_empty(self, snapshot: MillSnapshot | None = None) -> bool:
+        """It is certain that nothing is held any more."""
+        snapshot = snapshot or self._thread.snapshot
+        run = snapshot.run
+        finished = run is not None and run.id == self._run_id and run.state is RunState.FINISHED
+        self._empty = self._empty or finished or snapshot.status.epoch > self._epoch
+        return self._empty
+
+    def will_be_empty(self, snapshot: MillSnapshot) -> bool:
+        """The driver is still stopping the mill, and resets it when it stands."""
+        return snapshot.status.state in _ON_ITS_WAY
+
+    def clear(self) -> bool:
+        """Stop the mill, reset it from standstill, wait for its banner; whether that came."""
+        if self.are_empty():
+            return True
+        stop_mill(self._thread, Stop.ABORT)
+        give_up_s = time.monotonic() + CLEAR_WAIT_S
+        while not self.are_empty() and time.monotonic() < give_up_s:
+            snapshot = self._thread.snapshot
+            if snapshot.status.state is MillState.DISCONNECTED:
+                return False
+            self._thread.wait_for_change(snapshot.version, _LOOK_S)
+        return self.are_empty()
+
+
+@contextlib.contextmanager
+def cleared_at_the_end(thread: MillThread) -> Iterator[Buffers]:
+    """However the block ends by an error, ours or a signal's: the mill is stopped and cleared, or it is said loudly."""
+    buffers = Buffers(thread)
+    try:
+        yield buffers
+    except BaseException:
+        with ignore_signals():
+            if not buffers.clear():
+                _say_loudly(STILL_HELD)
+        raise
+
+
+@contextlib.contextmanager
+def ignore_signals() -> Iterator[None]:
+    """Signals change nothing inside: a second Ctrl-C must not end what makes the mill safe. Main thread only."""
+    kinds = [
+        kind
+        for kind in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGALRM)
+        if signal.getsignal(kind) not in (signal.SIG_IGN, None)
+    ]
+    before = {kind: signal.signal(kind, lambda *_: None) for kind in kinds}
+    try:
+        yield
+    finally:
+        for kind, handler in before.items():
+            signal.signal(kind, handler)
+
+
+def _say_loudly(words: str) -> None:
+    with contextlib.suppress(OSError):  # the terminal may be gone
+        print(f"error: {printable(words)}", file=sys.stderr, flush=True)

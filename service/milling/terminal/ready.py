@@ -1,0 +1,199 @@
+"""What must be done before a mill can be sent a program: told, asked of a person, carried out, waited for.
+
+Nothing here moves the mill except a homing cycle that the person asks for, and nothing is reset but what the person,
+or --confirm-position, says.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterable
+
+from machines.driver import Command, CommandDone, Home, Reset, SendBlock, TrustPosition, Unlock
+from machines.errors import MachineError, NotAllowedError
+from machines.grbl.hail import SILENT
+from machines.mill.command_words import command_words
+from machines.mill.thread import MillThread
+from machines.recovery.needs import standing_needs
+from machines.recovery.plan import Need
+from service.errors import FailedError, InputError
+from service.milling.terminal.leaving import STILL_HELD, Buffers
+from service.milling.terminal.orders import give_order
+from service.milling.terminal.printing import left_words, place_lines, print_lines
+
+_SOON_S = 10.0
+_RUN_OUT_S = 120.0
+_HOMING_S = 300.0
+_TAKEN_S = 2.0  # the driver may still be busy with the reset after an alarm
+_LINK_S = 12.0  # a link on which nothing answers is given up and opened again meanwhile
+_LOOK_S = 0.1
+
+Remedy = tuple[str, str, Command]  # the key, what it does, how
+
+_HOME: Remedy = ("h", "home: the mill MOVES to its switches, and knows its position again", Home())
+_REMEDIES: dict[str, tuple[Remedy, ...]] = {
+    "unlock": (_HOME, ("u", "unlock: nothing moves, and the position is taken as it is", Unlock())),
+    "position": (_HOME, ("t", "trust: you know that the position is right, you have measured it", TrustPosition())),
+    "stand still": (("x", "reset: nothing moves, what the controller still holds is forgotten", Reset()),),
+}
+_BY_OPTION: dict[str, Command] = {"unlock": Unlock(), "position": TrustPosition(), "stand still": Reset()}
+
+
+def ready_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
+    """Bring the mill to where a new program can be started; FailedError or InputError say why it is not."""
+    did = meet_needs(thread, buffers, lambda: tuple(standing_needs(thread.snapshot.status)), person=person)
+    if did:
+        print_lines(place_lines(thread.snapshot.status))
+
+
+def reset_silent_mill(thread: MillThread, buffers: Buffers) -> None:
+    """Offer a reset where nothing answers; InputError where the person does not want it."""
+    print_lines([f"first:      {SILENT}"])
+    print("            x reset: it stops whatever the controller does; a mill that moves loses its position")
+    print("            anything else: stop here > ", end="", flush=True)
+    if sys.stdin.readline().strip().lower() != "x":
+        raise InputError("stopped here; nothing was sent but questions")
+    buffers.fill()
+    _give(thread, Reset(), _LINK_S)
+    give_up_s = time.monotonic() + _SOON_S
+    while not buffers.are_empty() and not thread.snapshot.problem and time.monotonic() < give_up_s:
+        thread.wait_for_change(thread.snapshot.version, _LOOK_S)
+    buffers.mark_empty()  # nothing of a program was sent from here
+
+
+def meet_needs(
+    thread: MillThread,
+    buffers: Buffers,
+    needs: Callable[[], Iterable[Need]],
+    *,
+    zero_back: Callable[[], str] = str,
+    person: bool,
+    vouched: bool = False,
+) -> bool:
+    """Meet one need after the other until none is left; whether anything was done.
+
+    zero_back : the block that puts the work zero back to where the program was cut, "" where nobody knows it
+    person    : somebody is at the terminal, is asked, and may try again what has failed
+    vouched   : --confirm-position was given; without a person nothing is done twice
+    """
+    done: set[str] = set()
+    while (need := next(iter(needs()), None)) is not None:
+        if need.code in ("connect", "wait"):
+            _wait_for(thread, buffers, need)
+            continue
+        remedies = _remedies(thread, need, zero_back())
+        if not remedies or not (person or (vouched and need.code in _BY_OPTION and need.code not in done)):
+            asked = "" if person or not remedies else "; on a terminal this command offers that itself"
+            raise FailedError(f"first: {need.words}{asked}")
+        print_lines([f"first:      {need.words}"])
+        by_option = _BY_OPTION.get(need.code) if vouched and need.code not in done else None
+        command = by_option or _ask(thread, need, remedies)
+        done.add(need.code)
+        print_lines([f"mill:       {carry_out(thread, buffers, command)}"])
+        _await_report(thread, need)
+    return bool(done)
+
+
+def _remedies(thread: MillThread, need: Need, zero_back: str) -> list[Remedy]:
+    """What a person may choose from; nothing where it takes hands at the mill."""
+    if need.code == "zero" and zero_back:
+        words = f"put the zero back where this program was cut: {zero_back}; nothing moves"
+        return [("b", words, SendBlock(zero_back))]
+    settings = thread.snapshot.settings
+    switches = settings is None or settings.homing is not False
+    return [one for one in _REMEDIES.get(need.code, ()) if switches or one is not _HOME]
+
+
+def _ask(thread: MillThread, need: Need, offered: list[Remedy]) -> Command:
+    """Which command meets the need: the person's word, never a guess."""
+    for key, words, _ in offered:
+        print(f"            {key} {words}")
+    print("            anything else: stop here > ", end="", flush=True)
+    answer = sys.stdin.readline().strip().lower()
+    for key, _, command in offered:
+        if answer == key:
+            return command
+    raise InputError(f"stopped here ({need.code}); nothing was started", left_words(thread.snapshot.status))
+
+
+def carry_out(thread: MillThread, buffers: Buffers, command: Command) -> str:
+    """Give one command and wait until it has ended; what came of it, in words.
+
+    Only its own end counts: the mill's state meanwhile is the command's doing and is answered by nothing.
+    """
+    if isinstance(command, Reset):
+        return _reset(thread, buffers)
+    moves = isinstance(command, Home)
+    name = command_words(CommandDone(command), from_mm=None, at_mm=None).partition(":")[0]
+    events = thread.snapshot.events
+    before = events[-1].number if events else 0
+    if moves:
+        buffers.fill()
+    try:
+        _give(thread, command, _TAKEN_S)
+    except MachineError as error:
+        buffers.mark_empty()
+        return str(error)
+    give_up_s = time.monotonic() + (_HOMING_S if moves else _SOON_S)
+    while time.monotonic() < give_up_s:
+        snapshot = thread.snapshot
+        for entry in snapshot.events:
+            if entry.number > before and entry.kind == "command" and entry.words.startswith(name):
+                _settle(thread)
+                buffers.mark_empty()
+                return entry.words
+        thread.wait_for_change(snapshot.version, _LOOK_S)
+    raise FailedError(f"{type(command).__name__}: no answer from the mill; go and look at it")
+
+
+def _give(thread: MillThread, command: Command, patience_s: float) -> None:
+    """NotAllowedError where the mill does not take it, now or in a moment."""
+    give_up_s = time.monotonic() + patience_s
+    while True:
+        try:
+            give_order(thread, type(command).__name__.lower(), lambda mill: mill.command(command))
+            return
+        except NotAllowedError:
+            if time.monotonic() > give_up_s:
+                raise
+            thread.wait_for_change(thread.snapshot.version, _LOOK_S)
+
+
+def _reset(thread: MillThread, buffers: Buffers) -> str:
+    buffers.fill()
+    if not buffers.clear():
+        raise FailedError("the mill does not confirm the reset", STILL_HELD)
+    _settle(thread)
+    return "Reset: done, the controller holds nothing any more"
+
+
+def _settle(thread: MillThread) -> None:
+    """After a reset or an alarm the driver asks anew who is there."""
+    give_up_s = time.monotonic() + _SOON_S
+    thread.call(lambda _: None)
+    while not (snapshot := thread.snapshot).connected and time.monotonic() < give_up_s:
+        thread.wait_for_change(snapshot.version, _LOOK_S)
+
+
+def _await_report(thread: MillThread, need: Need) -> None:
+    """What the mill said last is from before the command."""
+    give_up_s = time.monotonic() + _TAKEN_S
+    while any(one.code == need.code for one in standing_needs(thread.snapshot.status)) and time.monotonic() < give_up_s:
+        thread.wait_for_change(thread.snapshot.version, _LOOK_S)
+
+
+def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
+    """For a link, or for a mill that carries out what it holds. Ctrl-C meanwhile stops the mill."""
+    wait_s = _SOON_S
+    if need.code == "wait":
+        wait_s = _RUN_OUT_S
+        print_lines([f"first:      {need.words}", "            waiting for it now; Ctrl-C stops the mill"])
+        buffers.fill()
+    give_up_s = time.monotonic() + wait_s
+    thread.wait_for_change(thread.snapshot.version, _LOOK_S)
+    while any(one.code == need.code for one in standing_needs(thread.snapshot.status)):
+        if time.monotonic() > give_up_s:
+            raise FailedError(f"first: {need.words}; given up after {wait_s:.0f} s")
+        thread.wait_for_change(thread.snapshot.version, _LOOK_S)
+    buffers.mark_empty()

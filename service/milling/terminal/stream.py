@@ -1,0 +1,292 @@
+"""`causticmill stream`: one program on one mill, from pre-flight to the last line, watched from this terminal.
+
+Order: the link, which moves nothing; the program, read whole and held against the controller's own settings; what the
+person should see; and nothing moves before that person, or the command itself where there is no terminal, has said so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+
+from machines.driver import MillState
+from machines.errors import MachineError, NotAControllerError
+from machines.gcode.program import ProgramReader
+from machines.grbl.hail import SILENT
+from machines.grbl.settings import ControllerSettings
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
+from machines.mill.view import MillSnapshot
+from machines.preflight.preflight import Preflight
+from machines.profiles import MachineProfile
+from machines.recovery.planning import Reentry
+from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
+from service.errors import EXIT_INTERRUPTED, FailedError, InputError, JobError, sentence_of_os_error
+from service.milling.agent.settings import mill_folder, usable
+from service.milling.connect import Connector, demand_blocks
+from service.milling.preflight import preflight
+from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_person, operator_name
+from service.milling.terminal.dry_run import dry_run
+from service.milling.terminal.follow import Ended, Follower, Outcome, at_once, keyboard
+from service.milling.terminal.keys import single_keys
+from service.milling.terminal.leaving import STILL_HELD, Buffers, cleared_at_the_end, ignore_signals
+from service.milling.terminal.orders import give_order
+from service.milling.terminal.printing import (
+    left_words,
+    mill_lines,
+    print_lines,
+    program_lines,
+    recover_command,
+    spindle_lines,
+    took_words,
+)
+from service.milling.terminal.ready import ready_mill, reset_silent_mill
+from service.milling.terminal.recover import interrupted_run, ready_plan
+from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
+from service.milling.terminal.signals import watched_signals
+from service.processes.private import keep_private
+from service.progress import PlainReporter, Reporter, TerminalReporter
+
+_CONNECT_S = 15.0
+_BOOT_S = 3.0  # a board that restarts when its port is opened is silent for so long
+_POSITION_S = 2.0
+_SETTLE_S = 4.5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StreamOrder:
+    """What the command line asks for. port_given is None where the profile's own port is meant."""
+
+    program: Path
+    profile: MachineProfile
+    port_url: str
+    port_given: str | None
+    confirmed: bool = False
+    recover: bool = False
+    position_confirmed: bool = False
+    dry_run: bool = False
+
+    @property
+    def next_command(self) -> str:
+        return recover_command(self.program, self.port_given, self.profile.name)
+
+
+class StoppedError(JobError):
+    """The run was stopped by a signal or by the person."""
+
+    exit_code = EXIT_INTERRUPTED
+
+
+def stream_program(order: StreamOrder) -> None:
+    """Run the program; returns when it is finished, raises a JobError in every other case."""
+    _require_answers(order)
+    if order.dry_run:
+        _dry_run(order)
+        return
+    folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
+    with _mill(order, folder) as (thread, connector), cleared_at_the_end(thread) as buffers:
+        snapshot = _await_mill(thread, buffers, order.port_url)
+        print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
+        print_lines(spindle_lines(order.profile))
+        if not order.recover:
+            ready_mill(thread, buffers, person=keyboard() is not None)
+        facts = _preflight(order, connector.settings)
+        print_lines(program_lines(order.program, facts))
+        prepare = _recovery if order.recover else _new_run
+        run_id, begin = prepare(thread, buffers, order, facts)
+        outcome = _run(thread, buffers, order, facts, run_id, begin)
+        outcome = _settle(thread, outcome)
+    _conclude(outcome, order, facts)
+
+
+def _require_answers(order: StreamOrder) -> None:
+    """Refuse what cannot be asked for here, before anything is done."""
+    if order.recover and order.dry_run:
+        raise InputError("--recover and --dry-run exclude each other; allowed: one of them")
+    if order.position_confirmed and not order.recover:
+        raise InputError("--confirm-position belongs to --recover")
+    if order.recover and keyboard() is None and not order.position_confirmed:
+        raise InputError(
+            "--recover needs a person: run it on a terminal, or say with --confirm-position that the position is right"
+        )
+    try:
+        if order.program.exists() and not order.program.is_dir() and not order.program.is_file():
+            raise InputError(f"{order.program} is a pipe or a device; allowed: a file, which can be read again")
+        with order.program.open("rb"):
+            pass
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing="cannot read")) from None
+
+
+def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Preflight:
+    """Read the program whole, held against the controller's own figures."""
+    stage = f"pre-flight of {order.program.name}"
+    with _reporter() as reporter:
+        begun = time.monotonic()
+        reporter.started(stage)
+        facts = preflight(
+            order.program, order.profile, settings=settings, on_progress=lambda share: reporter.reached(stage, share)
+        )
+        reporter.ended(stage, time.monotonic() - begun)
+    demand_blocks(facts, order.program.name)
+    return facts
+
+
+def _dry_run(order: StreamOrder) -> None:
+    """Let the controller itself read the program."""
+    facts = _preflight(order, None)
+    print_lines(program_lines(order.program, facts))
+    stage = "dry run ($C)"
+    with contextlib.closing(Connector(order.profile, order.port_url)()) as driver, _reporter() as reporter:
+        begun = time.monotonic()
+        reporter.started(stage)
+        lines = ProgramReader(order.program, facts.index).lines()
+        dry_run(driver, order.port_url, lines, lambda line: reporter.reached(stage, line / max(1, facts.lines)))
+        reporter.ended(stage, time.monotonic() - begun)
+    print(f"finished: the controller takes all {facts.blocks:,} blocks of {order.program.name}; nothing was moved")
+
+
+@contextlib.contextmanager
+def _reporter() -> Iterator[Reporter]:
+    if keyboard() is None:
+        yield PlainReporter(sys.stdout)
+    else:
+        with TerminalReporter(Console()) as bars:
+            yield bars
+
+
+@contextlib.contextmanager
+def _mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connector]]:
+    """The mill, with its thread running; let go of at the end."""
+    connector = Connector(order.profile, order.port_url)
+    reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
+    with usable(folder):
+        mill = Mill(name=order.profile.name, connect=connector, folder=folder, reentry=reentry)
+    thread = MillThread(mill)
+    try:
+        connector.open_now()
+        thread.start()
+        yield thread, connector
+    finally:
+        with ignore_signals():
+            thread.stop(detach=True)  # all that can be done to make it stand has been done
+            connector.close_unused()
+
+
+def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
+    """Wait for the handshake; what is wrong with the link ends the command. Where nothing answers, offer one reset."""
+    begun_s = time.monotonic()
+    give_up_s, snapshot, offered = begun_s + _CONNECT_S, thread.snapshot, keyboard() is None
+    while not snapshot.connected:
+        silent = snapshot.status.detail == SILENT and time.monotonic() > begun_s + _BOOT_S
+        if silent and not offered:
+            offered = True
+            reset_silent_mill(thread, buffers)
+            give_up_s = time.monotonic() + _CONNECT_S
+        elif snapshot.problem:
+            raise InputError(snapshot.problem)
+        elif time.monotonic() > give_up_s:
+            raise NotAControllerError(url, "no controller answers; check power, cable and baud")
+        snapshot = thread.wait_for_change(snapshot.version, 0.2)
+    give_up_s = time.monotonic() + _POSITION_S
+    while snapshot.status.work_mm is None and time.monotonic() < give_up_s:  # some links never tell
+        snapshot = thread.wait_for_change(snapshot.version, 0.2)
+    return snapshot
+
+
+def _new_run(
+    thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
+) -> tuple[str, Callable[[Mill], None]]:
+    """A parked run, and how it begins once the person has said that all is as it should be."""
+    run: RunView = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
+    checks, setup = START_CHECKS, None
+    if keyboard() is not None and not order.confirmed:
+        setup = thread.snapshot.setup
+        checks = confirmed_by_person(START_QUESTIONS)
+    confirmation = Confirmation(operator=operator_name(), checks=checks)
+    return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
+
+
+def _recovery(
+    thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
+) -> tuple[str, Callable[[Mill], None]]:
+    """The interrupted run of this program, and a person's word for each check, every time."""
+    run = interrupted_run(thread, facts, order.program)
+    person = keyboard() is not None
+    plan = ready_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
+    checks = confirmed_by_person(RECOVER_QUESTIONS) if person else RECOVER_CHECKS
+    confirmation = Confirmation(operator=operator_name(), checks=checks)
+    return run.id, lambda mill: mill.recover(run.id, confirmation, plan_seen=plan.digest)
+
+
+def _run(
+    thread: MillThread,
+    buffers: Buffers,
+    order: StreamOrder,
+    facts: Preflight,
+    run_id: str,
+    begin: Callable[[Mill], None],
+) -> Outcome:
+    keys = keyboard()
+    screen: Screen = PlainScreen() if keys is None else LiveScreen(order.program.name)
+    modes = contextlib.nullcontext() if keys is None else single_keys(keys)
+    with watched_signals(at_once(thread)) as signals, modes, screen:
+        buffers.fill(run_id)
+        try:
+            give_order(thread, "recover" if order.recover else "start", begin)
+        except MachineError:
+            if not thread.call(lambda mill: mill.run(run_id).live):
+                buffers.mark_empty()  # refused: nothing was sent
+            raise
+        return Follower(thread, buffers, run_id, facts, screen, keyboard=keys).follow(signals)
+
+
+def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
+    """With what is true at the end: GRBL tells its spindle only now and then, and after a reset itself anew."""
+    give_up_s = time.monotonic() + _SETTLE_S
+    snapshot = thread.snapshot
+
+    def open_question() -> bool:
+        status = snapshot.status
+        if outcome.ended is Ended.FINISHED:
+            return status.spindle_on is True
+        known = status.work_mm is not None and status.spindle_on is not None
+        return outcome.cleared and (status.state is MillState.CONNECTING or (snapshot.connected and not known))
+
+    while open_question() and time.monotonic() < give_up_s:
+        snapshot = thread.wait_for_change(snapshot.version, 0.2)
+    return dataclasses.replace(outcome, snapshot=snapshot)
+
+
+def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
+    """The last words, and the exit code by way of an error."""
+    status, run = outcome.snapshot.status, outcome.snapshot.run
+    held = () if outcome.cleared else (STILL_HELD,)
+    left = (*held, left_words(status), f"to go on: {order.next_command}")
+    if outcome.words:
+        raise FailedError(outcome.words, *left)
+    match outcome.ended:
+        case Ended.FINISHED:
+            print_lines(
+                [f"finished:   {facts.lines:,} lines of {order.program.name}{took_words(run)}; {left_words(status)}"]
+            )
+            return
+        case Ended.ABORTED:
+            raise StoppedError("aborted", *left)
+        case Ended.LEFT:
+            raise StoppedError("left held on request", *left)
+        case Ended.ABANDONED:
+            raise StoppedError(
+                "THE MILL MAY STILL MOVE: it was told to hold and has not said that it stands. Use its own stop button",
+                *left,
+            )
+    cause = (run.words if run is not None else "") or outcome.snapshot.problem or status.detail
+    executed = run.executed_line if run is not None else 0
+    raise FailedError(f"{cause}; cut for certain up to line {executed:,} of {facts.lines:,}", *left)

@@ -1,0 +1,1 @@
+"""Processes and folders: children, locks, priorities, compiled kernels, privacy."""

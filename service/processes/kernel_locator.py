@@ -1,0 +1,127 @@
+"""Where numba finds a kernel's compiled code: a folder named by the hash of all the code that it is compiled from.
+
+numba's own locators know a kernel by its file, and notice neither a change in a kernel of another file that it calls
+nor that a docstring does not matter. Here the name follows the kernel's definition, without docstrings, and those of
+all names of ours that it uses, directly or not, constants and annotations among them. So an old kernel is never found
+under a new name, and the cache serves any copy of the sources, wherever it lies.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import hashlib
+import os
+import threading
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba.core import config as numba_config
+from numba.core.caching import _CacheLocator
+
+from service.processes.source_tree import parse
+
+_ROOT = Path(__file__).parents[2]
+_reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
+
+
+class KernelLocator(_CacheLocator):
+    """Named to numba by NUMBA_CACHE_LOCATOR_CLASSES; None for functions that are not at the top of a file of ours."""
+
+    def __init__(self, module: str, name: str, root: Path) -> None:
+        self._stamp = kernel_hash(module, name, root)
+        self._folder = f"{_cache_folder()}/{module}.{name}-{self._stamp}"
+        with contextlib.suppress(OSError):
+            os.utime(self._folder)  # in use: see `use_current_kernels`
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> KernelLocator | None:
+        path = Path(py_file).resolve()
+        if not (_cache_folder() and path.is_relative_to(_ROOT)) or "." in py_func.__qualname__:
+            return None
+        return cls(".".join(path.relative_to(_ROOT).with_suffix("").parts), py_func.__name__, _ROOT)
+
+    def get_cache_path(self) -> str:
+        return self._folder
+
+    def get_source_stamp(self) -> str:
+        return self._stamp
+
+    def get_disambiguator(self) -> str:
+        return "kernel"
+
+
+def _cache_folder() -> str:
+    return str(getattr(numba_config, "CACHE_DIR", ""))  # known to numba only once it runs
+
+
+def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
+    """Hash of what a module's top-level `name` is made of, along all names of modules under `root`."""
+    found: dict[tuple[str, str], str] = {}
+    waiting = [(module, name)]
+    while waiting:
+        at = waiting.pop()
+        if at not in found:
+            with _reading:
+                found[at], uses = _definition(root, *at)
+            waiting += uses
+    text = "\n".join(f"{module}.{name} {found[module, name]}" for module, name in sorted(found))
+    return hashlib.sha256(text.encode()).hexdigest()[:20]
+
+
+@cache
+def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[str, str], ...]]:
+    """The statements that bind a module's top-level name, as text without docstrings, and the names of modules of ours
+    that they use. A whole module where the name is "".
+    """
+    names, text, uses = _names(root, module), [], []
+    for bound in [name] if name else names:
+        for statement in names.get(bound, []):
+            if isinstance(statement, ast.Import | ast.ImportFrom):
+                for alias in statement.names:
+                    if bound == (alias.asname or alias.name):
+                        text.append(f"{getattr(statement, 'module', '')}.{alias.name}")
+                        uses += _of_ours(root, text[-1])
+                continue
+            for node in ast.walk(statement):
+                if isinstance(node, ast.Name) and node.id in names:
+                    uses.append((module, node.id))
+                elif isinstance(node, ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node, clean=False):
+                    node.body = node.body[1:]
+            text.append(ast.dump(statement))
+    return "\n".join(text), tuple(uses)
+
+
+def _of_ours(root: Path, imported: str) -> list[tuple[str, str]]:
+    """What an import is: something of a module of ours, or a module, which counts as a whole."""
+    module, _, name = imported.rpartition(".")
+    return [at for at in ((imported, ""), (module, name)) if _file(root, at[0]).is_file()]
+
+
+@cache
+def _names(root: Path, module: str) -> dict[str, list[ast.stmt]]:
+    """The statements at a module's top by the names that they bind."""
+    names: dict[str, list[ast.stmt]] = {}
+    for statement in parse(_file(root, module)).body:
+        for one in statement.body if isinstance(statement, ast.If) else [statement]:  # if TYPE_CHECKING
+            for name in _bound(one):
+                names.setdefault(name, []).append(one)
+    return names
+
+
+def _bound(statement: ast.stmt) -> Iterator[str]:
+    match statement:
+        case ast.FunctionDef() | ast.ClassDef():
+            yield statement.name
+        case ast.Import() | ast.ImportFrom():
+            yield from (alias.asname or alias.name for alias in statement.names)
+        case _:
+            for node in ast.walk(statement):
+                if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                    yield node.id
+
+
+def _file(root: Path, module: str) -> Path:
+    return root.joinpath(*module.split(".")).with_suffix(".py")

@@ -1,0 +1,98 @@
+"""A child process that is asked in lines of JSON, for work that the process that serves must not do itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from service.processes.python_path import python_path
+
+_LOOK_S = 0.1
+_PIECE_BYTES, _ANSWER_BYTES = 1 << 20, 1 << 23
+
+
+class ChildDied(Exception):
+    """The child ended instead of answering."""
+
+
+class ChildLate(Exception):
+    """The child did not answer in time."""
+
+
+class LineChild:
+    """A process of ours, started with this one's number. It says a line first, then answers each line with one.
+
+    It dies with the *thread* that started it: let that one live as long as it.
+    """
+
+    def __init__(self, module: str, given_up: Callable[[], bool] = lambda: False, *, start_s: float = 20.0) -> None:
+        """given_up: true once nobody wants it any more. ChildDied, ChildLate or OSError where it does not start."""
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", module, str(os.getpid())],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,  # decoders print what a stranger's file makes them print
+            env={**os.environ, "PYTHONPATH": python_path()},
+            start_new_session=True,
+            bufsize=0,
+        )
+        try:
+            self._await_start(given_up, start_s)
+        except BaseException:
+            self.end()
+            raise
+
+    def _await_start(self, given_up: Callable[[], bool], start_s: float) -> None:
+        """On a busy computer this takes long: a server that ends meanwhile does not wait for it."""
+        assert self._process.stdout is not None
+        until = time.monotonic() + start_s
+        while not select.select([self._process.stdout], [], [], _LOOK_S)[0]:
+            if given_up() or time.monotonic() > until:
+                raise ChildLate
+        self._answer(start_s)
+
+    def ask(self, asked: dict[str, Any], within_s: float) -> dict[str, Any]:
+        """Its answer; ChildDied, or ChildLate after so many seconds."""
+        assert self._process.stdin is not None
+        text = json.dumps(asked).encode() + b"\n"
+        while text:
+            text = text[self._process.stdin.write(text) :]
+        return self._answer(within_s)
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
+
+    def kill(self) -> None:
+        """From any thread: whoever waits for its answer gets ChildDied."""
+        self._process.kill()
+
+    def end(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        for end in (self._process.stdin, self._process.stdout):
+            if end is not None:
+                end.close()
+
+    def _answer(self, within_s: float) -> dict[str, Any]:
+        assert self._process.stdout is not None
+        until, text = time.monotonic() + within_s, b""
+        while not text.endswith(b"\n"):
+            ready, _, _ = select.select([self._process.stdout], [], [], max(0.0, until - time.monotonic()))
+            if not ready:
+                raise ChildLate
+            piece = os.read(self._process.stdout.fileno(), _PIECE_BYTES)
+            if not piece or len(text) > _ANSWER_BYTES:
+                raise ChildDied
+            text += piece
+        try:
+            found: dict[str, Any] = json.loads(text)
+        except ValueError:
+            raise ChildDied from None
+        return found

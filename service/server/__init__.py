@@ -1,0 +1,1 @@
+"""The job server: API, worker, database, fleet of mills, supervisor, maintenance."""

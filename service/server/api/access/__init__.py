@@ -1,0 +1,1 @@
+"""Who may ask for what: host names, tokens, scopes, rates, stops."""

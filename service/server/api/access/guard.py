@@ -1,0 +1,231 @@
+"""The door: before any route is looked at, every request is held against what a browser or a stranger could make up.
+
+Plain ASGI, so that streams pass through untouched. In this order: what is not HTTP, malformed or foreign headers, who
+is calling, how much they ask for. A caller is known by a token; without one, and only as long as no token was ever
+made, somebody on this very computer (not somebody whom a proxy on it lets in) may work with jobs, never with mills.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from urllib.parse import urlsplit
+
+from sqlalchemy.exc import SQLAlchemyError
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from service.http.hosts import is_own_host, own_names
+from service.http.problems import Problem, problem_response
+from service.server.api.access.client_address import is_here
+from service.server.api.access.rate_limit import Limiter
+from service.server.api.access.scopes import (
+    ANONYMOUS,
+    Principal,
+    is_at_server,
+    not_authorised,
+    note_arrival,
+    note_open,
+    note_principal,
+    note_stopper,
+)
+from service.server.api.services import Services
+from service.server.database.pairing import TOKEN_LIFE_S
+from service.server.database.tokens import Token
+
+OPEN_HERE = frozenset({"/livez", "/readyz", "/metrics"})  # to callers on this computer
+OPEN = frozenset({"/", "/openapi.json", "/v1/pairings"})  # to everybody: what a code opens is the code's affair
+OPEN_BELOW = "/page/"  # files that hold no data
+
+STOPS = (":hold", ":abort", "/control/hold", "/control/abort", "/control/jog-cancel")
+STOP_SOCKET = "/v1/stops"
+
+_SAFE = frozenset({"GET", "HEAD", "OPTIONS"})
+_SINGLE = frozenset(
+    {
+        b"host",
+        b"authorization",
+        b"origin",
+        b"content-type",
+        b"idempotency-key",
+        b"last-event-id",
+        b"causticmill-control",
+        b"causticmill-grant",
+    }
+)
+_MOST_HEADERS, _MOST_HEADER_BYTES = 100, 32 << 10
+_BURST_S = 10.0
+_LOOK_UPS = 8
+
+Headers = dict[bytes, bytes]
+
+
+def _principal(token: Token) -> Principal:
+    return Principal(
+        name=token.name, scopes=token.scopes, id=token.id, paired=token.paired, expires_at=token.expires_at
+    )
+
+
+class Guard:
+    """ASGI middleware; put it outermost."""
+
+    def __init__(self, app: ASGIApp, *, services: Services) -> None:
+        settings = services.settings
+        self._app = app
+        self._tokens = services.tokens
+        self._stop_access = services.stop_access
+        self._fleet = services.fleet
+        self._behind_proxy = settings.behind_proxy
+        self._names = frozenset(name.lower() for name in (*settings.allowed_hosts, *own_names()))
+        self._anonymous_jobs = settings.anonymous == "jobs" and not settings.behind_proxy
+        # A proxy that adds no header of its own makes strangers look like callers on this computer.
+        self._open_here = OPEN_HERE - ({"/metrics"} if settings.behind_proxy else set())
+        self._requests = Limiter(settings.requests_per_s, _BURST_S * settings.requests_per_s)
+        self._jobs = Limiter(settings.jobs_per_min / 60, settings.jobs_per_min)
+        # Threads of its own: a hold never waits for its caller to be recognised behind slow downloads.
+        self._threads = ThreadPoolExecutor(_LOOK_UPS, thread_name_prefix="guard")
+        self._notes = ThreadPoolExecutor(1, thread_name_prefix="guard-notes")
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+            return
+        try:
+            await (self._admit(scope) if scope["type"] == "http" else self._admit_socket(scope))
+        except Problem as problem:
+            if scope["type"] == "http":
+                await problem_response(problem)(scope, receive, send)
+            else:
+                await send({"type": "websocket.close", "code": 1008})
+            return
+        await self._app(scope, receive, send)
+
+    async def _admit(self, scope: Scope) -> None:
+        headers = _plain_headers(scope)
+        host = headers.get(b"host", b"").decode("latin-1").lower()
+        if not is_own_host(host, self._names):
+            raise Problem(403, f"Host is '{host[:100]}'; allowed: localhost, an address, or a name of this server")
+        if scope["method"] not in _SAFE or scope["path"] in OPEN_HERE:
+            _refuse_foreign_page(headers, host)
+        here = is_here(scope, headers)
+        note_arrival(scope, at_server=here and not self._behind_proxy)
+        if scope["method"] == "POST" and scope["path"].endswith(STOPS):
+            await self._admit_stop(scope, headers)
+            return
+        if here and scope["path"] in self._open_here:  # and stays so when the database is away
+            note_open(scope)
+            self._charge(scope, None, bucket="health")
+            return
+        if scope["path"] in OPEN or scope["path"].startswith(OPEN_BELOW):
+            self._charge(scope, None)
+            return
+        principal = await self._caller(headers, here)
+        if principal is not None:
+            note_principal(scope, principal)
+        self._charge(scope, principal)
+        if principal is None:
+            wrong = b"authorization" in headers
+            raise not_authorised("this token is unknown, expired or revoked") if wrong else not_authorised()
+
+    async def _admit_socket(self, scope: Scope) -> None:
+        """Only the way for stops is a socket; who may, it finds out itself."""
+        headers = _plain_headers(scope)
+        host = headers.get(b"host", b"").decode("latin-1").lower()
+        if scope["path"] != STOP_SOCKET or not is_own_host(host, self._names):
+            raise Problem(404, "no such socket")
+        _refuse_foreign_page(headers, host)
+        note_arrival(scope, at_server=is_here(scope, headers) and not self._behind_proxy)
+
+    async def _admit_stop(self, scope: Scope, headers: Headers) -> None:
+        """To stop a mill is never too much, and asks for nothing that could be busy: a token that was seen before is
+        known from memory. One that was not is looked up as for any request.
+        """
+        secret = _secret(headers.get(b"authorization", b""))
+        if (token := self._stop_access.find(secret)) is not None:
+            note_principal(scope, _principal(token))
+            note_stopper(scope)
+        elif is_at_server(scope):
+            note_stopper(scope)
+        else:
+            principal = await self._caller(headers, is_here(scope, headers))
+            if principal is None:
+                self._charge(scope, None)
+                raise not_authorised()
+            note_principal(scope, principal)
+
+    async def _caller(self, headers: Headers, here: bool) -> Principal | None:
+        ask = asyncio.get_running_loop().run_in_executor
+        shown = headers.get(b"authorization")
+        try:
+            if shown is not None:
+                token = await ask(self._threads, self._tokens.find, secret := _secret(shown))
+                if token is not None:
+                    self._stop_access.remember(secret, token)
+                return self._known(token) if token else None
+            if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.any_ever):
+                return ANONYMOUS
+        except SQLAlchemyError:
+            words = "the database cannot be asked who you are; try again"
+            raise Problem(503, words, headers={"Retry-After": "2"}) from None
+        return None
+
+    def _known(self, token: Token) -> Principal:
+        """Its use is noted by another thread: a busy database must not hold a caller up who only reads."""
+        self._notes.submit(self._note_use, token)
+        return _principal(token)
+
+    def _note_use(self, token: Token) -> None:
+        """A page's token does not end while it watches a run: its use renews it."""
+        with contextlib.suppress(SQLAlchemyError):
+            self._tokens.note_use(token, renew_s=TOKEN_LIFE_S if self._fleet.has_live_run else None)
+
+    def _charge(self, scope: Scope, principal: Principal | None, *, bucket: str = "peer") -> None:
+        """429 to one who asks for too much."""
+        method, path, peer = scope["method"], scope["path"], scope.get("client")
+        caller = f"{bucket} {peer[0] if peer else '?'}"
+        if principal is not None and not principal.anonymous:
+            caller = f"token {principal.id}"
+        wait_s = self._requests.wait_s(caller)
+        words = "too many requests"
+        if not wait_s and method == "POST" and path == "/v1/jobs":
+            wait_s, words = self._jobs.wait_s(caller), "too many new jobs"
+        if wait_s:
+            seconds = math.ceil(wait_s)
+            raise Problem(429, f"{words}; try again in {seconds} s", headers={"Retry-After": str(seconds)})
+
+
+def _plain_headers(scope: Scope) -> Headers:
+    """The headers as a table; a Problem where one that decides something is there twice, or where they are a flood."""
+    pairs = scope["headers"]
+    if len(pairs) > _MOST_HEADERS or sum(len(name) + len(value) for name, value in pairs) > _MOST_HEADER_BYTES:
+        raise Problem(431, f"allowed: {_MOST_HEADERS} headers of {_MOST_HEADER_BYTES} bytes in all")
+    for name, count in Counter(name for name, _ in pairs).items():
+        if count > 1 and name in _SINGLE:
+            raise Problem(400, f"{count} {name.decode()} headers", field=name.decode())
+    return dict(pairs)
+
+
+def _refuse_foreign_page(headers: Headers, host: str) -> None:
+    """A page of another site can make a browser send us things; the browser says so."""
+    origin = headers.get(b"origin")
+    if origin is not None and _site(origin) != host:
+        words = "Origin is another site; changes are taken from this server's own pages only"
+        raise Problem(403, words, field="Origin")
+    if headers.get(b"sec-fetch-site", b"none").lower() not in (b"none", b"same-origin"):
+        raise Problem(
+            403, "another site sent this; changes are taken from this server's own pages only", field="Origin"
+        )
+
+
+def _secret(authorization: bytes) -> str:
+    kind, _, secret = authorization.decode("latin-1").partition(" ")
+    return secret.strip() if kind.lower() == "bearer" else ""
+
+
+def _site(origin: bytes) -> str | None:
+    try:
+        return urlsplit(origin.decode("latin-1").lower()).netloc
+    except ValueError:
+        return None

@@ -1,0 +1,135 @@
+"""Who calls, and what they may do. The guard finds out who; a route says which scopes it needs: `require(...)`.
+
+A route without `require` is not open: the guard lets nobody but a known caller pass, except to what OPEN names.
+No scope contains another: `admin` alone moves no mill.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from typing import Annotated
+
+from fastapi import Depends, Request, Security
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from starlette.types import Scope
+
+from machines.mill.orders import suspend_aware_clock_s
+from service.errors import InputError
+from service.http.hosts import is_loopback, require_unread
+from service.http.problems import Problem
+from service.server.database.tokens import TokenBook, TokenScope
+from service.settings import ServerSettings
+
+JOBS_READ, JOBS_WRITE = TokenScope.JOBS_READ, TokenScope.JOBS_WRITE
+MACHINE_RUN, ADMIN = TokenScope.MACHINE_RUN, TokenScope.ADMIN
+
+_KEY, _OPEN_KEY = "causticmill.principal", "causticmill.open"
+_ARRIVED_KEY, _AT_SERVER_KEY, _STOP_KEY = "causticmill.arrived_s", "causticmill.at_server", "causticmill.stop"
+_bearer = HTTPBearer(auto_error=False, bearerFormat="cm_...", description="A token of `causticmill token create`.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Principal:
+    """A caller: name of the token, its scopes and its id. Nobody else has the name as long as the token lives."""
+
+    name: str
+    scopes: frozenset[str]
+    anonymous: bool = False
+    id: str = ""
+    paired: bool = False
+    expires_at: float | None = None
+
+
+ANONYMOUS = Principal(name="anonymous", scopes=frozenset({JOBS_READ, JOBS_WRITE}), anonymous=True, id="anonymous")
+
+
+def require(*scopes: TokenScope) -> Callable[..., Awaitable[Principal]]:
+    """A dependency that gives the Principal, if it has every one of the scopes; 401 or 403 otherwise."""
+    needed = frozenset(map(str, scopes))
+
+    async def dependency(
+        request: Request, _shown: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+    ) -> Principal:
+        principal = principal_of(request.scope)
+        if principal is None:
+            raise not_authorised()
+        if missing := sorted(needed - principal.scopes):
+            if principal.anonymous:
+                raise Problem(401, f"this needs a token with {', '.join(missing)}", field="Authorization")
+            raise Problem(403, f"the token '{principal.name}' lacks {', '.join(missing)}", field="Authorization")
+        return principal
+
+    dependency.required_scopes = needed  # type: ignore[attr-defined]
+    return dependency
+
+
+def require_stop() -> Callable[..., Awaitable[None]]:
+    """A dependency for what stops a mill: the guard has decided who may (service/server/api/access/stop_access.py)."""
+
+    async def dependency(
+        request: Request, _shown: Annotated[HTTPAuthorizationCredentials | None, Security(_bearer)]
+    ) -> None:
+        if not request.scope.get(_STOP_KEY):
+            await require(MACHINE_RUN)(request, None)
+
+    dependency.required_scopes = frozenset({str(MACHINE_RUN)})  # type: ignore[attr-defined]
+    return dependency
+
+
+Stopper = Annotated[None, Depends(require_stop())]
+Reader = Annotated[Principal, Depends(require(JOBS_READ))]
+Writer = Annotated[Principal, Depends(require(JOBS_WRITE))]
+Operator = Annotated[Principal, Depends(require(MACHINE_RUN))]
+Admin = Annotated[Principal, Depends(require(ADMIN))]
+
+
+def principal_of(scope: Scope) -> Principal | None:
+    """Whom the guard has found to be calling."""
+    found = scope.get(_KEY)
+    return found if isinstance(found, Principal) else None
+
+
+def note_principal(scope: Scope, principal: Principal) -> None:
+    scope[_KEY] = principal
+
+
+def open_here(request: Request) -> bool:
+    """The guard let this request in without asking who it is from: it came from this computer, to an open address."""
+    return bool(request.scope.get(_OPEN_KEY))
+
+
+def note_open(scope: Scope) -> None:
+    scope[_OPEN_KEY] = True
+
+
+def note_stopper(scope: Scope) -> None:
+    scope[_STOP_KEY] = True
+
+
+def note_arrival(scope: Scope, *, at_server: bool) -> None:
+    """When the request came, by a clock that runs in suspend, and whether from this very computer."""
+    scope[_ARRIVED_KEY], scope[_AT_SERVER_KEY] = suspend_aware_clock_s(), at_server
+
+
+def arrival_s(scope: Scope) -> float:
+    return float(scope[_ARRIVED_KEY])
+
+
+def is_at_server(scope: Scope) -> bool:
+    return bool(scope.get(_AT_SERVER_KEY))
+
+
+def not_authorised(words: str = "a token is needed: Authorization: Bearer cm_...") -> Problem:
+    return Problem(401, words, field="Authorization")
+
+
+def refuse_foreign_bind(settings: ServerSettings, tokens: TokenBook) -> None:
+    """InputError where the server would be reachable from elsewhere without tokens, or without TLS before it."""
+    if is_loopback(settings.host):
+        return
+    where = f"--host {settings.host} can be reached from other computers"
+    fix = "127.0.0.1, or a proxy with TLS in front and CAUSTICMILL_BEHIND_PROXY=true"
+    require_unread(settings.host, where, vouched=settings.behind_proxy, allowed=fix)
+    if not tokens.any_live():
+        raise InputError(f"{where}; make a token first: causticmill token create NAME --scope jobs:read ...")

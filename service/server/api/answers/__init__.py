@@ -1,0 +1,1 @@
+"""How jobs, events and files are answered."""

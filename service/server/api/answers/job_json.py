@@ -1,0 +1,161 @@
+"""Jobs and their files as the API shows them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from service.job.files import is_program, run_order
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import with_plan
+from service.job.stages.table import usual_seconds
+from service.server.api.answers import job_json as views
+from service.server.api.answers.times import iso_or_none, iso_time
+from service.server.api.services import Services
+from service.server.database.jobs import MOST_POSITIONS
+from service.server.database.records import Artifact, Job, JobSummary, Progress, StageRun, priority_word
+from service.server.database.states import JobState
+
+Json = dict[str, Any]
+
+_MEDIA_TYPES = {
+    ".json": "application/json",
+    ".html": "text/html; charset=utf-8",
+    ".png": "image/png",
+    ".stl": "model/stl",
+    ".npz": "application/zip",
+    ".log": "text/plain; charset=utf-8",
+}
+_PROGRAM_TYPE = "text/plain; charset=us-ascii"
+_OTHER_TYPE = "application/octet-stream"
+MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values(), _PROGRAM_TYPE, _OTHER_TYPE)})
+
+
+def summary(job: JobSummary, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
+    """A job as the list shows it; `picture` is the artifact to show for it."""
+    address = f"/v1/jobs/{job.id}"
+    links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
+    links["archive"] = f"{address}/archive.zip"
+    if picture is not None:
+        links["picture"] = f"{address}/artifacts/{picture}"
+    return {
+        "id": job.id,
+        "name": job.name,
+        "state": str(job.state),
+        "stage": job.stage,
+        "progress": _progress(job, progress),
+        "queue_position": position if job.state is JobState.QUEUED else None,
+        "priority": priority_word(job.priority),
+        "attempt": job.attempt,
+        "cancel_requested": job.cancel_requested,
+        "created_at": iso_time(job.created_at),
+        "started_at": iso_or_none(job.started_at),
+        "ended_at": iso_or_none(job.ended_at),
+        "error": job.error,
+        "image": {"sha256": job.image_sha256, "bytes": job.image_bytes},
+        "links": links,
+        "etag": etag(job, position=position, progress=progress),
+    }
+
+
+def whole(
+    job: Job,
+    *,
+    position: int | None,
+    progress: Progress | None,
+    picture: str | None,
+    runs: Sequence[StageRun],
+    files: Sequence[Artifact],
+) -> Json:
+    """A job with its report, spec, stages and programs."""
+    return summary(job, position=position, progress=progress, picture=picture) | {
+        "report": job.report,
+        "spec": job.spec,
+        "stages": _stages(job, runs),
+        "programs": [_program(job.id, number, file) for number, file in programs(files).items()],
+    }
+
+
+def etag(job: JobSummary, *, position: int | None, progress: Progress | None) -> str:
+    """Changes with everything that the job's body shows."""
+    share = round(_progress(job, progress) * 10_000)
+    return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
+
+
+def artifact_view(file: Artifact) -> Json:
+    return {
+        "name": file.name,
+        "sha256": file.sha256,
+        "bytes": file.bytes,
+        "stage": file.stage,
+        "media_type": media_type(file.name),
+        "url": f"/v1/jobs/{file.job_id}/artifacts/{file.name}",
+    }
+
+
+def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
+    """The programs by number, from 1 in the order in which they are run: that of their pass, unless one is split."""
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
+    return dict(enumerate(found, 1))
+
+
+def media_type(name: str) -> str:
+    if is_program(name):
+        return _PROGRAM_TYPE
+    return _MEDIA_TYPES.get(f".{name.rpartition('.')[2]}", _OTHER_TYPE)
+
+
+def _program(job_id: str, number: int, file: Artifact) -> Json:
+    url = f"/v1/jobs/{job_id}/programs/{number}"
+    return {"number": number, "name": file.name, "sha256": file.sha256, "bytes": file.bytes, "url": url}
+
+
+def _progress(job: JobSummary, progress: Progress | None) -> float:
+    live = progress.progress if progress is not None and job.state is JobState.RUNNING else job.progress
+    return round(min(1.0, max(0.0, job.progress, live)), 4)
+
+
+def _stages(job: Job, runs: Sequence[StageRun]) -> list[Json]:
+    """Every stage of the job's plan, with what became of it in this attempt."""
+    last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
+    usual = usual_seconds(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
+    whole = sum(usual.values())
+    return [_stage(name, own, own / whole, last.get(name)) for name, own in usual.items()]
+
+
+def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> Json:
+    planned = {"name": name, "share": round(share, 4), "usual_s": round(usual_s, 2)}
+    if run is None:
+        return planned | {"state": "waiting", "seconds": None, "started_at": None}
+    seconds = None if run.ended_at is None else round(max(0.0, run.ended_at - run.started_at), 3)
+    return planned | {"state": str(run.state), "seconds": seconds, "started_at": iso_or_none(run.started_at)}
+
+
+def whole_job(services: Services, job: Job) -> dict[str, Any]:
+    book = services.book
+    position = _position(job, book.queue_positions()) if job.state is JobState.QUEUED else None
+    progress = book.latest({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None
+    runs, files = book.stages(job.id), book.artifacts(job.id)
+    job = book.with_report(job)
+    picture = book.pictures([job.id]).get(job.id)
+    return views.whole(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
+
+
+def job_list(services: Services, jobs: Sequence[JobSummary]) -> list[dict[str, Any]]:
+    book = services.book
+    positions = book.queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
+    running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
+    progress = book.latest(running).progress
+    pictures = book.pictures([job.id for job in jobs])
+    places = [_position(job, positions) for job in jobs]
+    return [
+        views.summary(job, position=place, progress=progress.get(job.id), picture=pictures.get(job.id))
+        for job, place in zip(jobs, places, strict=True)
+    ]
+
+
+def _position(job: JobSummary, positions: Mapping[str, int]) -> int:
+    return positions.get(job.id, MOST_POSITIONS)
+
+
+_NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is asked for

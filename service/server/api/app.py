@@ -1,0 +1,125 @@
+"""The job server's HTTP application: routes behind the guard, every refusal as a problem."""
+
+from __future__ import annotations
+
+import asyncio
+import re
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from importlib import metadata
+from typing import Any
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from starlette.middleware import Middleware
+
+from service.server.api.access.guard import STOPS, Guard
+from service.server.api.errors import install_problems
+from service.server.api.intake.body import Patient, SmallBodies
+from service.server.api.metrics import Measured
+from service.server.api.openapi import with_problems
+from service.server.api.routes import archive as routes_archive
+from service.server.api.routes import artifacts as routes_artifacts
+from service.server.api.routes import control as routes_control
+from service.server.api.routes import estimates as routes_estimates
+from service.server.api.routes import events as routes_events
+from service.server.api.routes import health as routes_health
+from service.server.api.routes import identity as routes_who
+from service.server.api.routes import jobs as routes_jobs
+from service.server.api.routes import machines as routes_machines
+from service.server.api.routes import page as routes_page
+from service.server.api.routes import photos as routes_photos
+from service.server.api.routes import profiles as routes_beginnings
+from service.server.api.routes import root as routes_root
+from service.server.api.routes import runs as routes_runs
+from service.server.api.routes import stops as routes_stops
+from service.server.api.routes import submit as routes_submit
+from service.server.api.routes import tokens as routes_tokens
+from service.server.api.services import Services
+
+_ABOUT = """A picture goes in; out come the programs that mill a block so that light through it paints the picture.
+
+`POST /v1/jobs` takes a picture and a job spec; `GET /v1/jobs/{id}/events` follows the job; its files are artifacts, its
+programs are offered as soon as all of them have been checked. `POST /v1/machines/{m}/runs` hands a program to a mill,
+where it waits, parked, until a person starts it. Errors are `application/problem+json` (RFC 9457) with the `field` at
+fault. There is no /docs page, because its scripts would come from elsewhere: load `/openapi.json` into a viewer.
+"""
+_TAGS = [
+    {"name": "jobs", "description": "Pictures to programs."},
+    {"name": "artifacts", "description": "The files of a job."},
+    {"name": "machines", "description": "The mills."},
+    {"name": "runs", "description": "Programs on mills. Nothing moves before `:start`, and none of it by itself."},
+    {"name": "operations", "description": "For whoever runs the server."},
+]
+_ROUTERS = (
+    routes_submit,
+    routes_estimates,
+    routes_photos,
+    routes_tokens,
+    routes_jobs,
+    routes_events,
+    routes_artifacts,
+    routes_beginnings,
+    routes_archive,
+    routes_machines,
+    routes_control,
+    routes_runs,
+    routes_stops,
+    routes_health,
+    routes_who,
+    routes_root,
+    routes_page,
+)
+_WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos|profiles/[^/]+/coupon/photos)")
+_QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}
+
+
+def make_app(services: Services) -> FastAPI:
+    app = FastAPI(
+        title="causticmill",
+        version=metadata.version("causticmill"),
+        description=_ABOUT,
+        openapi_tags=_TAGS,
+        docs_url=None,
+        redoc_url=None,
+        redirect_slashes=False,
+        telemetry=_QUIET,
+        lifespan=lambda _app: _life(services),
+        middleware=[
+            Middleware(Measured, metrics=services.metrics),
+            Middleware(Guard, services=services),
+            Middleware(Patient),
+            Middleware(SmallBodies, but=_WITH_PICTURES),
+        ],
+    )
+    app.state.services = services
+    install_problems(app)
+    for module in _ROUTERS:
+        app.include_router(module.router)
+    app.openapi = lambda: _document(app)  # type: ignore[method-assign]
+    return app
+
+
+@asynccontextmanager
+async def _life(services: Services) -> AsyncIterator[None]:
+    """Runs are looked at as long as the server serves; then streams and links to the mills' agents end."""
+    behind = (services.fleet.watch(), services.stop_access.keep_fresh())
+    tasks = [asyncio.create_task(work) for work in behind]
+    yield
+    services.feed.close()
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)
+    await services.fleet.aclose()
+
+
+def _document(app: FastAPI) -> dict[str, Any]:
+    if app.openapi_schema is None:
+        document = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes, tags=app.openapi_tags
+        )
+        app.openapi_schema = with_problems(document)
+        for path, item in document["paths"].items():
+            if path.endswith(STOPS):  # the token is optional: at the server's own computer none is needed
+                item["post"]["security"].append({})
+    return app.openapi_schema

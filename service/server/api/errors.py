@@ -1,0 +1,127 @@
+"""Which refusal tells of which error; what a caller reads names no path and shows no traceback: that is in the log."""
+
+from __future__ import annotations
+
+import errno
+from collections.abc import Callable
+from http import HTTPStatus
+
+import structlog
+from fastapi import FastAPI
+from fastapi.exceptions import RequestValidationError
+from sqlalchemy.exc import DBAPIError, InterfaceError, OperationalError, SQLAlchemyError
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
+from starlette.responses import Response
+
+from service.errors import FailedError, InputError, PictureError, SpecError, printable
+from service.http.problems import Kind, Problem, problem_response
+from service.server.database.records import KeyReusedError, UnknownArtifactError, UnknownJobError
+from service.server.database.states import JobStateError
+from service.store.base import MissingObjectError
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_RETRY = {"Retry-After": "5"}
+_log = structlog.get_logger("api")
+
+
+def install_problems(app: FastAPI) -> None:
+    """Every error becomes a problem; those of known families are not logged as faults by the frame."""
+    known = (Problem, InputError, FailedError, SQLAlchemyError, OSError, HTTPException, RequestValidationError)
+    ours = (JobStateError, UnknownJobError, UnknownArtifactError, KeyReusedError, MissingObjectError, ClientDisconnect)
+    for kind in (*known, *ours, Exception):
+        app.add_exception_handler(kind, _answer)
+
+
+async def _answer(request: Request, error: Exception) -> Response:
+    problem = problem_of(error)
+    if problem.status >= 500 and not isinstance(error, Problem):
+        fault = not isinstance(error, FailedError | SQLAlchemyError | OSError)
+        _log.error(
+            "refused", status=problem.status, method=request.method, path=request.url.path, error=_words(error),
+            exc_info=error if fault else None,
+        )  # fmt: skip
+    return problem_response(problem)
+
+
+def problem_of(error: Exception) -> Problem:
+    """The refusal that tells of an error; 500 for what nobody expected."""
+    for kinds, told in _TABLE:
+        if isinstance(error, kinds):
+            return told(error)
+    return Problem(500, "a fault inside the server; its log says which")
+
+
+def _of_spec(error: Exception) -> Problem:
+    problems = error.problems if isinstance(error, SpecError) else []
+    rows = [{"field": printable(f"spec.{key}"), "detail": printable(sentence)} for key, sentence in problems[:20]]
+    detail = "; ".join(f"{key}: {sentence}" for key, sentence in problems[:5])
+    field = rows[0]["field"] if rows else "spec"
+    return Problem(422, detail or "the spec cannot be used", field=field, kind=Kind.SPEC, more={"problems": rows})
+
+
+def _of_request(error: Exception) -> Problem:
+    """FastAPI's own complaint about a parameter or a body."""
+    details = error.errors() if isinstance(error, RequestValidationError) else []
+    first = details[0] if details else {"loc": (), "msg": "cannot be used"}
+    place = [str(step) for step in first["loc"]]
+    field = ".".join(place[1:]) if len(place) > 1 else (place or [""])[0]
+    if first.get("type") == "json_invalid":
+        return Problem(400, "the body is not valid JSON", field="body")
+    return Problem(422, f"{field}: {first['msg']}", field=field)
+
+
+def _of_http(error: Exception) -> Problem:
+    """What the router itself refuses, and what the framework refuses about bodies."""
+    status = getattr(error, "status_code", 500)
+    words = {
+        404: "no such address",
+        405: "this address does not take that method",
+        408: "the body stopped coming",
+        413: "the request is too large",
+    }
+    headers = {key: value for key, value in (getattr(error, "headers", None) or {}).items() if key.lower() == "allow"}
+    return Problem(status, words.get(status) or HTTPStatus(status).phrase.lower(), headers=headers)
+
+
+def _of_database(error: Exception) -> Problem:
+    words = str(getattr(error, "orig", error)).lower()
+    if "disk is full" in words or "no space left" in words or "could not extend file" in words:
+        return Problem(507, "the database has no space left", headers=_RETRY)
+    broken = not isinstance(error, DBAPIError) or isinstance(error, OperationalError | InterfaceError)
+    if broken or getattr(error, "connection_invalidated", False):
+        return Problem(503, "the database cannot be reached or written at present", headers=_RETRY)
+    return Problem(500, "a fault inside the server; its log says which")
+
+
+def _of_disk(error: Exception) -> Problem:
+    cause = error if isinstance(error, OSError) else error.__cause__ or error.__context__
+    if (isinstance(cause, OSError) and cause.errno in _FULL) or "no space left" in str(error).lower():
+        return Problem(507, "the server's disk has no space left", headers=_RETRY)
+    return Problem(503, "the server's disk or artifact store cannot be used at present", headers=_RETRY)
+
+
+def _of_missing(_error: Exception) -> Problem:
+    return Problem(503, "the artifact store does not hold this file at present", headers=_RETRY)
+
+
+_TABLE: list[tuple[type[Exception] | tuple[type[Exception], ...], Callable[[Exception], Problem]]] = [
+    (Problem, lambda error: error if isinstance(error, Problem) else Problem(500, "")),
+    (SpecError, _of_spec),
+    (PictureError, lambda error: Problem(422, str(error), field="image", kind=Kind.PICTURE)),
+    (InputError, lambda error: Problem(422, str(error))),
+    (UnknownJobError, lambda error: Problem(404, str(error), field="id")),
+    (UnknownArtifactError, lambda error: Problem(404, str(error), field="name")),
+    (JobStateError, lambda error: Problem(409, str(error))),
+    (KeyReusedError, lambda error: Problem(422, str(error), field="Idempotency-Key", kind=Kind.KEY_REUSED)),
+    (MissingObjectError, _of_missing),
+    (RequestValidationError, _of_request),
+    (ClientDisconnect, lambda _: Problem(400, "the connection ended before the request did")),
+    (HTTPException, _of_http),
+    (SQLAlchemyError, _of_database),
+    ((FailedError, OSError), _of_disk),
+]
+
+
+def _words(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:500]

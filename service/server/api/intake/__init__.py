@@ -1,0 +1,1 @@
+"""How uploads, pictures and photographs come in and are looked at."""

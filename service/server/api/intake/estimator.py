@@ -1,0 +1,207 @@
+"""Estimates are made in a process of their own, started when one is asked for and ended when none was for a minute;
+so are exact estimates and looks at photographs, each in another one.
+
+One after the other; of each caller only the newest: whoever turns a knob asks again before the last answer is there.
+What takes long is not worked on when nobody waits for it: its process ends with the ask.
+One thread, the keeper, owns the process (`line_child`) and lives as long as this does.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future, InvalidStateError
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+import structlog
+
+from service.errors import FailedError, InputError, PictureError
+from service.http.problems import Problem
+from service.processes.kernel_cache import ESTIMATES, ready_mark
+from service.processes.line_child import ChildDied, ChildLate, LineChild
+
+_NOBODY = ""  # no caller's name
+_WEDGE_PIXELS = 1 << 16
+_MODULE, LOOKING = "service.server.api.intake.estimator_child", "service.server.api.intake.photo_child"
+_MOST_WAITING = 8
+_START_S, _ANSWER_S = 60.0, 30.0
+LONG_S = 300.0  # after an update the first one waits for kernels to be compiled
+_RETRY = {"Retry-After": "5"}
+_log = structlog.get_logger("api")
+
+Answer = dict[str, Any]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class _Ask:
+    caller: str
+    asked: dict[str, Any]
+    is_long: bool
+    answer: Future[Answer] = field(default_factory=Future)
+
+    def end(self, problem: Exception) -> None:
+        with suppress(InvalidStateError):  # whoever waited for it has gone
+            self.answer.set_exception(problem)
+
+
+class Estimator:
+    """`ask` from any thread; `close` ends the process.
+
+    module : of the process
+    what   : it makes, as people call it; in its answers, too
+    """
+
+    def __init__(self, *, idle_s: float = 60.0, module: str = _MODULE, what: str = "estimate") -> None:
+        self._what = what
+        self._idle_s = idle_s
+        self._module = module
+        self._bell = threading.Condition()
+        self._waiting: list[_Ask] = []
+        self._running: _Ask | None = None
+        self._closed = self._killed = False
+        self._keeper: threading.Thread | None = None
+        self._child: LineChild | None = None
+        self._warm = False
+
+    def ask(self, caller: str, asked: dict[str, Any], *, is_long: bool = False) -> Future[Answer]:
+        """What the process answers. Ends the caller's earlier asks, or joins the same one; Problem where too many wait.
+
+        is_long : the answer may take LONG_S
+        """
+        ask = _Ask(caller=caller, asked=asked, is_long=is_long)
+        with self._bell:
+            if self._closed:
+                raise Problem(503, "the server is ending", headers=_RETRY)
+            own = [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
+            for one in own:
+                if one.asked == asked and not one.answer.done():
+                    return one.answer
+            self._end_all_of(caller)
+            if len(self._waiting) >= _MOST_WAITING:
+                raise Problem(503, f"too many {self._what}s are asked for; try again", headers=_RETRY)
+            self._waiting.append(ask)
+            if self._keeper is None:
+                self._keeper = threading.Thread(target=self._keep, name=f"{self._what}s", daemon=True)
+                self._keeper.start()
+            self._bell.notify()
+        return ask.answer
+
+    def leave(self, caller: str) -> None:
+        """A caller's asks are ended: it has gone, or asked for something else."""
+        with self._bell:
+            self._end_all_of(caller)
+
+    def _end_all_of(self, caller: str) -> None:
+        """With the bell held."""
+        running = self._running
+        for older in (running, *self._waiting):
+            if older is not None and older.caller == caller:
+                older.end(Problem(409, f"a newer {self._what} was asked for"))
+        self._waiting = [one for one in self._waiting if one.caller != caller]
+        if running is not None and running.caller == caller and running.is_long and self._child is not None:
+            self._killed = True
+            self._child.kill()  # the keeper buries it
+
+    def prepare(self) -> None:
+        """What estimates need is compiled now, where it was not yet, so that the first person need not wait for it."""
+        if not ready_mark(ESTIMATES).exists():
+            with suppress(Problem):  # as good as busy with it
+                self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS})
+
+    @property
+    def callers(self) -> set[str]:
+        """Who waits for an answer."""
+        with self._bell:
+            return {one.caller for one in (self._running, *self._waiting) if one is not None}
+
+    @property
+    def child_pid(self) -> int | None:
+        """Of the process, while there is one."""
+        child = self._child
+        return None if child is None else child.pid
+
+    def close(self) -> None:
+        with self._bell:
+            self._closed = True
+            for ask in (*self._waiting, *([self._running] if self._running else [])):
+                ask.end(Problem(503, "the server is ending", headers=_RETRY))
+            self._waiting = []
+            self._bell.notify()
+            child = self._child
+        if child is not None:
+            child.kill()  # the keeper buries it
+        if self._keeper is not None:
+            self._keeper.join()
+
+    def _keep(self) -> None:
+        while (ask := self._next()) is not None:
+            self._finish(ask)
+        self._drop()
+
+    def _next(self) -> _Ask | None:
+        """The next one to be answered; meanwhile an idle process is ended. None: closed."""
+        with self._bell:
+            self._running = None
+            if self._killed:
+                self._killed = False
+                self._drop()
+            while not self._closed:
+                while self._waiting:
+                    self._running = self._waiting.pop(0)
+                    if not self._running.answer.done():
+                        return self._running
+                if not self._bell.wait(self._idle_s if self._child else None) and not self._waiting:
+                    self._drop()
+            return None
+
+    def _finish(self, ask: _Ask) -> None:
+        try:
+            found = self._answer(ask)
+        except (ChildLate, ChildDied, OSError) as error:
+            self._drop()
+            if ask.answer.done():  # it was not wanted any more
+                return
+            late = isinstance(error, ChildLate)
+            _log.warning(f"no {self._what}", late=late, error=f"{type(error).__name__}: {error}"[:200])
+            words = (
+                f"the {self._what} takes too long" if late else f"the process for {self._what}s has ended; try again"
+            )
+            ask.end(Problem(503, words, headers=_RETRY))
+            return
+        if (problem := self._problem(found)) is not None:
+            ask.end(problem)
+            return
+        with suppress(InvalidStateError):
+            ask.answer.set_result(found[self._what])
+
+    def _answer(self, ask: _Ask) -> dict[str, Any]:
+        if self._child is None:
+            self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
+        if ask.is_long and ask.answer.done():
+            raise ChildDied  # left while the process began
+        found = self._child.ask(ask.asked, LONG_S if ask.is_long or not self._warm else _ANSWER_S)
+        self._warm = True
+        return found
+
+    def _is_closed(self) -> bool:
+        return self._closed
+
+    def _drop(self) -> None:
+        if self._child is not None:
+            self._child.end()
+            self._child = None
+
+    def _problem(self, found: dict[str, Any]) -> Exception | None:
+        kinds: dict[str, Callable[..., Exception]] = {
+            "picture": PictureError,
+            "input": InputError,
+            "failed": FailedError,
+        }
+        if "refused" in found:
+            return kinds[found["kind"]](*found["refused"])
+        if "fault" in found:
+            _log.error(f"no {self._what}", error=found["fault"])
+            return Problem(500, "a fault inside the server; its log says which")
+        return None

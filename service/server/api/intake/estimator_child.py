@@ -1,0 +1,63 @@
+"""The process that estimates jobs. One JSON line in, one out.
+
+In: {"path", "name", "max_pixels", "spec", "exactly"}. Out: {"estimate": {...}}, {"refused": [lines], "kind"} or
+{"fault": text}; first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody reads, which
+compiles whatever is not compiled yet; the mark of `kernel_cache` says for good that it was made.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from service.processes.kernel_cache import ESTIMATES, ready_mark, use_current_kernels
+
+use_current_kernels()  # before numba is imported
+
+from PIL import Image  # noqa: E402
+
+from service.job.picture.limits import PictureLimits  # noqa: E402
+from service.job.planning.estimate import estimate  # noqa: E402
+from service.job.spec.loading import resolve_spec, validated  # noqa: E402
+from service.processes.line_worker import answer_lines, answer_or_refuse  # noqa: E402
+
+_BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
+_BYTES_PER_PIXEL = 16
+
+
+def main() -> None:
+    answer_lines(
+        "cm-estimates",
+        _answer,
+        beside_bytes=_BESIDE_BYTES,
+        bytes_per_pixel=_BYTES_PER_PIXEL,
+    )
+
+
+def _answer(asked: dict[str, Any]) -> dict[str, Any]:
+    return answer_or_refuse(lambda: _estimate(asked))
+
+
+def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
+    limits = PictureLimits(max_pixels=asked["max_pixels"])
+    if "prepare" in asked:
+        return _prepared(limits)
+    spec, path, exactly = validated(asked["spec"]), Path(asked["path"]), asked["exactly"]
+    return {"estimate": estimate(spec, path, limits=limits, name=asked["name"], exactly=exactly)}
+
+
+def _prepared(limits: PictureLimits) -> dict[str, Any]:
+    """The usual job of a picture that goes from black to white."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "wedge.png"
+        Image.linear_gradient("L").save(path)
+        estimate(resolve_spec(preset="recommended"), path, limits=limits, name=path.name)
+    with contextlib.suppress(OSError):
+        ready_mark(ESTIMATES).touch()
+    return {"estimate": {}}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,258 @@
+"""A form as it comes over the wire: its picture goes straight to a file, nothing is held but small parts.
+
+Every limit counts while the bytes arrive, so what is too large is refused before it has filled anything. The file
+lives in `uploads` in the data folder, locked while its request lasts: whatever nobody holds a lock on was left by a
+server that was killed, and the next one removes it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import fcntl
+import hashlib
+import secrets
+import unicodedata
+from collections.abc import AsyncIterator, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+from python_multipart.exceptions import FormParserError
+from python_multipart.multipart import MultipartParser, parse_options_header
+from starlette.requests import Request
+
+from service.http.problems import Problem
+from service.server.api.intake.body import Body
+from service.server.api.intake.disk_space import Space
+
+if TYPE_CHECKING:
+    from python_multipart.multipart import MultipartCallbacks
+
+SPEC_BYTES = 1_000_000
+_OVERHEAD_BYTES = 100_000  # boundaries, headers and the small parts
+_SMALL = {"spec": SPEC_BYTES, "priority": 40}
+_PARTS = 8
+_LOOK_BYTES = 4_000_000
+_CONTENT_TYPE_CHARS = 300
+
+
+@dataclass(slots=True, kw_only=True)
+class JobForm:
+    """What a request held. `path` is the picture; texts holds the small parts, of a job `spec` and `priority`."""
+
+    path: Path
+    image_name: str = ""
+    image_bytes: int = 0
+    image_sha256: str = ""
+    texts: dict[str, bytearray] = field(default_factory=dict)
+
+
+@contextlib.asynccontextmanager
+async def received_form(
+    request: Request,
+    folder: Path,
+    *,
+    max_image_bytes: int,
+    space: Space,
+    picture: str = "image",
+    small: Mapping[str, int] = _SMALL,
+) -> AsyncIterator[JobForm]:
+    """The whole form; its file is removed at the end. Problem for what is no such form, too large, or too much.
+
+    picture : name of the part that holds the picture
+    small   : names of the other parts that are taken, and how many bytes each may have
+    """
+    body = Body(request)
+    try:
+        with _new_file(folder) as (path, file):
+            yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space, picture, small))
+    except Problem:
+        await body.linger()
+        raise
+
+
+async def _read(request: Request, body: Body, reader: _Reader) -> JobForm:
+    boundary, most = _boundary(request), reader.most + SPEC_BYTES + _OVERHEAD_BYTES
+    _require_fitting(request, most, reader.picture)
+    parser = MultipartParser(boundary, reader.callbacks(), max_header_count=8, max_header_size=2048)
+    taken = 0
+    async for piece in body.pieces():
+        taken += len(piece)
+        if taken > most:
+            raise _too_large(reader.most, reader.picture)
+        try:
+            await asyncio.to_thread(parser.write, piece)
+        except FormParserError:
+            raise Problem(400, "the body is not multipart/form-data, or not well made", field="body") from None
+    return await asyncio.to_thread(reader.done)
+
+
+def sweep_uploads(folder: Path) -> None:
+    """Remove what killed servers left; an upload that is under way keeps its lock."""
+    for path in folder.glob("*.upload"):
+        with contextlib.suppress(OSError), path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            path.unlink(missing_ok=True)
+
+
+class _Reader:
+    """The parser's callbacks: which part this is, and where its bytes go."""
+
+    def __init__(
+        self,
+        form: JobForm,
+        file: BinaryIO,
+        max_image_bytes: int,
+        space: Space,
+        picture: str,
+        small: Mapping[str, int],
+    ) -> None:
+        self.most = max_image_bytes
+        self.picture = picture
+        self._small = small
+        self._form = form
+        self._file = file
+        self._space = space
+        self._next_look = _LOOK_BYTES
+        self._digest = hashlib.sha256()
+        self._header = (bytearray(), bytearray())
+        self._disposition = b""
+        self._part = ""
+        self._seen: list[str] = []
+        self._ended = False
+
+    def callbacks(self) -> MultipartCallbacks:
+        return {
+            "on_part_begin": self._begin,
+            "on_header_field": lambda data, start, end: self._header[0].extend(data[start:end]),
+            "on_header_value": lambda data, start, end: self._header[1].extend(data[start:end]),
+            "on_header_end": self._end_of_header,
+            "on_headers_finished": self._end_of_headers,
+            "on_part_data": self._data,
+            "on_end": self._end,
+        }
+
+    def done(self) -> JobForm:
+        """The form, if it is whole."""
+        self._file.flush()
+        if not self._ended:
+            raise Problem(400, "the body ends in the middle of the form", field="body")
+        if self.picture not in self._seen:
+            raise Problem(422, f"the form has no part '{self.picture}' with the picture", field=self.picture)
+        if not self._form.image_bytes:
+            raise Problem(422, f"the part '{self.picture}' is empty", field=self.picture)
+        self._form.image_sha256 = self._digest.hexdigest()
+        return self._form
+
+    def _begin(self) -> None:
+        self._disposition = b""
+        if len(self._seen) >= _PARTS:
+            raise Problem(422, f"the form has more than {_PARTS} parts", field="body")
+
+    def _end_of_header(self) -> None:
+        name, value = (bytes(text) for text in self._header)
+        self._header = (bytearray(), bytearray())
+        if name.strip().lower() == b"content-disposition":
+            self._disposition = value
+        elif name.strip().lower() == b"content-transfer-encoding" and value.strip().lower() not in (b"binary", b"8bit"):
+            raise Problem(422, "parts must be sent as they are, without a transfer encoding", field="body")
+
+    def _end_of_headers(self) -> None:
+        kind, options = _options(self._disposition)
+        name = harmless_name(options.get(b"name", b""), default="")
+        if kind != b"form-data" or not name:
+            raise Problem(400, "a part of the form has no name", field="body")
+        if name not in (self.picture, *self._small):
+            allowed = ", ".join((self.picture, *self._small))
+            raise Problem(422, f"the form has a part '{name[:60]}'; allowed: {allowed}", field=name[:60])
+        if name in self._seen:
+            raise Problem(422, f"the form has two parts '{name}'; allowed: one", field=name)
+        self._seen.append(name)
+        self._part = name
+        if name == self.picture:
+            self._form.image_name = harmless_name(options.get(b"filename", b""), default="picture")
+        else:
+            self._form.texts[name] = bytearray()
+
+    def _data(self, data: bytes, start: int, end: int) -> None:
+        piece = data[start:end]
+        if self._part == self.picture:
+            self._form.image_bytes += len(piece)
+            if self._form.image_bytes > self.most:
+                raise _too_large(self.most, self.picture)
+            if self._form.image_bytes >= self._next_look:
+                self._next_look += _LOOK_BYTES
+                self._space.require()  # many pictures may be coming at once
+            self._digest.update(piece)
+            self._file.write(piece)
+            return
+        self._form.texts[self._part] += piece
+        if len(self._form.texts[self._part]) > self._small[self._part]:
+            most = self._small[self._part]
+            raise Problem(413, f"the part '{self._part}' is longer than {most} bytes", field=self._part)
+
+    def _end(self) -> None:
+        self._ended = True
+
+
+def _boundary(request: Request) -> bytes:
+    header = request.headers.get("content-type", "")
+    if len(header) > _CONTENT_TYPE_CHARS:  # the parser's time grows with its square
+        raise Problem(400, f"the Content-Type is longer than {_CONTENT_TYPE_CHARS} characters", field="Content-Type")
+    kind, options = _options(header.encode("latin-1"))
+    if kind != b"multipart/form-data":
+        raise Problem(415, "the Content-Type must be multipart/form-data", field="Content-Type")
+    boundary = options.get(b"boundary", b"")
+    if not 1 <= len(boundary) <= 70:
+        raise Problem(400, "the Content-Type names no boundary of 1 to 70 characters", field="Content-Type")
+    return boundary
+
+
+def _options(header: bytes) -> tuple[bytes, dict[bytes, bytes]]:
+    """A header's value and its parameters; nothing where it makes no sense."""
+    try:
+        kind, options = parse_options_header(header)
+    except (ValueError, LookupError, TypeError):
+        return b"", {}
+    return kind, options
+
+
+def _require_fitting(request: Request, most: int, picture: str) -> None:
+    length = request.headers.get("content-length", "")
+    if length.isascii() and length.isdigit() and (len(length) > 15 or int(length) > most):
+        raise _too_large(most, picture)
+
+
+def _too_large(most: int, picture: str) -> Problem:
+    return Problem(413, f"the picture is too large; allowed: {most / 1e6:g} MB", field=picture)
+
+
+@contextlib.contextmanager
+def _new_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{secrets.token_hex(8)}.upload"
+    try:
+        with path.open("xb") as file:
+            fcntl.flock(file, fcntl.LOCK_EX)
+            yield path, file
+    finally:
+        path.unlink(missing_ok=True)
+
+
+_LONGEST = 100
+
+
+_KEPT_ENDING = 12
+
+
+def harmless_name(given: bytes | str, *, default: str) -> str:
+    """The last part of a path in any system's spelling, printable, at most 100 characters; `default` for nothing."""
+    text = given if isinstance(given, str) else given.decode("utf-8", "replace")
+    text = unicodedata.normalize("NFC", text.replace("\\", "/").rpartition("/")[2])
+    text = "".join(c if c.isprintable() and c not in '<>:"|?*' else "_" for c in text).strip(" .")
+    if len(text) > _LONGEST:
+        stem, dot, ending = text.rpartition(".")
+        kept = f"{dot}{ending}" if 0 < len(ending) <= _KEPT_ENDING else ""
+        text = (stem if kept else text)[: _LONGEST - len(kept)] + kept
+    return text or default

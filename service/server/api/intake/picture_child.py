@@ -1,0 +1,52 @@
+"""The process that decodes uploaded pictures: small, limited, and expendable. One JSON line in, one out.
+
+In: {"path", "name", "max_pixels"}. Out: {"facts": {...}} or {"refused": [lines]}; first of all {"ready": true}.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import resource
+from pathlib import Path
+from typing import Any
+
+# Named one by one: a look for "all formats" would import and trust dozens of them.
+from PIL import (  # noqa: F401
+    BmpImagePlugin,
+    GifImagePlugin,
+    JpegImagePlugin,
+    MpoImagePlugin,
+    PngImagePlugin,
+    TiffImagePlugin,
+    WebPImagePlugin,
+)
+
+from service.errors import PictureError
+from service.job.picture.decoding import checked
+from service.job.picture.limits import UPLOAD_FORMATS, PictureLimits
+from service.processes.line_worker import answer_lines
+
+_BYTES_PER_PIXEL = 16  # a progressive CMYK JPEG holds its coefficients beside its pixels; an animation two canvases
+_BESIDE_BYTES = 96_000_000  # the file, its notes, the decoder's tables
+
+
+def main() -> None:
+    answer_lines(
+        "cm-pictures",
+        _answer,
+        beside_bytes=_BESIDE_BYTES,
+        bytes_per_pixel=_BYTES_PER_PIXEL,
+        barred=(resource.RLIMIT_CORE, resource.RLIMIT_FSIZE),  # it writes nothing but answers
+    )
+
+
+def _answer(asked: dict[str, Any]) -> dict[str, Any]:
+    limits = PictureLimits(max_pixels=asked["max_pixels"], formats=UPLOAD_FORMATS)
+    try:
+        return {"facts": dataclasses.asdict(checked(Path(asked["path"]), limits, asked["name"]))}
+    except PictureError as error:
+        return {"refused": str(error).split("\n")}
+
+
+if __name__ == "__main__":
+    main()

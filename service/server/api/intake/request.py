@@ -1,0 +1,110 @@
+"""From the form of a new job to what it asks for: the resolved spec, the priority, the hash of the whole request."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from typing import Any
+
+from service.errors import SpecError
+from service.http.problems import Kind, Problem
+from service.job.spec.loading import resolve_spec
+from service.server.api.access.scopes import Principal
+from service.server.api.intake.form import JobForm
+from service.server.database.records import NORMAL, PRIORITIES, ClientKey
+
+_DEEPEST = 20
+_MOST_VALUES = 20_000  # a measured light has 128 x 128, all the rest of a spec a few hundred
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobRequest:
+    """What a caller asks for; sha256 stands for all of it but the picture's file name."""
+
+    spec: dict[str, Any]
+    priority: int
+    sha256: str
+
+
+def job_request(form: JobForm) -> JobRequest:
+    """SpecError or Problem for what cannot be used."""
+    spec = _resolved(bytes(form.texts.get("spec", b"")))
+    priority = _priority(form.texts.get("priority"))
+    whole = [form.image_sha256, spec, priority]
+    digest = hashlib.sha256(json.dumps(whole, sort_keys=True, separators=(",", ":")).encode())
+    return JobRequest(spec=spec, priority=priority, sha256=digest.hexdigest())
+
+
+def idempotency_key(header: str | None, principal: Principal) -> ClientKey | None:
+    """The header's value as this caller's key, if it is one of 1 to 200 printable ASCII characters."""
+    if header is None:
+        return None
+    key = header.strip()
+    if not 1 <= len(key) <= 200 or not (key.isascii() and key.isprintable()):
+        raise Problem(422, "the key must be 1 to 200 printable ASCII characters", field="Idempotency-Key")
+    return ClientKey(principal.id, key)
+
+
+def _resolved(text: bytes) -> dict[str, Any]:
+    data = _parsed(text) if text.strip() else {}
+    try:
+        return resolve_spec(base=data).model_dump(mode="json")
+    except SpecError:
+        raise
+    except (TypeError, ValueError, KeyError, AttributeError, RecursionError, ArithmeticError) as error:
+        raise Problem(422, "the spec is not made as a spec is", field="spec", kind=Kind.SPEC) from error
+
+
+def _parsed(text: bytes) -> dict[str, Any]:
+    """The JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
+
+    The values are counted before they are parsed: what each of them costs from here on is paid by this process.
+    """
+    if text.count(b",") + text.count(b":") > _MOST_VALUES:
+        raise _unusable(f"holds more than {_MOST_VALUES} values")
+    try:
+        data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=_once, parse_constant=_no_constant)
+    except UnicodeDecodeError:
+        raise _unusable("is not UTF-8") from None
+    except RecursionError:
+        raise _unusable("is nested too deeply") from None
+    except ValueError as error:
+        raise _unusable(f"is not JSON: {' '.join(str(error).split())[:120]}") from None
+    if not isinstance(data, dict):
+        raise _unusable("must be a JSON object")
+    if _depth(data) > _DEEPEST:
+        raise _unusable("is nested too deeply")
+    return data
+
+
+def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    made: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in made:
+            raise ValueError(f"the key '{key[:60]}' is there twice")
+        made[key] = value
+    return made
+
+
+def _no_constant(word: str) -> float:
+    raise ValueError(f"{word} is no number")
+
+
+def _depth(value: object) -> int:
+    inner = value.values() if isinstance(value, dict) else value if isinstance(value, list) else None
+    return 0 if inner is None else 1 + max(map(_depth, inner), default=0)
+
+
+def _unusable(words: str) -> Problem:
+    return Problem(422, f"the part 'spec' {words}", field="spec", kind=Kind.SPEC)
+
+
+def _priority(text: bytearray | None) -> int:
+    if text is None or not text.strip():
+        return NORMAL
+    word = text.decode("utf-8", "replace").strip()
+    if word not in PRIORITIES:
+        allowed = ", ".join(PRIORITIES)
+        raise Problem(422, f"priority is '{word[:40]}'; allowed: {allowed}", field="priority")
+    return PRIORITIES[word]

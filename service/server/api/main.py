@@ -1,0 +1,205 @@
+"""The API process: `python -m service.server.api.main`, configured by the environment.
+
+It never computes and never migrates. Prints one line when it serves. SIGTERM and SIGINT: no new connections, streams
+end, requests have five seconds.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import gc
+import logging
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from importlib import metadata
+
+import uvicorn
+from sqlalchemy.exc import SQLAlchemyError
+
+from service.errors import EXIT_FAILURE, JobError
+from service.http import listener as address
+from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
+from service.logs import configure_logs
+from service.processes import lifeline
+from service.processes.private import keep_private
+from service.server.api.access.scopes import refuse_foreign_bind
+from service.server.api.access.stop_access import StopAccess
+from service.server.api.access.terminal_code import CodeOnTerminal
+from service.server.api.answers.event_feed import Feed
+from service.server.api.app import make_app
+from service.server.api.intake.estimator import LOOKING, Estimator
+from service.server.api.intake.form import sweep_uploads
+from service.server.api.intake.picture_check import PictureChecker
+from service.server.api.metrics import Metrics
+from service.server.api.readiness import Readiness
+from service.server.api.services import Services
+from service.server.database.jobs import JobBook
+from service.server.database.pairing import PairingBook
+from service.server.database.schema import await_schema, open_database
+from service.server.database.tokens import TokenBook
+from service.server.fleet.fleet import Fleet
+from service.server.queue.dbos import DbosEngine
+from service.settings import ServerSettings
+from service.store.opening import open_store
+
+_SCHEMA_WAIT_S = 20.0
+_DRAIN_S = 5
+_THREADS = 40
+_CONNECTIONS = 1000
+_SOCKET_BYTES = 4096  # of one message about a stop
+_FILES = 8192  # connections and open artifacts; the usual limit of 1024 is soon reached
+_CALM_S = 3.0  # after which a server that has just started has time for what nobody waits for
+_TURN_S = 0.5
+_STUCK_S = 10.0
+
+
+def main() -> int:
+    for kind in (signal.SIGTERM, signal.SIGINT):  # uvicorn raises it once more when it has served: then all is closed
+        signal.signal(kind, lambda *_: sys.exit(0))
+    try:
+        settings = ServerSettings.load()
+        offer = os.environ.pop(lifeline.PAIRING_OFFER, "")
+        configure_logs(settings.log_level, form=settings.log_format, process="api")
+        for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
+            logging.getLogger(name).setLevel(logging.ERROR)
+        allow_open_files(_FILES)
+        listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
+        url = address.url_of(listener)
+        with contextlib.closing(listener), open_services(settings, offer, url) as services:
+            asyncio.run(_serve(services, listener))
+    except JobError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    except SQLAlchemyError as error:
+        reason = " ".join(str(getattr(error, "orig", error)).split())
+        print(f"error: the database cannot be used: {reason}", file=sys.stderr, flush=True)
+        return EXIT_FAILURE
+    return 0
+
+
+@contextlib.contextmanager
+def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> Iterator[Services]:
+    """Everything the routes need, closed at the end. InputError where it would not be safe to serve.
+
+    offer : of a code with which pages can be paired. url : where the page is
+    """
+    with contextlib.ExitStack() as stack:
+        keep_private(settings.data)
+        database = open_database(settings)
+        stack.callback(database.dispose)
+        await_schema(database, _SCHEMA_WAIT_S)
+        tokens = TokenBook(database)
+        refuse_foreign_bind(settings, tokens)
+        sweep_uploads(settings.data / "uploads")
+        pairings = PairingBook(database, tokens)
+        if offer:
+            pairings.offer(offer)
+        store = open_store(settings)
+        book = JobBook(database, store)
+        engine = DbosEngine(settings)
+        stack.callback(engine.close)
+        pictures = PictureChecker()
+        stack.callback(pictures.close)
+        estimates = Estimator()
+        stack.callback(estimates.close)
+        exact_estimates = Estimator()
+        stack.callback(exact_estimates.close)
+        looks = Estimator(module=LOOKING, what="look")
+        stack.callback(looks.close)
+        stop_access = StopAccess(tokens)
+        stack.callback(stop_access.close)
+        fleet = Fleet(settings, database, store, book)
+        yield Services(
+            settings=settings,
+            database=database,
+            book=book,
+            store=store,
+            engine=engine,
+            tokens=tokens,
+            pairings=pairings,
+            stop_access=stop_access,
+            terminal=CodeOnTerminal(pairings, offer, url),
+            fleet=fleet,
+            pictures=pictures,
+            estimates=estimates,
+            exact_estimates=exact_estimates,
+            looks=looks,
+            feed=Feed(book),
+            metrics=Metrics(database),
+            readiness=Readiness(settings, database, store),
+        )
+
+
+async def _serve(services: Services, listener: socket.socket) -> None:
+    server = server_of(services, on_ready=lambda: print(f"causticmill on {address.url_of(listener)}", flush=True))
+    if services.settings.prepare:
+        loop = asyncio.get_running_loop()
+        loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)
+    turning = asyncio.create_task(_turn())
+    gc.freeze()  # what is here now stays: not worth looking at again and again
+    await server.serve(sockets=[listener])
+    turning.cancel()
+
+
+async def _turn() -> None:
+    """While the loop turns, the supervisor hears of us; one that hangs is started again."""
+    turned_at = time.monotonic()
+    lifeline.healthy = lambda: time.monotonic() - turned_at < _STUCK_S
+    while True:
+        await asyncio.sleep(_TURN_S)
+        turned_at = time.monotonic()
+
+
+def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:
+    """uvicorn as we want it; `on_ready` is called once it serves."""
+    config = uvicorn.Config(
+        make_app(services),
+        http=ProblemProtocol,
+        ws="wsproto",
+        ws_max_size=_SOCKET_BYTES,
+        lifespan="on",
+        log_config=None,
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        headers=[(VERSION_HEADER, metadata.version("causticmill"))],
+        h11_max_incomplete_event_size=HEADER_BYTES,
+        limit_concurrency=_CONNECTIONS,
+        timeout_keep_alive=30,
+        timeout_graceful_shutdown=_DRAIN_S,
+    )
+    return Server(config, services, on_ready)
+
+
+class Server(uvicorn.Server):
+    """Says when it serves, and ends the streams first when it is told to stop: they would never end by themselves."""
+
+    def __init__(self, config: uvicorn.Config, services: Services, on_ready: Callable[[], None]) -> None:
+        super().__init__(config)
+        self._services = services
+        self._on_ready = on_ready
+
+    async def serve(self, sockets: list[socket.socket] | None = None) -> None:
+        threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="api")
+        asyncio.get_running_loop().set_default_executor(threads)
+        await super().serve(sockets)
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        if self.started:
+            self._on_ready()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._services.feed.close()
+        self._services.fleet.end_streams()
+        await super().shutdown(sockets)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""How the OpenAPI document tells what a route answers: its good answers with an example, and every refusal."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from service.server.api.schemas.jobs import ProblemBody
+
+_SEALED = "example: "
+_PROBLEM_JSON = "application/problem+json"
+_WORDS = {
+    400: "the request is malformed",
+    401: "a token is needed",
+    403: "the token lacks a scope, or the request came from a foreign page",
+    404: "there is no such thing",
+    405: "this address does not take that method",
+    408: "the request did not arrive in time",
+    409: "not allowed in the present state",
+    412: "changed meanwhile",
+    413: "the request is too large",
+    415: "not a media type this address takes",
+    416: "no such range in this file",
+    422: "a value cannot be used; `field` names it",
+    429: "too many requests; Retry-After tells when to come back",
+    431: "the headers are too large",
+    500: "a fault inside the server",
+    502: "the mill's agent answered with something else",
+    503: "a part of the server cannot be reached at present; Retry-After tells when to come back",
+    504: "the mill's agent did not answer in time",
+    507: "the server has no space left",
+}
+# What the guard and the frame answer on every route, whatever it does.
+_ANYWHERE = (400, 401, 403, 404, 405, 408, 413, 422, 429, 431, 503)
+
+Responses = dict[int | str, dict[str, Any]]
+
+
+def refusals(*statuses: int) -> Responses:
+    """Problems: those of every route, and these."""
+    return {status: _refusal(status) for status in sorted({*_ANYWHERE, *statuses})}
+
+
+def answers(good: Responses, *refused: int) -> Responses:
+    """What a route answers when all is well, and the refusals."""
+    return good | refusals(*refused)
+
+
+def example(value: object) -> dict[str, Any]:
+    """A JSON answer's example. As a text until the document is made: FastAPI takes every null out of it."""
+    return {"content": {"application/json": {"example": _SEALED + json.dumps(value)}}}
+
+
+def _refusal(status: int) -> dict[str, Any]:
+    content = {_PROBLEM_JSON: {"schema": {"$ref": "#/components/schemas/Problem"}}}
+    return {"description": _WORDS[status], "content": content}
+
+
+def with_problems(document: dict[str, Any]) -> dict[str, Any]:
+    """The OpenAPI document with the problem's schema, and each refusal told once for all routes."""
+    components = document.setdefault("components", {})
+    schema = ProblemBody.model_json_schema(ref_template="#/components/schemas/{model}")
+    schemas = components.setdefault("schemas", {})
+    schemas.update(schema.pop("$defs", {}))
+    schemas["Problem"] = schema | {"title": "Problem"}
+    for unused in ("HTTPValidationError", "ValidationError"):
+        schemas.pop(unused, None)
+    components["responses"] = {f"Problem{status}": _refusal(status) for status in _WORDS}
+    for item in document["paths"].values():
+        for operation in item.values():
+            told = operation["responses"]
+            _unseal(told)
+            for status in [status for status in told if told[status] == _refusal_or_none(status)]:
+                told[status] = {"$ref": f"#/components/responses/Problem{status}"}
+    return document
+
+
+def _unseal(told: dict[str, Any]) -> None:
+    for answer in told.values():
+        content = answer.get("content", {}).get("application/json", {})
+        if str(content.get("example", "")).startswith(_SEALED):
+            content["example"] = json.loads(content["example"].removeprefix(_SEALED))
+
+
+def _refusal_or_none(status: str) -> dict[str, Any] | None:
+    return _refusal(int(status)) if int(status) in _WORDS else None

@@ -1,0 +1,80 @@
+"""Whether everything that the server needs works, each part by its own word."""
+
+from __future__ import annotations
+
+import asyncio
+import shutil
+from collections.abc import Callable
+from functools import partial
+
+import sqlalchemy as sa
+import structlog
+
+from service.server.api.shared_call import SharedCall
+from service.server.database.connection import clock, put_rows, reading, writing
+from service.server.database.tables import executors, idempotency_keys
+from service.settings import ServerSettings
+from service.store.base import Store
+
+_WAIT_S = 5.0
+_log = structlog.get_logger("api")
+
+
+class _WrongError(Exception):
+    """What is wrong, in words that may be shown."""
+
+
+class Readiness:
+    """One for the whole server: whoever asks while a part is being checked gets the answer of that check."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store) -> None:
+        self._settings = settings
+        self._engine = database
+        self._artifacts = store
+        parts = {"database": self._database, "store": self._store, "worker": self._worker, "disk": self._disk}
+        self._checks = {name: SharedCall(partial(_check, name, check)) for name, check in parts.items()}
+
+    async def checks(self) -> dict[str, str]:
+        """`ok` or what is wrong, for each part; none of them waits for another."""
+        words = await asyncio.gather(*map(_answer, self._checks.values()))
+        return dict(zip(self._checks, words, strict=True))
+
+    def _database(self) -> None:
+        with writing(self._engine) as connection:
+            row = {"principal": "", "kind": "ready", "key": "", "request_sha256": "", "resource_id": ""}
+            put_rows(connection, idempotency_keys, [row | {"created_at": clock(connection)}])
+
+    def _store(self) -> None:
+        self._artifacts.check()
+
+    def _worker(self) -> None:
+        lease_s = self._settings.lease_s
+        with reading(self._engine) as connection:
+            live = executors.c.seen_at > clock(connection) - lease_s
+            if not connection.execute(sa.select(sa.func.count()).where(live)).scalar_one():
+                raise _WrongError(f"no worker was heard of for {lease_s:g} s; jobs wait")
+
+    def _disk(self) -> None:
+        settings = self._settings
+        free_mb = shutil.disk_usage(settings.data).free / 1e6
+        if free_mb < settings.free_disk_mb:
+            raise _WrongError(f"{free_mb:.0f} MB are free; new jobs need {settings.free_disk_mb} MB")
+
+
+def _check(name: str, check: Callable[[], None]) -> str:
+    """The true reason goes to the log; it may hold paths."""
+    try:
+        check()
+    except _WrongError as error:
+        return str(error)
+    except Exception as error:
+        _log.warning("not ready", part=name, error=" ".join(str(error).split())[:300])
+        return "cannot be used at present"
+    return "ok"
+
+
+async def _answer(check: SharedCall[str]) -> str:
+    try:
+        return await check.result(_WAIT_S)
+    except TimeoutError:
+        return f"no answer in {_WAIT_S:g} s"

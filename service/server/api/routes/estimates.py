@@ -1,0 +1,74 @@
+"""POST /v1/estimates: what a job would come to, while a person still turns the knobs. Nothing is kept of it."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Query, Request
+from starlette.responses import JSONResponse, Response
+
+from service.server.api.access.scopes import Writer
+from service.server.api.intake.disk_space import Space
+from service.server.api.intake.form import JobForm, received_form
+from service.server.api.intake.request import job_request
+from service.server.api.openapi import answers, example
+from service.server.api.routes.submit import JOB_FORM
+from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE, EstimateView
+from service.server.api.services import Services, services_of
+
+router = APIRouter()
+_LOOK_S = 1.0  # whether somebody still waits for what takes long
+
+Tab = Annotated[
+    str,
+    Header(alias="Causticmill-Tab", max_length=64, pattern=r"^[!-~]*$", description="any word; one for each window"),
+]
+
+Exactly = Annotated[bool, Query(description="from a lens as fine as the picture, planned as the job's: half a minute")]
+
+
+@router.post(
+    "/v1/estimates",
+    tags=["jobs"],
+    summary="Estimate a job",
+    response_model=EstimateView,
+    responses=answers({200: example(ESTIMATE_EXAMPLE)}, 408, 409, 415, 507),
+    openapi_extra=JOB_FORM,
+)
+async def estimated(request: Request, principal: Writer, tab: Tab = "", exactly: Exactly = False) -> Response:
+    """Relief, hours and blur, from a coarse picture unless it is to be exact. A caller who asks again ends the requests
+    before with 409, but an exact one lets a coarse one be; several windows of one caller name themselves, and do not
+    end each other's.
+    """
+    services = services_of(request)
+    settings, space = services.settings, Space(services.settings)
+    await asyncio.to_thread(space.require)
+    limit = int(settings.max_upload_mb * 1e6)
+    async with received_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
+        wanted = await asyncio.to_thread(job_request, form)
+        async with services.accepting:
+            await asyncio.to_thread(_check_picture, services, form)
+        asked = {
+            "path": str(form.path),
+            "name": form.image_name,
+            "max_pixels": int(settings.max_megapixels * 1e6),
+            "spec": wanted.spec,
+            "exactly": exactly,
+        }
+        caller = f"{principal.id or principal.name} {tab}"
+        if exactly:
+            asking = services.exact_estimates.ask(caller, asked, is_long=True)
+        else:
+            services.exact_estimates.leave(caller)
+            asking = services.estimates.ask(caller, asked)
+        answer = asyncio.wrap_future(asking)
+        while not (await asyncio.wait({answer}, timeout=_LOOK_S))[0]:
+            if exactly and not answer.done() and await request.is_disconnected():
+                services.exact_estimates.leave(caller)
+        found = await answer
+    return JSONResponse({**found, "spec": wanted.spec}, headers={"Cache-Control": "no-store"})
+
+
+def _check_picture(services: Services, form: JobForm) -> None:
+    services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))

@@ -1,0 +1,88 @@
+"""For whoever runs the server: is it alive, can it work, and in figures how it does."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi import APIRouter, Depends, Request
+from prometheus_client import CONTENT_TYPE_LATEST
+from starlette.responses import JSONResponse, Response
+
+from service.http.problems import Kind, Problem
+from service.server.api.access.scopes import ADMIN, open_here, require
+from service.server.api.openapi import Responses, answers, example
+from service.server.api.schemas.jobs import Alive, Ready
+from service.server.api.services import services_of
+
+router = APIRouter(tags=["operations"])
+
+
+async def _here_or_known(request: Request) -> None:
+    """From this computer, or with any token."""
+    if not open_here(request):
+        await require()(request, None)
+
+
+async def _here_or_admin(request: Request) -> None:
+    if not open_here(request):
+        await require(ADMIN)(request, None)
+
+
+Known = Depends(_here_or_known)
+Admin = Depends(_here_or_admin)
+_PLAIN: dict[str, Any] = {
+    "text/plain": {"schema": {"type": "string"}, "example": 'causticmill_jobs{state="queued"} 0\n'}
+}
+_METRICS: Responses = {200: {"description": "Prometheus text format", "content": _PLAIN}}
+_READY = {"ready": True, "checks": {"database": "ok", "store": "ok", "worker": "ok", "disk": "ok"}}
+
+
+@router.get(
+    "/livez",
+    summary="Is the process alive?",
+    dependencies=[Known],
+    response_model=Alive,
+    responses=answers({200: example({"alive": True})}),
+)
+async def livez() -> Response:
+    """Answers as long as the process does; asks nothing of the database."""
+    return JSONResponse({"alive": True})
+
+
+@router.get(
+    "/readyz",
+    summary="Can the server do its work?",
+    dependencies=[Known],
+    response_model=Ready,
+    responses=answers({200: example(_READY)}),
+)
+async def readyz(request: Request) -> Response:
+    """Writes to the database and to the artifact store, looks for a live worker and for free disk space."""
+    services = services_of(request)
+    checks = await services.readiness.checks()
+    wrong = {name: words for name, words in checks.items() if words != "ok"}
+    if wrong:
+        detail = "; ".join(f"{name}: {words}" for name, words in wrong.items())
+        more = {"ready": False, "checks": checks}
+        raise Problem(
+            503, detail, field=next(iter(wrong)), kind=Kind.NOT_READY, headers={"Retry-After": "2"}, more=more
+        )
+    return JSONResponse({"ready": True, "checks": checks})
+
+
+@router.get(
+    "/metrics",
+    summary="Figures for Prometheus",
+    dependencies=[Admin],
+    response_class=Response,
+    responses=answers(_METRICS),
+)
+async def metrics(request: Request) -> Response:
+    """Jobs, stages and artifacts by the database; requests by this process since its start."""
+    services = services_of(request)
+    services.metrics.followers.set(services.feed.followers)
+    try:
+        text = await services.metrics.text()
+    except TimeoutError:
+        raise Problem(503, "the figures are not counted yet", headers={"Retry-After": "2"}) from None
+    return Response(text, headers={"Content-Type": CONTENT_TYPE_LATEST})

@@ -1,0 +1,145 @@
+"""Jobs: list, look, cancel, retry, delete."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any
+from urllib.parse import urlencode
+from uuid import UUID
+
+import structlog
+from fastapi import APIRouter, Header, Path, Query, Request
+from starlette.responses import JSONResponse, Response
+
+from service.http.problems import Problem
+from service.server.api.access.scopes import Reader, Writer
+from service.server.api.answers.download import matches
+from service.server.api.answers.job_json import job_list, whole_job
+from service.server.api.openapi import Responses, answers, example
+from service.server.api.routes.submit import hand_to_engine
+from service.server.api.schemas.jobs import JOB_EXAMPLE, SUMMARY_EXAMPLE, JobList, JobView, State
+from service.server.api.services import Services, services_of
+from service.server.database.records import Job, UnknownJobError
+from service.server.database.states import JobState
+from service.server.queue.engine import Ticket
+
+router = APIRouter(tags=["jobs"])
+_log = structlog.get_logger("api")
+
+JobId = Annotated[UUID, Path(alias="id", description="id of a job", examples=[JOB_EXAMPLE["id"]])]
+_JOB: Responses = {200: example(JOB_EXAMPLE)}
+
+
+@router.get(
+    "/v1/jobs",
+    summary="List jobs, newest first",
+    response_model=JobList,
+    responses=answers({200: example({"jobs": [SUMMARY_EXAMPLE], "next": None})}),
+)
+async def listed(
+    request: Request,
+    _: Reader,
+    state: Annotated[list[State] | None, Query(description="only jobs in this state; may be repeated")] = None,
+    limit: Annotated[int, Query(ge=1, le=200)] = 50,
+    cursor: Annotated[UUID | None, Query(description="id of the last job of the page before")] = None,
+) -> Response:
+    """A page of jobs without their report, spec and stages. `next` is the address of the following page."""
+    services, before = services_of(request), None if cursor is None else str(cursor)
+    body = await asyncio.to_thread(_page, services, [JobState(word) for word in state or ()], limit, before)
+    return JSONResponse(body)
+
+
+@router.get(
+    "/v1/jobs/{id:uuid}",
+    summary="Look at a job",
+    response_model=JobView,
+    responses=answers(_JOB | {304: {"description": "unchanged since the ETag in If-None-Match"}}),
+)
+async def look(
+    request: Request, _: Reader, job_id: JobId, if_none_match: Annotated[str | None, Header()] = None
+) -> Response:
+    """The whole job. `report` grows as stages end; `programs` appear once all of them have been checked."""
+    services = services_of(request)
+    body = await asyncio.to_thread(lambda: whole_job(services, services.book.get(str(job_id))))
+    headers = {"ETag": body["etag"], "Cache-Control": "no-cache"}
+    if matches(if_none_match, body["etag"]):
+        return Response(status_code=304, headers=headers)
+    if body["state"] in ("queued", "running"):
+        headers["Retry-After"] = "1"
+    return JSONResponse(body, headers=headers)
+
+
+@router.post("/v1/jobs/{id:uuid}:cancel", summary="Cancel a job", response_model=JobView, responses=answers(_JOB, 409))
+async def cancel(request: Request, principal: Writer, job_id: JobId) -> Response:
+    """A waiting job ends at once, a running one when its worker has stopped it, within two seconds. Twice is fine."""
+    services = services_of(request)
+
+    def change() -> dict[str, Any]:
+        job = services.book.request_cancel(str(job_id), principal.name)
+        if job.state is JobState.CANCELLED:
+            _tell_engine(services, job)
+        return whole_job(services, job)
+
+    return _changed(await asyncio.to_thread(change), 200)
+
+
+@router.post(
+    "/v1/jobs/{id:uuid}:retry",
+    summary="Run a failed or cancelled job again",
+    status_code=202,
+    response_model=JobView,
+    responses=answers({202: example(JOB_EXAMPLE)}, 409, 507),
+)
+async def retry(request: Request, principal: Writer, job_id: JobId) -> Response:
+    """Another attempt. Stages that were finished are not run again."""
+    services = services_of(request)
+
+    def change() -> dict[str, Any]:
+        job = services.book.retry(str(job_id), principal.name)
+        hand_to_engine(services, job)
+        return whole_job(services, job)
+
+    return _changed(await asyncio.to_thread(change), 202)
+
+
+@router.delete(
+    "/v1/jobs/{id:uuid}",
+    summary="Delete a job",
+    status_code=204,
+    response_class=Response,
+    responses=answers({204: {"description": "gone, with its files"}}, 409),
+)
+async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
+    """Forget a job that does not run. Files that no other job has are removed from the disk some time later."""
+    services = services_of(request)
+
+    def change() -> None:
+        _tell_engine(services, services.book.delete(str(job_id)))
+
+    await asyncio.to_thread(change)
+    services.feed.gone(str(job_id))
+    return Response(status_code=204)
+
+
+def _page(services: Services, states: list[JobState], limit: int, before: str | None) -> dict[str, Any]:
+    try:
+        found = services.book.listed(states=states, limit=limit + 1, before=before)
+    except UnknownJobError:
+        raise Problem(422, "the job of this cursor is gone; begin again without it", field="cursor") from None
+    page = found[:limit]
+    more = [("state", str(state)) for state in states] + [("limit", str(limit))]
+    address = "/v1/jobs?" + urlencode([*more, ("cursor", page[-1].id)]) if len(found) > limit else None
+    return {"jobs": job_list(services, page), "next": address}
+
+
+def _tell_engine(services: Services, job: Job) -> None:
+    """The job is not to be started any more; a worker that starts it all the same sees that in the book."""
+    try:
+        services.engine.cancel(Ticket(job.id, job.attempt))
+    except Exception as error:  # whatever the engine's database does: the book has it
+        _log.warning("engine was not told", job=job.id, error=str(error)[:200])
+
+
+def _changed(body: dict[str, Any], status: int) -> Response:
+    headers = {"ETag": body["etag"], "Location": body["links"]["self"]}
+    return JSONResponse(body, status_code=status, headers=headers)

@@ -1,0 +1,100 @@
+"""Machines: which there are, what they do, and a program handed to one of them, where it waits for a person."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from fastapi import APIRouter, Header, Path, Query, Request
+from starlette.responses import JSONResponse, Response
+
+from service.server.api.access.order_context import Order
+from service.server.api.access.scopes import Operator, Reader
+from service.server.api.intake.request import idempotency_key
+from service.server.api.openapi import Responses, answers, example, refusals
+from service.server.api.schemas.examples import (
+    MACHINE_EXAMPLE,
+    MACHINES_EXAMPLE,
+    ORDERS_EXAMPLE,
+    PREPARING_EXAMPLE,
+    RUN_EXAMPLE,
+)
+from service.server.api.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, PastOrders, RunView
+from service.server.api.services import services_of
+
+router = APIRouter(tags=["machines"])
+
+_PARKED: Responses = {
+    201: example(RUN_EXAMPLE) | {"description": "parked: it waits for :start"},
+    202: example(PREPARING_EXAMPLE)
+    | {"description": "still being handed over, ask again: a large program takes its time", "model": RunView},
+}
+MachineName = Annotated[
+    str, Path(max_length=100, pattern=PLAIN, description="name of a machine", examples=["shop-mill"])
+]
+
+
+@router.get(
+    "/v1/machines",
+    summary="List the mills",
+    response_model=MachineList,
+    responses=answers({200: example(MACHINES_EXAMPLE)}),
+)
+async def listed(request: Request, _: Reader) -> Response:
+    """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
+    return JSONResponse(await services_of(request).fleet.machines())
+
+
+@router.get(
+    "/v1/machines/{machine}",
+    summary="Look at a mill",
+    response_model=MachineView,
+    responses=answers({200: example(MACHINE_EXAMPLE)}),
+)
+async def look(request: Request, _: Reader, machine: MachineName) -> Response:
+    return JSONResponse(await services_of(request).fleet.machine(machine))
+
+
+@router.get(
+    "/v1/machines/{machine}/orders",
+    summary="Who ordered what",
+    response_model=PastOrders,
+    responses=answers({200: example(ORDERS_EXAMPLE)}, 502, 504),
+)
+async def list_orders(
+    request: Request,
+    _: Reader,
+    machine: MachineName,
+    before: Annotated[int | None, Query(ge=0, le=1 << 53, description="`next` of the page before")] = None,
+    limit: Annotated[int, Query(ge=1, le=500)] = 50,
+) -> Response:
+    """Orders and stops, newest first: when, whose, from where, and what came of them. Kept by the mill's agent."""
+    return JSONResponse(await services_of(request).fleet.past_orders(machine, before, limit))
+
+
+@router.post(
+    "/v1/machines/{machine}/runs",
+    summary="Hand a program to a mill",
+    status_code=201,
+    response_model=RunView,
+    responses=_PARKED | refusals(409, 502, 504, 507),
+)
+async def park(
+    request: Request,
+    principal: Operator,
+    machine: MachineName,
+    body: NewRunBody,
+    context: Order,
+    idempotency_key_header: Annotated[
+        str | None,
+        Header(alias="Idempotency-Key", description="the same key with the same request gives the same run"),
+    ] = None,
+) -> Response:
+    """The program goes to the mill's agent, which reads it whole and holds it against the mill. Nothing moves.
+
+    One run has a mill at a time: while another is open this is refused.
+    """
+    key = idempotency_key(idempotency_key_header, principal)
+    fleet = services_of(request).fleet
+    run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, context)
+    headers = {"Location": f"/v1/runs/{run['id']}"} | ({} if parked else {"Retry-After": "1"})
+    return JSONResponse(run, status_code=201 if parked else 202, headers=headers)

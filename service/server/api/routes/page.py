@@ -1,0 +1,69 @@
+"""The operator page: its files under /page/, open to everybody, for they hold no data."""
+
+from __future__ import annotations
+
+from fastapi import APIRouter, Request
+from starlette.responses import Response
+
+from service.http.problems import Problem
+from service.page.files import INDEX, PageFile, PageFiles
+from service.server.api.answers.download import matches
+
+PREFIX = "/page/"
+
+# Everything comes from here: a text of a stranger that gets into the page can load and send nothing.
+_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob: data:; connect-src 'self'; "
+    "manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+_HEADERS = {
+    "Cache-Control": "no-cache",
+    "Content-Security-Policy": _POLICY,
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+}
+
+router = APIRouter()
+_files = PageFiles()
+
+
+@router.api_route(PREFIX + "{path:path}", methods=["GET", "HEAD"], include_in_schema=False)
+def file(request: Request, path: str) -> Response:
+    """On a thread of its own kind: a disk may be slow."""
+    found = _files.file(path)
+    if found is None:
+        raise Problem(404, f"the page has no file '{path[:100]}'", field="path")
+    return _sent(request, found)
+
+
+def index(request: Request) -> Response:
+    """What a browser gets at /."""
+    found = _files.file(INDEX)
+    if found is None:
+        raise Problem(404, "the page is not installed", field="path")
+    return _sent(request, found, vary="Accept, Accept-Encoding")
+
+
+def _sent(request: Request, found: PageFile, *, vary: str = "Accept-Encoding") -> Response:
+    packed = found.packed if _takes_gzip(request.headers.get("accept-encoding", "")) else None
+    etag = f'"{found.etag}{"-gz" if packed is not None else ""}"'
+    headers = _HEADERS | {"ETag": etag, "Vary": vary}
+    if matches(request.headers.get("if-none-match"), etag):
+        return Response(status_code=304, headers=headers)
+    headers |= {"Content-Encoding": "gzip"} if packed is not None else {}
+    content = found.content if packed is None else packed
+    if request.method == "HEAD":
+        headers["Content-Length"] = str(len(content))
+        content = b""
+    return Response(content, headers=headers, media_type=found.media_type)
+
+
+def _takes_gzip(header: str) -> bool:
+    """RFC 9110: named, and not with the weight 0."""
+    for coding in header.lower().split(","):
+        name, _, weight = coding.replace(" ", "").partition(";q=")
+        if name == "gzip":
+            return weight not in ("0", "0.0", "0.00", "0.000")
+    return False

@@ -1,0 +1,174 @@
+"""What photographs tell: of a lens's light on the wall, and of a test piece, which is to be had here, too.
+
+Nothing is kept of a photograph.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import tempfile
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+from fastapi import APIRouter, Request
+from fastapi import Path as InPath
+from starlette.responses import JSONResponse, Response
+
+from machines.profiles import profile_names
+from service.errors import PictureError
+from service.http.problems import Kind, Problem
+from service.job import files as job_files
+from service.job.photo.names import FORETOLD
+from service.server.api.access.scopes import Writer
+from service.server.api.intake.disk_space import Space
+from service.server.api.intake.form import received_form
+from service.server.api.openapi import Responses, answers, example, refusals
+from service.server.api.routes.archive import ZIP
+from service.server.api.routes.jobs import JobId
+from service.server.api.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
+from service.server.api.services import Services, services_of
+
+router = APIRouter()
+
+ProfileName = Annotated[str, InPath(min_length=1, max_length=64, description="name of a machine profile")]
+_PART = "photo"
+_PHOTO_FORM: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": [_PART],
+                    "additionalProperties": False,
+                    "properties": {
+                        _PART: {
+                            "type": "string",
+                            "format": "binary",
+                            "description": "the photograph: PNG, JPEG, TIFF, WebP, BMP or GIF",
+                        },
+                    },
+                },
+                "encoding": {_PART: {"contentType": "image/*"}},
+            }
+        },
+    }
+}
+_ZIP_ANSWERS: Responses = {
+    200: {"description": "the archive", "content": ZIP},
+    **refusals(507),
+}
+
+
+@router.post(
+    "/v1/jobs/{id:uuid}/photos",
+    tags=["jobs"],
+    summary="Look at a photograph of the wall",
+    response_model=LookView,
+    responses=answers({200: example(LOOK_EXAMPLE)}, 408, 409, 415, 507),
+    openapi_extra=_PHOTO_FORM,
+)
+async def looked(request: Request, principal: Writer, job_id: JobId) -> Response:
+    """What is off: distance, tilt, turn, sharpness, surface, each with how surely it is told. A photograph that tells
+    nothing is refused with what to do. A caller who asks again of the same job ends the request before with 409.
+    """
+    services = services_of(request)
+    with tempfile.TemporaryDirectory(prefix="causticmill-look-") as folder:
+        async with _receive_photo(request) as photo:
+            await asyncio.to_thread(_fetch, services, str(job_id), Path(folder))
+            caller = f"{principal.id or principal.name} {job_id}"
+            found = await asyncio.wrap_future(services.looks.ask(caller, {**photo, "job": folder}))
+    return JSONResponse(found, headers={"Cache-Control": "no-store"})
+
+
+@router.get(
+    "/v1/profiles/{profile}/coupon.zip",
+    tags=["machines"],
+    summary="Download a machine's test piece",
+    operation_id="coupon",
+    response_class=Response,
+    responses=_ZIP_ANSWERS,
+)
+async def download_coupon(request: Request, principal: Writer, profile: ProfileName) -> Response:
+    """Programs, setup sheet and the light foretold of a piece that measures the mill and a finish. The first request
+    for a machine waits until the piece is made.
+    """
+    services = services_of(request)
+    await asyncio.to_thread(_require_profile, profile)
+    await asyncio.to_thread(Space(services.settings).require)
+    caller = f"{principal.id or principal.name} coupon {profile}"
+    making = services.looks.ask(caller, _piece_of(services, profile), is_long=True)
+    found = await asyncio.shield(asyncio.wrap_future(making))  # others may wait for it, too
+    try:
+        archive = await asyncio.to_thread(Path(found["archive"]).read_bytes)
+    except FileNotFoundError:
+        raise Problem(503, "the test piece is being made anew; try again", headers={"Retry-After": "5"}) from None
+    headers = {
+        "Cache-Control": "private, no-cache",
+        "Content-Disposition": f'attachment; filename="{job_files.COUPON_ARCHIVE}"',
+    }
+    return Response(archive, headers=headers, media_type="application/zip")
+
+
+@router.post(
+    "/v1/profiles/{profile}/coupon/photos",
+    tags=["machines"],
+    summary="Measure a mill and a finish",
+    response_model=CouponView,
+    responses=answers({200: example(COUPON_EXAMPLE)}, 408, 409, 415, 507),
+    openapi_extra=_PHOTO_FORM,
+)
+async def measure(request: Request, principal: Writer, profile: ProfileName) -> Response:
+    """What a photograph of the test piece's light says of the mill and the finish, and what that means for a job's
+    spec. A photograph that says nothing is refused with what to do. A caller who asks again ends the request before
+    with 409.
+    """
+    services = services_of(request)
+    await asyncio.to_thread(_require_profile, profile)
+    async with _receive_photo(request) as photo:
+        caller = f"{principal.id or principal.name} photo {profile}"
+        asked = {**_piece_of(services, profile), **photo}
+        found = await asyncio.wrap_future(services.looks.ask(caller, asked, is_long=True))
+    return JSONResponse(found, headers={"Cache-Control": "no-store"})
+
+
+@asynccontextmanager
+async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
+    """The request's photograph, as the process that looks is asked for it; its file is removed at the end."""
+    services = services_of(request)
+    settings, space = services.settings, Space(services.settings)
+    await asyncio.to_thread(space.require)
+    limit, most = int(settings.max_upload_mb * 1e6), int(settings.max_megapixels * 1e6)
+    uploads = settings.data / "uploads"
+    async with received_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
+        try:
+            async with services.accepting:
+                await asyncio.to_thread(services.pictures.check, form.path, form.image_name, most)
+            yield {"path": str(form.path), "name": form.image_name, "max_pixels": most}
+        except PictureError as error:
+            raise Problem(422, str(error), field=_PART, kind=Kind.PICTURE) from None
+
+
+def _piece_of(services: Services, profile: str) -> dict[str, Any]:
+    return {"machine": profile, "pieces": str(services.settings.data / "coupons"), "max_pixels": 0}
+
+
+def _require_profile(name: str) -> None:
+    if name not in (known := profile_names()):
+        raise Problem(404, f"there is no machine profile {name!r}; allowed: {', '.join(known)}")
+
+
+def _fetch(services: Services, job_id: str, folder: Path) -> None:
+    """The files of the job that a look needs. Problem 409 where there is no lens yet."""
+    job = services.book.get(job_id)
+    files = {file.name: file for file in services.book.artifacts(job_id)}
+    missing = [name for name in (job_files.HEIGHTFIELD, job_files.MAP) if name not in files]
+    if missing:
+        raise Problem(409, f"the job has no {missing[0]} yet: there is no lens to compare a photograph with")
+    for name in (job_files.HEIGHTFIELD, job_files.MAP, *FORETOLD.values()):
+        if name in files:
+            services.store.fetch(files[name].sha256, folder / name)
+    (folder / job_files.SPEC).write_text(json.dumps(job.spec), encoding="utf-8")

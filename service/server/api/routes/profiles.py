@@ -1,0 +1,133 @@
+"""What a new job can begin with: the profiles of machines, and what another job was made from."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from fastapi import APIRouter, Request
+from starlette.responses import JSONResponse, Response
+
+from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
+from service.job.spec.minimal import asked_spec
+from service.server.api.access.scopes import Reader
+from service.server.api.openapi import answers, example
+from service.server.api.routes.artifacts import Asked, byte_answers, sent
+from service.server.api.routes.jobs import JobId
+from service.server.api.schemas.jobs import JOB_EXAMPLE, ProfileList, RequestView
+from service.server.api.services import services_of
+from service.server.database.records import Artifact
+from service.server.fleet.registry import KnownMachine, known_machines
+from service.settings import ServerSettings
+
+router = APIRouter()
+
+_PICTURE = "picture"
+_PROFILES = {
+    "profiles": [
+        {
+            "name": "grbl",
+            "description": "desktop router",
+            "dialect": "grbl",
+            "travel_mm": [300.0, 300.0, 80.0],
+            "mills": [{"name": "simulated", "simulated": True}],
+        }
+    ]
+}
+_REQUEST = {
+    "name": "portrait.png",
+    "spec": {"preset": "draft", "optics": {"width_mm": 40.0}},
+    "image": f"/v1/jobs/{JOB_EXAMPLE['id']}/image",
+}
+
+
+@router.get(
+    "/v1/profiles",
+    tags=["machines"],
+    summary="List the machine profiles",
+    response_model=ProfileList,
+    responses=answers({200: example(_PROFILES)}),
+)
+async def profiles(request: Request, _: Reader) -> Response:
+    """The values that `machine.profile` of a spec may have, each with the mills of this server that its programs are
+    for. A profile that cannot be read is left out.
+    """
+    return JSONResponse({"profiles": await asyncio.to_thread(_profiles, services_of(request).settings)})
+
+
+@router.get(
+    "/v1/jobs/{id:uuid}/request",
+    tags=["jobs"],
+    summary="What a job was asked for with",
+    response_model=RequestView,
+    responses=answers({200: example(_REQUEST)}),
+)
+async def asked(request: Request, _: Reader, job_id: JobId) -> Response:
+    """To be changed and posted as a new job: the spec is as short as it can be, and resolves to that of the job."""
+    job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
+    spec = await asyncio.to_thread(asked_spec, job.spec)
+    return JSONResponse({"name": job.name, "spec": spec, "image": f"/v1/jobs/{job.id}/image"})
+
+
+@router.get(
+    "/v1/jobs/{id:uuid}/image",
+    tags=["jobs"],
+    summary="The picture a job was made from",
+    response_class=Response,
+    responses=byte_answers("picture", ["application/octet-stream"]),
+)
+async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Response:
+    """The very bytes that were uploaded. They are a stranger's: no browser shows them as a page of ours."""
+    job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
+    file = Artifact(
+        job_id=job.id,
+        name=_PICTURE,
+        sha256=job.image_sha256,
+        bytes=job.image_bytes,
+        stage="",
+        created_at=job.created_at,
+    )
+    return await sent(request, file, asked)
+
+
+def _profiles(settings: ServerSettings) -> list[dict[str, Any]]:
+    profiles = []
+    for name in profile_names():
+        with contextlib.suppress(ProfileError):
+            profiles.append(load_profile(name))
+    mills = mills_by_profile(known_machines(settings)[0].values(), profiles)
+    return [
+        {
+            "name": profile.name,
+            "description": profile.description,
+            "dialect": profile.dialect,
+            "travel_mm": list(profile.travel_mm),
+            "mills": [{"name": mill.name, "simulated": mill.simulated} for mill in mills.get(profile.name, ())],
+        }
+        for profile in profiles
+    ]
+
+
+def mills_by_profile(
+    mills: Iterable[KnownMachine], profiles: Sequence[MachineProfile]
+) -> dict[str, list[KnownMachine]]:
+    """A mill's own profile has its name; one that has none among them is served by the first that a job is made alike
+    with.
+    """
+    found: dict[str, list[KnownMachine]] = {}
+    names = {profile.name for profile in profiles}
+    for mill in mills:
+        alike = (one.name for one in profiles if mill.profile is not None and _made_alike(one, mill.profile))
+        name = mill.name if mill.name in names else next(alike, None)
+        if name is not None:
+            found.setdefault(name, []).append(mill)
+    return found
+
+
+def _made_alike(one: MachineProfile, other: MachineProfile) -> bool:
+    """Whether programs for one are programs for the other: all but name, link and homing."""
+    ours, theirs = asdict(one), asdict(other)
+    return all(ours[key] == theirs[key] for key in ours.keys() - {"name", "description", "link", "homing"})

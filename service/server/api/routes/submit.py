@@ -1,0 +1,130 @@
+"""POST /v1/jobs: a picture and a spec become a durable job, or nothing at all."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Annotated, Any
+
+import structlog
+from fastapi import APIRouter, Header, Request
+from starlette.responses import JSONResponse, Response
+
+from service.http.problems import Problem
+from service.server.api.access.scopes import Writer
+from service.server.api.answers.job_json import whole_job
+from service.server.api.intake.disk_space import Space
+from service.server.api.intake.form import JobForm, received_form
+from service.server.api.intake.request import JobRequest, idempotency_key, job_request
+from service.server.api.openapi import answers, example
+from service.server.api.schemas.jobs import JOB_EXAMPLE, JobView
+from service.server.api.services import Services, services_of
+from service.server.database.records import ClientKey, Job, NewJob
+from service.server.queue.engine import Ticket
+
+router = APIRouter()
+_log = structlog.get_logger("api")
+
+JOB_FORM: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["image"],
+                    "additionalProperties": False,
+                    "properties": {
+                        "image": {
+                            "type": "string",
+                            "format": "binary",
+                            "description": "the picture: PNG, JPEG, TIFF, WebP, BMP or GIF",
+                        },
+                        "spec": {
+                            "type": "string",
+                            "contentMediaType": "application/json",
+                            "description": "the job spec, a JSON object with the keys of the TOML file",
+                            "examples": ['{"preset": "draft", "optics": {"width_mm": 40, "height_mm": 40}}'],
+                        },
+                        "priority": {"type": "string", "enum": ["high", "normal", "low"], "default": "normal"},
+                    },
+                },
+                "encoding": {"image": {"contentType": "image/*"}, "spec": {"contentType": "application/json"}},
+            }
+        },
+    }
+}
+_ACCEPTED = example(JOB_EXAMPLE | {"state": "queued", "stage": None, "progress": 0.0, "queue_position": 1}) | {
+    "description": "durable: the job will run, whatever happens to the server",
+    "headers": {
+        "Location": {"description": "address of the job", "schema": {"type": "string"}},
+        "Retry-After": {"description": "ask again after so many seconds", "schema": {"type": "integer"}},
+    },
+}
+
+
+@router.post(
+    "/v1/jobs",
+    tags=["jobs"],
+    summary="Submit a picture",
+    status_code=202,
+    response_model=JobView,
+    responses=answers({202: _ACCEPTED}, 408, 415, 507),
+    openapi_extra=JOB_FORM,
+)
+async def submit(
+    request: Request,
+    principal: Writer,
+    idempotency_key_header: Annotated[
+        str | None,
+        Header(
+            alias="Idempotency-Key",
+            description="the same key with the same request gives the same job: safe to send again after a fault",
+            openapi_examples={"any": {"value": "order-4711-lens-2"}},
+        ),
+    ] = None,
+) -> Response:
+    """A new job. Answers with the job that the same `Idempotency-Key` made before, if this is the same request."""
+    services = services_of(request)
+    key = idempotency_key(idempotency_key_header, principal)
+    settings, space = services.settings, Space(services.settings)
+    await asyncio.to_thread(space.require)
+    limit = int(settings.max_upload_mb * 1e6)
+    async with received_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
+        wanted = await asyncio.to_thread(job_request, form)
+        await asyncio.to_thread(space.require_for_programs, wanted.spec)
+        async with services.accepting:
+            job, body = await asyncio.to_thread(_accept, services, form, wanted, principal.name, key)
+    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": "1", "ETag": body["etag"]}
+    return JSONResponse(body, status_code=202, headers=headers)
+
+
+def _accept(
+    services: Services, form: JobForm, wanted: JobRequest, caller: str, key: ClientKey | None
+) -> tuple[Job, dict[str, Any]]:
+    """Check, store, write down, hand to the engine: in this order, so that no answer tells of a job that is not."""
+    services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))
+    stored = services.store.put_file(form.path)
+    if stored.sha256 != form.image_sha256:
+        raise Problem(503, "the picture changed on its way into the artifact store; send it again")
+    new = NewJob(
+        name=form.image_name,
+        spec=wanted.spec,
+        image_sha256=stored.sha256,
+        image_bytes=stored.bytes,
+        created_by=caller,
+        request_sha256=wanted.sha256,
+        priority=wanted.priority,
+        key=key,
+    )
+    job, made = services.book.create(new)
+    if made:
+        hand_to_engine(services, job)
+    return job, whole_job(services, job)
+
+
+def hand_to_engine(services: Services, job: Job) -> None:
+    """What the engine does not get now it gets from the workers, who look for queued jobs that it does not know."""
+    try:
+        services.engine.submit(Ticket(job.id, job.attempt), priority=job.priority)
+    except Exception as error:  # whatever the engine's database does: the job is durable already
+        _log.warning("engine did not take the job yet", job=job.id, error=str(error)[:200])

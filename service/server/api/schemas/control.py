@@ -1,0 +1,116 @@
+"""What the routes about pairing and control of a mill take and answer, as the OpenAPI document says it.
+
+The ranges are those of the mill's agent, which looks at everything again.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from service.server.api.schemas.jobs import Body
+from service.server.api.schemas.runs import Holder, ScopeWord
+
+_PERSON = r"^[^\W_][\w .,'@-]{0,59}$"
+Person = Annotated[
+    str,
+    Field(min_length=1, max_length=60, pattern=_PERSON, description="who it is, for others to see", examples=["Ada"]),
+]
+_Mm = Annotated[float, Field(ge=-5000, le=5000)]
+
+
+class WhoamiView(Body):
+    name: str
+    scopes: list[ScopeWord]
+    anonymous: Annotated[bool, Field(description="without a token, from this computer, where no token was ever made")]
+    paired: Annotated[bool, Field(description="with a token that a page got for a code")]
+    expires_at: Annotated[str | None, Field(description="when the token ends; null: never")]
+
+
+class PairingBody(Body):
+    code: Annotated[str, Field(min_length=1, max_length=40, description="as printed", examples=["7K3D-0QXM-91TZ"])]
+    name: Person
+
+
+class PairingView(Body):
+    token: Annotated[str, Field(description="shown this once; only its SHA-256 is kept")]
+    name: Annotated[str, Field(description="of the token: the name given, or that and a number")]
+    scopes: list[ScopeWord]
+    expires_at: str
+
+
+class ControlBody(Body):
+    operator: Person
+    take_over: Annotated[bool, Field(strict=True, description="from the one who has it; they are told")] = False
+
+
+class ControlView(Holder):
+    control: Annotated[str, Field(description="to be shown as Causticmill-Control with each order; tell nobody")]
+    expires_s: Annotated[float, Field(description="without an order or another POST for so long, control is given up")]
+
+
+class GrantBody(Body):
+    stops: Annotated[
+        int | None,
+        Field(ge=0, description="`stops` of the mill as the person saw them; refused where it is more"),
+    ] = None
+
+
+class GrantView(Body):
+    grant: Annotated[str, Field(description="to be sent as Causticmill-Grant with one order, at once")]
+    valid_s: Annotated[float, Field(description="the agent carries nothing out under it later than that")]
+    stops: Annotated[int, Field(description="how often this mill was stopped since its agent was started")]
+
+
+class OrderView(Body):
+    machine: str
+    order: str
+    mill: Annotated[dict[str, Any], Field(description="as in GET of the machine, just after the order was taken")]
+
+
+class JogBody(Body):
+    by_mm: Annotated[list[_Mm], Field(min_length=3, max_length=3, examples=[[1.0, 0.0, 0.0]])]
+    feed_mm_per_min: Annotated[float, Field(ge=1, le=20000)] = 500.0
+
+
+class ProbeBody(Body):
+    """Down until it touches, work Z set there to the plate's thickness, up again."""
+
+    depth_mm: Annotated[float, Field(ge=0.001, le=200, examples=[20.0])]
+    feed_mm_per_min: Annotated[float, Field(ge=1, le=1000)] = 50.0
+    plate_mm: Annotated[float, Field(ge=-100, le=100)] = 0.0
+    retract_mm: Annotated[float, Field(ge=0, le=100)] = 2.0
+
+
+class ZeroBody(Body):
+    axes: Annotated[
+        Literal["X", "Y", "Z", "XY", "XZ", "YZ", "XYZ"], Field(description="whose work zero is where the tool is")
+    ] = "XYZ"
+
+
+class OverrideBody(Body):
+    what: Literal["feed", "rapid", "spindle"]
+    percent: Annotated[int, Field(ge=10, le=200, strict=True, description="rapid: 25, 50 or 100", examples=[90])]
+
+
+class CheckBody(Body):
+    on: Annotated[bool, Field(strict=True, description="the controller reads programs and moves nothing")]
+
+
+class BlockBody(Body):
+    text: Annotated[
+        str,
+        Field(
+            min_length=1, max_length=255, pattern=r"^[ -~]*[!-~][ -~]*$", description="one line of G-code",
+            examples=["G0 Z5"],
+        ),
+    ]  # fmt: skip
+    confirm: Annotated[
+        bool,
+        Field(
+            strict=True,
+            description="it is meant, though it changes what protects the mill or where its zeros are. Without this "
+            "such a line is refused: 409, `code` is `confirm`, `effect` says what it would do",
+        ),
+    ] = False

@@ -1,0 +1,234 @@
+"""What photographs of walls and of test pieces tell, as the OpenAPI document says it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from service.server.api.schemas.jobs import Body
+
+LOOK_EXAMPLE: dict[str, Any] = {
+    "photo": {"name": "wall.jpg", "width": 4032, "height": 3024},
+    "foretold": "finished",
+    "place": {
+        "homography": [[5.1, 0.2, 310.0], [-0.1, 4.9, 190.0], [0.0001, 0.0, 1.0]],
+        "photo_width": 1600,
+        "photo_height": 1200,
+        "turned_deg": 0.8,
+        "quarter_turns": 0,
+        "mirrored": False,
+        "correlation": 0.98,
+        "likeness": 0.96,
+        "confidence": 1.0,
+        "overlap": 1.0,
+        "clipped_share": 0.01,
+        "tone": 1.02,
+    },
+    "wall": {
+        "throw_off_mm": 1.9,
+        "throw_deviation_mm": 0.4,
+        "throw_told": True,
+        "tilt_x": {"deg": 0.3, "deviation_deg": 1.1, "told": True},
+        "tilt_y": {"deg": -0.2, "deviation_deg": 1.2, "told": True},
+    },
+    "light": {
+        "aslant_x": {"deg": 0.1, "deviation_deg": 0.6, "told": False},
+        "aslant_y": {"deg": 0.0, "deviation_deg": 0.6, "told": False},
+    },
+    "blur": {"beyond_foretold_mm": 0.1, "foretold_mm": 0.4},
+    "surface": {
+        "peak_to_valley_um": 2.1,
+        "terms": [{"order_x": 2, "order_y": 1, "um": 1.0, "deviation_um": 0.9, "told": True}],
+    },
+    "likeness": {"as_foretold": 0.97, "as_fitted": 0.98},
+    "findings": [
+        {
+            "code": "wall_too_far",
+            "values": {"mm": 1.9, "deviation_mm": 0.4},
+            "text": "the wall stands 1.9 mm (± 0.4 mm) too far: move it nearer to the lens by that much",
+        }
+    ],
+    "picture": "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAAAAAA6fptVAAAACklEQVR4nGNgAAAAAgABSK+kcQAAAABJRU5ErkJggg==",
+}
+
+
+class PhotoFile(Body):
+    name: str
+    width: int
+    height: int
+
+
+class PlaceView(Body):
+    """Where the foretold picture lies in the photograph, made smaller to photo_width x photo_height."""
+
+    homography: Annotated[
+        list[list[float]],
+        Field(
+            description="3 x 3, row by row: pixels of the foretold picture, from its upper left, to the photograph's"
+        ),
+    ]
+    photo_width: int
+    photo_height: int
+    turned_deg: Annotated[float, Field(description="clockwise, beyond whole quarter turns, if the camera was level")]
+    quarter_turns: int
+    mirrored: bool
+    correlation: float
+    likeness: float
+    confidence: Annotated[float, Field(ge=0, le=1)]
+    overlap: Annotated[float, Field(description="share of the picture within the photograph")]
+    clipped_share: float
+    tone: Annotated[float, Field(description="exponent of the camera's own tones; 1: none")]
+
+
+class AngleView(Body):
+    deg: float
+    deviation_deg: float
+    told: bool
+
+
+class WallView(Body):
+    throw_off_mm: Annotated[float, Field(description="too far: positive")]
+    throw_deviation_mm: float
+    throw_told: Annotated[bool, Field(description="whether the photograph tells it at all")]
+    tilt_x: AngleView
+    tilt_y: AngleView
+
+
+class LightView(Body):
+    aslant_x: AngleView
+    aslant_y: AngleView
+
+
+class BlurView(Body):
+    """Standard deviations on the wall."""
+
+    beyond_foretold_mm: Annotated[float, Field(description="negative: sharper than foretold")]
+    foretold_mm: float
+
+
+class SurfaceTerm(Body):
+    """One Legendre polynomial of the aperture, 1 in its corner."""
+
+    order_x: int
+    order_y: int
+    um: float
+    deviation_um: float
+    told: bool
+
+
+class SurfaceView(Body):
+    peak_to_valley_um: float
+    terms: list[SurfaceTerm]
+
+
+class LikenessView(Body):
+    as_foretold: float
+    as_fitted: float
+
+
+class FindingView(Body):
+    code: str
+    values: dict[str, Any]
+    text: str
+
+
+class LookView(Body):
+    photo: PhotoFile
+    foretold: Annotated[Literal["finished", "milled", "designed"], Field(description="what it was compared with")]
+    place: PlaceView
+    wall: WallView
+    light: LightView
+    blur: BlurView
+    surface: SurfaceView
+    likeness: LikenessView
+    findings: Annotated[list[FindingView], Field(description="in the order in which a person acts")]
+    picture: Annotated[str, Field(description="base64 of a PNG: photograph, foretold, difference")]
+
+
+COUPON_EXAMPLE: dict[str, Any] = {
+    "finish": {
+        "k0_rad_per_mm": 8.1,
+        "k0_range_rad_per_mm": [7.6, 8.7],
+        "order": 1.0,
+        "order_range": [0.9, 1.1],
+        "finished_half": "left",
+        "ripples": [{"period_mm": 1.0, "k_rad_per_mm": 6.28, "share": 0.46, "error": 0.02}],
+    },
+    "mill": {
+        "z_noise_mm": 0.0011,
+        "z_noise_range_mm": [0.0009, None],
+        "amplitude_over_programs": 1.01,
+        "ripples": [{"period_mm": 1.0, "k_rad_per_mm": 6.28, "share": 1.0, "error": 0.01}],
+    },
+    "wall": {"throw_mm": 20.4, "error_mm": 0.1},
+    "photograph": {
+        "blur_mm": 0.05,
+        "pixels_per_mm": 38.0,
+        "straight_light": 0.21,
+        "confidence": 1.0,
+        "mirrored": False,
+        "misfit": 1.1,
+    },
+    "notes": [{"code": "mirrored", "values": {}, "text": "the photograph was taken from the other side"}],
+    "values": {
+        "finish.process": "none",
+        "finish.k0_rad_per_mm": 8.1,
+        "finish.order": 1.0,
+        "machine.z_noise_mm": 0.0011,
+    },
+    "picture": LOOK_EXAMPLE["picture"],
+}
+
+
+class RippleView(Body):
+    """One ripple of the test piece."""
+
+    period_mm: float
+    k_rad_per_mm: float
+    share: Annotated[float, Field(description="of its amplitude that is left")]
+    error: Annotated[float, Field(description="standard deviation of the share")]
+
+
+class FinishFitView(Body):
+    """H(k) = exp(-(k / k0)^order); ranges hold 68 % of the trials."""
+
+    k0_rad_per_mm: float
+    k0_range_rad_per_mm: list[float]
+    order: float
+    order_range: list[float]
+    finished_half: Literal["left", "right"]
+    ripples: list[RippleView]
+
+
+class MillFitView(Body):
+    z_noise_mm: Annotated[float, Field(description="standard deviation of a row's height")]
+    z_noise_range_mm: Annotated[list[float | None], Field(description="null: no upper bound")]
+    amplitude_over_programs: float
+    ripples: list[RippleView]
+
+
+class CouponWallView(Body):
+    throw_mm: float
+    error_mm: float
+
+
+class CouponPhotoView(Body):
+    blur_mm: float
+    pixels_per_mm: float
+    straight_light: Annotated[float, Field(description="light that goes straight, of the camera's white")]
+    confidence: float
+    mirrored: bool
+    misfit: Annotated[float, Field(description="what is left over what was expected; about 1 where the model holds")]
+
+
+class CouponView(Body):
+    finish: FinishFitView
+    mill: MillFitView
+    wall: CouponWallView
+    photograph: CouponPhotoView
+    notes: list[FindingView]
+    values: Annotated[dict[str, Any], Field(description="for a job's spec, by dotted key")]
+    picture: Annotated[
+        str, Field(description="base64 of a PNG: the photograph set straight, and what is left of ripples")
+    ]

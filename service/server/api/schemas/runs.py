@@ -1,0 +1,200 @@
+"""What the routes about machines, runs and tokens take and answer, as the OpenAPI document says it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+from uuid import UUID
+
+from pydantic import Field
+
+from service.server.api.schemas.jobs import Body, Sha256
+
+RunWord = Literal[
+    "preparing", "refused", "lost",
+    "parked", "running", "holding", "held", "stopping", "interrupted", "recovering", "finished", "aborted",
+]  # fmt: skip
+Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
+ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
+
+PLAIN = r"^[^\x00-\x1f\x7f]+$"
+
+_JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
+
+
+class NewRunBody(Body):
+    """Which program of which job. Without `program`: the next pass that this mill has not finished."""
+
+    job: Annotated[UUID, Field(description="id of a job whose programs have been checked", examples=[_JOB_ID])]
+    program: Annotated[
+        Annotated[int, Field(ge=1, le=99, strict=True)] | Annotated[str, Field(min_length=1, max_length=100)] | None,
+        Field(description="number of the pass, or the program's file name", examples=[1]),
+    ] = None
+
+
+class ConfirmationBody(Body):
+    """A person's word, by name, that these things were looked at at the mill."""
+
+    operator: Annotated[str, Field(min_length=1, max_length=100, pattern=r"\S", examples=["Ada"])]
+    checks: Annotated[
+        list[Check],
+        Field(max_length=12, description="as `required_checks`", examples=[["tool", "zero", "stock", "clear"]]),
+    ]
+
+
+class StartBody(ConfirmationBody):
+    setup: Annotated[
+        str, Field(max_length=100, description="the mill's `setup` as it was seen; refused where it is another by now")
+    ] = ""
+
+
+class RecoverBody(ConfirmationBody):
+    plan: Annotated[
+        str, Field(max_length=100, description="`plan` of the recovery that was read; else the one shown to you last")
+    ] = ""
+
+
+class PastOrder(Body):
+    number: int
+    at_s: float
+    kind: str
+    words: str
+    answer: dict[str, Any] | None = None
+    by: str | None = None
+    from_: Annotated[str | None, Field(alias="from")] = None
+
+
+class PastOrders(Body):
+    orders: list[PastOrder]
+    next: Annotated[int | None, Field(description="`before` of the next page")]
+
+
+class ProgramOfRun(Body):
+    number: int
+    name: str
+    sha256: Sha256
+
+
+class RunView(Body):
+    """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
+
+    id: str
+    machine: str
+    job: str
+    program: ProgramOfRun
+    state: RunWord
+    open: Annotated[bool, Field(description="the mill is taken by this run")]
+    words: Annotated[str, Field(description="why it is in this state")]
+    unreachable: Annotated[bool, Field(description="the agent does not answer: this is what it said last")]
+    unreachable_words: str
+    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
+    executed_line: int
+    lines: int | None
+    time_s: float | None
+    time_left_s: float | None
+    operator: str
+    recoveries: int
+    warnings: list[str]
+    setup: Annotated[
+        dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")
+    ]
+    required_checks: Annotated[list[Check], Field(description="what :start or :recover needs to be confirmed")]
+    left_out: Annotated[list[ProgramOfRun], Field(description="earlier passes that this mill has not finished")]
+    next: Annotated[ProgramOfRun | None, Field(description="the pass that comes after this one")]
+    created_by: str
+    created_at: str
+    started_at: str | None
+    ended_at: str | None
+    links: dict[str, str]
+
+
+class RunList(Body):
+    runs: list[RunView]
+    next: Annotated[str | None, Field(description="address of the next page; null: this is the last")]
+
+
+class RecoveryView(Body):
+    """How an interrupted run would go on: what has to be done first, and what would be sent."""
+
+    run: str
+    executed_line: int
+    resume_line: int
+    overlap_line: int
+    recut_lines: int
+    position_mm: list[float] | None
+    plan: Annotated[str, Field(description="to be said with :recover: the person's word is for this plan")]
+    blocks: list[str]
+    ready: bool
+    refusals: list[str]
+    needs: list[dict[str, str]]
+    differences: list[str]
+    zero_back: Annotated[str, Field(description="a block that sets the work zero the run was cut at; or empty")] = ""
+    words: list[str]
+
+
+class AgentView(Body):
+    reachable: bool
+    words: Annotated[str, Field(description="why it cannot be reached")]
+
+
+class OpenRun(Body):
+    """The part of a run that one wants to see beside the mill."""
+
+    id: str
+    state: RunWord
+    job: str
+    program: str
+    words: str
+    share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
+    executed_line: int
+    lines: int | None
+    time_s: float | None
+    time_left_s: float | None
+    operator: str
+
+
+class Holder(Body):
+    operator: str
+    since: str
+
+
+class MachineView(Body):
+    name: str
+    remote: bool
+    simulated: Annotated[bool, Field(description="there is no mill, only a model of one")]
+    problem: Annotated[str, Field(description="what is wrong with its profile")]
+    profile: dict[str, Any] | None
+    agent: AgentView
+    mill: Annotated[dict[str, Any] | None, Field(description="state and position, as its agent has them now")]
+    run: Annotated[OpenRun | None, Field(description="the run that has this mill")]
+    control: Annotated[Holder | None, Field(description="who may give orders to it at present; null: nobody")]
+    links: dict[str, str]
+
+
+class MachineList(Body):
+    machines: list[MachineView]
+    problems: Annotated[list[str], Field(description="what is wrong with the list of agents elsewhere")]
+
+
+class NewTokenBody(Body):
+    name: Annotated[str, Field(min_length=1, max_length=80, examples=["shop-floor"])]
+    scopes: Annotated[list[ScopeWord], Field(min_length=1, max_length=4, examples=[["jobs:read", "jobs:write"]])]
+    expires_in_s: Annotated[float | None, Field(gt=0, le=3.1e9, description="null: never", examples=[2592000])] = None
+
+
+class TokenView(Body):
+    id: str
+    name: str
+    scopes: list[ScopeWord]
+    created_at: str
+    expires_at: str | None
+    last_used_at: str | None
+    revoked_at: str | None
+    paired: Annotated[bool, Field(description="made by a page, for a code")]
+
+
+class NewTokenView(TokenView):
+    token: Annotated[str, Field(description="shown this once; only its SHA-256 is kept")]
+
+
+class TokenList(Body):
+    tokens: list[TokenView]

@@ -1,0 +1,139 @@
+"""The connection to the database, and the few words in which SQLite and PostgreSQL differ.
+
+All access is SQLAlchemy Core, the same code for both. Every change is made in `writing`: on SQLite that takes the write
+lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL the changes lock the
+rows they are about.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import sqlite3
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.dialects import postgresql, sqlite
+
+from service.errors import FailedError
+
+BUSY_TIMEOUT_S = 30
+LOCK_POLL_S = 0.002
+CONNECT_TIMEOUT_S = 5
+
+
+def connect(url: str) -> sa.Engine:
+    """An engine of SQLAlchemy for a database of ours, SQLite or PostgreSQL."""
+    if url.startswith("sqlite"):
+        engine = sa.create_engine(url, json_serializer=_as_json, connect_args={"timeout": BUSY_TIMEOUT_S})
+        sa.event.listen(engine, "connect", _prepare_sqlite)
+        sa.event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    # Keepalives: a host that is gone is noticed in about 25 s rather than in hours.
+    patience = {"connect_timeout": CONNECT_TIMEOUT_S, "keepalives_idle": 10, "keepalives_interval": 5}
+    return sa.create_engine(
+        url, json_serializer=_as_json, pool_pre_ping=True, pool_timeout=BUSY_TIMEOUT_S, connect_args=patience
+    )
+
+
+def copy_sqlite(source: Path, target: Path) -> None:
+    """A copy of a database that is in use, by SQLite's own backup: it neither waits for writers nor stops them.
+
+    The new file is its account's alone. FailedError.
+    """
+    try:
+        os.close(os.open(target, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600))
+        with (
+            contextlib.closing(sqlite3.connect(f"{source.absolute().as_uri()}?mode=rw", uri=True, timeout=30)) as old,
+            contextlib.closing(sqlite3.connect(target)) as new,
+        ):
+            old.backup(new)
+    except (sqlite3.Error, OSError) as error:
+        raise FailedError(f"cannot copy the database {source}: {error}") from None
+
+
+def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:
+    return bind.dialect.name == "sqlite"
+
+
+@contextmanager
+def reading(database: sa.Engine) -> Iterator[sa.Connection]:
+    """A transaction that changes nothing."""
+    with database.connect() as connection, connection.begin():
+        yield connection
+
+
+@contextmanager
+def writing(database: sa.Engine) -> Iterator[sa.Connection]:
+    """A transaction that changes things: all of them, on disk, when it ends without an exception; else none."""
+    with database.connect().execution_options(writes=True) as connection, connection.begin():
+        yield connection
+
+
+def clock(connection: sa.Connection) -> float:
+    """Seconds since 1970 by the database's clock, the only one that hosts of a farm share."""
+    if is_sqlite(connection):
+        return time.time()
+    return float(connection.execute(sa.text("SELECT extract(epoch FROM clock_timestamp())")).scalar_one())
+
+
+def insert_new(connection: sa.Connection, table: sa.Table, values: Mapping[str, Any]) -> bool:
+    """Insert a row; False, and nothing done, where its key is there already."""
+    insert = sqlite.insert if is_sqlite(connection) else postgresql.insert
+    new = insert(table).values(**values).on_conflict_do_nothing().returning(sa.literal(1))
+    return connection.execute(new).first() is not None
+
+
+def put_rows(connection: sa.Connection, table: sa.Table, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows; one whose primary key is there already replaces it."""
+    keys = [column.name for column in table.primary_key.columns]
+    for row in rows:
+        insert = (sqlite.insert if is_sqlite(connection) else postgresql.insert)(table).values(**row)
+        others = {name: value for name, value in row.items() if name not in keys}
+        connection.execute(insert.on_conflict_do_update(index_elements=keys, set_=others))
+
+
+def _as_json(value: object) -> str:
+    """Strict JSON: PostgreSQL takes no NaN, and neither do clients."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":"))
+
+
+def _prepare_sqlite(connection: Any, _record: object) -> None:
+    # No implicit transactions by the driver: `_begin_sqlite` begins them.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_S * 1000}")
+    if cursor.execute("PRAGMA journal_mode").fetchone()[0] != "wal":
+        cursor.execute("PRAGMA journal_mode = WAL")
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.execute("PRAGMA foreign_keys = ON")
+    cursor.close()
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    if connection.get_execution_options().get("writes", False):
+        _take_write_lock(connection)
+    else:
+        connection.exec_driver_sql("BEGIN")
+
+
+def _take_write_lock(connection: sa.Connection) -> None:
+    """Asks every 2 ms: SQLite's own waiting backs off to 100 ms, and others pass it all the time."""
+    give_up = time.monotonic() + BUSY_TIMEOUT_S
+    connection.exec_driver_sql("PRAGMA busy_timeout = 0")
+    try:
+        while True:
+            try:
+                connection.exec_driver_sql("BEGIN IMMEDIATE")
+                return
+            except sa.exc.OperationalError as error:
+                if "locked" not in str(error.orig) or time.monotonic() > give_up:
+                    raise
+            time.sleep(LOCK_POLL_S)
+    finally:
+        connection.exec_driver_sql(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_S * 1000}")

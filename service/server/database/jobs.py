@@ -1,0 +1,316 @@
+"""The job book: jobs as the API sees and changes them. Each change, and the event that tells of it, is one transaction.
+
+What workers change is in service/server/database/claims.py. Both lock the job's row before they look at it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import fields, replace
+from typing import Any
+from uuid import uuid4
+
+import sqlalchemy as sa
+
+from service.errors import printable
+from service.job.files import TARGET_PICTURE, THUMBNAIL
+from service.job.stages.order import merge_reports
+from service.server.database.connection import clock, insert_new, reading, writing
+from service.server.database.counters import Counter, add_to_counters, read_counters
+from service.server.database.events import BATCH, read_events, read_news, write_event
+from service.server.database.job_rows import change_job, end_job, get_job, locked_job, state_counter
+from service.server.database.offered_files import may_be_milled, offered_artifacts, offered_programs
+from service.server.database.records import (
+    PRIORITIES,
+    Artifact,
+    ClientKey,
+    Event,
+    Job,
+    JobSummary,
+    KeyReusedError,
+    NewJob,
+    News,
+    StageRun,
+    UnknownArtifactError,
+    UnknownJobError,
+)
+from service.server.database.states import RETRYABLE, TRANSITIONS, JobOnMillError, JobState, JobStateError, StageState
+from service.server.database.tables import artifacts, idempotency_keys, jobs, stage_results, stage_runs
+from service.store.base import Store
+
+NAME_CHARS = 255
+MOST_POSITIONS = 1000  # in the queue that are counted: whoever waits behind so many waits, wherever
+_PICTURES = (THUMBNAIL, TARGET_PICTURE)  # jobs of earlier versions have only the large one
+_SUMMARY = [jobs.c[field.name] for field in fields(JobSummary)]
+
+
+class JobBook:
+    """Jobs of one database. `store`, where given, is asked whether it (still) has the picture of a new job."""
+
+    def __init__(self, database: sa.Engine, store: Store | None = None) -> None:
+        self.database = database
+        self._store = store
+
+    # ------------------------------------------------------------------ making and changing
+
+    def create(self, new: NewJob) -> tuple[Job, bool]:
+        """A new queued job; False where the same request with the same key made it before. KeyReusedError."""
+        if self._store is not None:
+            self._store.head(new.image_sha256)
+        with writing(self.database) as connection:
+            at, job_id = clock(connection), str(uuid4())
+            if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
+                return _made_before(connection, new, new.key), False
+            connection.execute(jobs.insert().values(**_first_row(new, job_id, at)))
+            add_to_counters(connection, {state_counter(JobState.QUEUED): 1})
+            write_event(connection, job_id, "queued", {"attempt": 1, "by": new.created_by}, at=at)
+            return get_job(connection, job_id), True
+
+    def request_cancel(self, job_id: str, by: str) -> Job:
+        """Cancel: a queued job at once, a running one as soon as its worker sees it. Asking again changes nothing."""
+        with writing(self.database) as connection:
+            job, at = locked_job(connection, job_id), clock(connection)
+            if job.state == JobState.CANCELLED or (job.state == JobState.RUNNING and job.cancel_requested):
+                return job
+            if JobState.CANCELLED not in TRANSITIONS[job.state]:
+                raise JobStateError(job.state, "cancelling", frozenset({JobState.QUEUED, JobState.RUNNING}))
+            write_event(connection, job_id, "cancel.requested", {"by": by}, at=at)
+            if job.state == JobState.QUEUED:
+                end_job(connection, job, JobState.CANCELLED, at=at, cancel_requested=True)
+            else:
+                change_job(connection, job, cancel_requested=True)
+            return get_job(connection, job_id)
+
+    def retry(self, job_id: str, by: str) -> Job:
+        """Queue an ended job once more. What its stages had finished stands; its files appear again on the way.
+
+        JobOnMillError while a run of one of its programs is open.
+        """
+        with writing(self.database) as connection:
+            job, at = locked_job(connection, job_id), clock(connection)
+            if job.state not in RETRYABLE:
+                raise JobStateError(job.state, "retrying", RETRYABLE)
+            _require_no_open_run(connection, job.id)
+            is_log = artifacts.c.name.like("%.log")
+            connection.execute(artifacts.delete().where(artifacts.c.job_id == job_id, ~is_log))
+            change_job(connection, job, **_fresh(job.attempt + 1, at), fence=job.fence + 1)
+            write_event(connection, job_id, "retried", {"attempt": job.attempt + 1, "by": by}, at=at)
+            return get_job(connection, job_id)
+
+    def delete(self, job_id: str) -> Job:
+        """Forget a job that neither runs nor is on a mill, its idempotency key included. Returns what it was."""
+        with writing(self.database) as connection:
+            job = locked_job(connection, job_id)
+            if job.state == JobState.RUNNING:
+                raise JobStateError(job.state, "deleting", frozenset(JobState) - {JobState.RUNNING})
+            drop_job(connection, job)
+            return job
+
+    # ------------------------------------------------------------------ reading
+
+    def get(self, job_id: str) -> Job:
+        with reading(self.database) as connection:
+            return get_job(connection, job_id)
+
+    def listed(
+        self, *, states: Collection[JobState] = (), limit: int = 50, before: str | None = None
+    ) -> list[JobSummary]:
+        """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).
+
+        Of several states each is asked for by itself, in the order of its index, and the newest of all are taken.
+        """
+        place = sa.tuple_(jobs.c.created_at, jobs.c.id)
+        query = sa.select(*_SUMMARY).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
+        with reading(self.database) as connection:
+            if before is not None:
+                query = query.where(place < sa.tuple_(_summary(connection, before).created_at, before))
+            queries = [query.where(jobs.c.state == str(state)) for state in set(states)] or [query]
+            found = [JobSummary.of(row) for one in queries for row in connection.execute(one).mappings()]
+        return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
+
+    def stages(self, job_id: str) -> list[StageRun]:
+        """Every try of every stage, in the order in which they began."""
+        query = sa.select(stage_runs).where(stage_runs.c.job_id == job_id).order_by(stage_runs.c.id)
+        with reading(self.database) as connection:
+            return [StageRun.of(row) for row in connection.execute(query).mappings()]
+
+    def report_so_far(self, job: Job) -> dict[str, Any] | None:
+        """report.json of the stages that are done in this attempt; a job that has ended has it itself."""
+        with reading(self.database) as connection:
+            return _reports_so_far(connection, [job.id]).get(job.id)
+
+    def with_report(self, job: Job) -> Job:
+        """The job; where it has not ended, with what its finished stages report."""
+        return replace(job, report=self.report_so_far(job)) if _is_without_report(job) else job
+
+    def with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
+        """Those of the jobs that there are, as `with_report`, each with the programs that it offers."""
+        with reading(self.database) as connection:
+            rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
+            found = {job.id: job for job in map(Job.of, rows)}
+            reports = _reports_so_far(connection, [job.id for job in found.values() if _is_without_report(job)])
+            programs = offered_programs(connection, found)
+        found |= {job_id: replace(found[job_id], report=report) for job_id, report in reports.items()}
+        return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
+
+    def may_be_milled(self, job: Job) -> bool:
+        """May a mill have its programs? As `files.may_be_milled`."""
+        with reading(self.database) as connection:
+            return may_be_milled(connection, job)
+
+    def artifacts(self, job_id: str) -> list[Artifact]:
+        """The files that the job offers, by name; programs only once they have been checked."""
+        with reading(self.database) as connection:
+            get_job(connection, job_id)
+            return offered_artifacts(connection, job_id)
+
+    def artifact(self, job_id: str, name: str) -> Artifact:
+        for artifact in self.artifacts(job_id):
+            if artifact.name == name:
+                return artifact
+        raise UnknownArtifactError(job_id, name)
+
+    def pictures(self, job_ids: Collection[str]) -> dict[str, str]:
+        """By job, where it has one: the smallest picture of what its light is to paint, by its name."""
+        query = (
+            sa.select(artifacts.c.job_id, artifacts.c.name)
+            .where(artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES))
+            .order_by(artifacts.c.bytes.desc())
+        )
+        with reading(self.database) as connection:
+            return {row.job_id: row.name for row in connection.execute(query)}  # the last one stays
+
+    def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[Event]:
+        """Events after the one numbered `after`, at most 500 of them."""
+        with reading(self.database) as connection:
+            return read_events(connection, job_id, after, min(limit, BATCH))
+
+    def latest(self, after: Mapping[str, int]) -> News:
+        """Events of many jobs, each after the seq given for it, and the progress of those that run."""
+        with reading(self.database) as connection:
+            return read_news(connection, after)
+
+    def queue_positions(self) -> dict[str, int]:
+        """The places of the first thousand waiting jobs, from 1 for the one that starts next."""
+        query = (
+            sa.select(jobs.c.id)
+            .where(jobs.c.state == str(JobState.QUEUED))
+            .order_by(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+            .limit(MOST_POSITIONS)
+        )
+        with reading(self.database) as connection:
+            return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
+
+    def counts(self) -> dict[JobState, int]:
+        """How many jobs are in each state."""
+        with reading(self.database) as connection:
+            return count_jobs(read_counters(connection))
+
+
+# ---------------------------------------------------------------------- steps inside a transaction
+
+
+def drop_job(connection: sa.Connection, job: Job) -> None:
+    """Everything about a locked job but its place in the engine. JobOnMillError while a run of it is open."""
+    _require_no_open_run(connection, job.id)
+    connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == job.id))
+    connection.execute(jobs.delete().where(jobs.c.id == job.id))
+    add_to_counters(connection, {state_counter(job.state): -1})
+
+
+def oldest_queued_at(connection: sa.Connection) -> float | None:
+    """Since when the job that has waited longest waits: the first of each priority is asked for."""
+    waiting = sa.select(sa.func.min(jobs.c.queued_at)).where(jobs.c.state == str(JobState.QUEUED))
+    firsts = [connection.execute(waiting.where(jobs.c.priority == p)).scalar() for p in PRIORITIES.values()]
+    return min((at for at in firsts if at is not None), default=None)
+
+
+def count_jobs(found: Mapping[Counter, float]) -> dict[JobState, int]:
+    """The number of jobs in each state, out of all counters."""
+    return {state: int(found.get(state_counter(state), 0)) for state in JobState}
+
+
+def _require_no_open_run(connection: sa.Connection, job_id: str) -> None:
+    from service.server.database.job_rows import open_run_of
+
+    if (run_id := open_run_of(connection, job_id)) is not None:
+        raise JobOnMillError(run_id)
+
+
+def _is_without_report(job: Job) -> bool:
+    return job.report is None and job.started_at is not None
+
+
+def _reports_so_far(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, dict[str, Any]]:
+    """By job, where there is any: report.json of the stages that are done in its present attempt."""
+    if not job_ids:
+        return {}
+    done = stage_runs.c.state.in_([StageState.COMMITTED, StageState.REUSED])
+    query = (
+        sa.select(stage_runs.c.job_id, stage_results.c.report)
+        .join(stage_results, stage_runs.c.key == stage_results.c.key)
+        .join(jobs, sa.and_(jobs.c.id == stage_runs.c.job_id, jobs.c.attempt == stage_runs.c.attempt))
+        .where(jobs.c.id.in_(job_ids), stage_runs.c.job_id.in_(job_ids), done)
+        .order_by(stage_runs.c.id)
+    )
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row in connection.execute(query):
+        found.setdefault(row.job_id, []).append(row.report)
+    merged = {job_id: merge_reports(reports) for job_id, reports in found.items()}
+    return {job_id: report for job_id, report in merged.items() if report}
+
+
+def _summary(connection: sa.Connection, job_id: str) -> JobSummary:
+    row = connection.execute(sa.select(*_SUMMARY).where(jobs.c.id == job_id)).mappings().first()
+    if row is None:
+        raise UnknownJobError(job_id)
+    return JobSummary.of(row)
+
+
+def _first_row(new: NewJob, job_id: str, at: float) -> dict[str, Any]:
+    return {
+        "id": job_id,
+        "name": printable(new.name)[:NAME_CHARS],
+        "priority": new.priority,
+        "spec": new.spec,
+        "image_sha256": new.image_sha256,
+        "image_bytes": new.image_bytes,
+        "created_by": new.created_by,
+        "created_at": at,
+        "fence": 0,
+        "version": 1,
+        **_fresh(1, at),
+    }
+
+
+def _fresh(attempt: int, at: float) -> dict[str, Any]:
+    """The columns of a job that waits to be started."""
+    return {
+        "state": str(JobState.QUEUED),
+        "attempt": attempt,
+        "queued_at": at,
+        "started_at": None,
+        "ended_at": None,
+        "stage": None,
+        "progress": 0.0,
+        "error": None,
+        "report": None,
+        "cancel_requested": False,
+        "owner": None,
+    }
+
+
+def _claim_key(connection: sa.Connection, new: NewJob, key: ClientKey, job_id: str, at: float) -> bool:
+    row = {"principal": key.token, "kind": "job", "key": key.text}
+    row |= {"request_sha256": new.request_sha256, "resource_id": job_id}
+    return insert_new(connection, idempotency_keys, row | {"created_at": at})
+
+
+def _made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
+    table = idempotency_keys.c
+    mine = sa.and_(table.principal == key.token, table.kind == "job", table.key == key.text)
+    query = sa.select(idempotency_keys).where(mine)
+    row = connection.execute(query).mappings().one()
+    if row["request_sha256"] != new.request_sha256:
+        raise KeyReusedError(key.text)
+    return get_job(connection, row["resource_id"])

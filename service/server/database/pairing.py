@@ -1,0 +1,158 @@
+"""Codes that a person types into the page to run mills from it. A code is good for a day and any number of pages.
+
+What is kept of it is a salted scrypt digest of sixty random bits, so that a stolen database opens nothing. A graphics
+card computes some 20,000 of these digests (8 MB each) in a second. Whoever had fifty of them, 10^6 a second, would try
+8.6 10^10 codes in the day that one lives: 1 chance in 13 million that it is among them, and 36,000 years for them all.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import hmac
+import math
+import re
+import secrets
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import Connection, Engine, delete, select, update
+
+from service.server.database.connection import insert_new, reading, writing
+from service.server.database.tables import pairing_tries as rows
+from service.server.database.tables import pairings
+from service.server.database.tokens import Token, TokenBook, TokenScope
+from service.server.pairing_code import ALPHABET, read_code
+
+CODE_LIFE_S = 86400.0
+TOKEN_LIFE_S = 86400.0
+_MOST_CODES = 4
+SCOPES = (TokenScope.JOBS_READ, TokenScope.JOBS_WRITE, TokenScope.MACHINE_RUN)
+_OFFER = re.compile(rf"([0-9a-f]{{32}}):((?:[{ALPHABET}]{{4}}-){{2}}[{ALPHABET}]{{4}})")
+
+
+class WrongCodeError(Exception):
+    """This code opens nothing. `left`: tries that are left at once."""
+
+    def __init__(self, left: int) -> None:
+        more = f"{left} more {'tries' if left > 1 else 'try'} at once" if left else "the next try is in a minute"
+        super().__init__(f"this is not the code; {more}")
+        self.left = left
+
+
+class NoCodeError(Exception):
+    """Codes end after a day, and no other one was made."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            "no code is valid; a new one, on the server's computer: `causticmill token pair --data DIR` "
+            "(DIR: the folder that `serve` was given)"
+        )
+
+
+class PairingBook:
+    """The codes of one database; may be used from any thread and any process."""
+
+    def __init__(self, engine: Engine, tokens: TokenBook, *, clock: Callable[[], float] = time.time) -> None:
+        self._engine = engine
+        self._tokens = tokens
+        self._clock = clock
+
+    def offer(self, offer: str) -> None:
+        """From now on its code is taken, for a day. One that was offered before stays as it is."""
+        found = _OFFER.fullmatch(offer)
+        if found is None:
+            raise ValueError("an offer is a text of codes.new_offer")
+        now, salt = self._clock(), secrets.token_hex(16)
+        row = {"id": found[1], "salt": salt, "digest": _digest(found[2], salt)}
+        newest = select(pairings.c.id).order_by(pairings.c.created_at.desc()).limit(_MOST_CODES - 1)
+        with writing(self._engine) as connection:
+            kept = [found[1], *connection.execute(newest).scalars()]
+            connection.execute(delete(pairings).where((pairings.c.expires_at < now) | pairings.c.id.not_in(kept)))
+            insert_new(connection, pairings, row | {"created_at": now, "expires_at": now + CODE_LIFE_S})
+
+    def pair(self, code: str, person: str, *, address: str, counts_for_all: bool = True) -> tuple[Token, str]:
+        """A token for the page of a person who knows a code, and its secret.
+
+        address : what the try is counted by; counts_for_all: in the budget of all addresses, too
+        WrongCodeError, NoCodeError; TooManyTriesError: it was not looked at.
+        """
+        alive = self._live()
+        if not alive:
+            raise NoCodeError
+        with writing(self._engine) as connection:
+            take_try(connection, address, self._clock(), counts_for_all=counts_for_all)
+        right = [hmac.compare_digest(_digest(read_code(code), row["salt"]), row["digest"]) for row in alive]
+        with writing(self._engine) as connection:
+            if not any(right):
+                raise WrongCodeError(tries_left(connection, address, self._clock()))
+            give_back(connection, address, counts_for_all=counts_for_all)
+        return self._tokens.create_paired(person, SCOPES, life_s=TOKEN_LIFE_S)
+
+    def is_live(self, offer: str) -> bool:
+        """Whether the code of this offer is still taken."""
+        return any(row["id"] == offer.partition(":")[0] for row in self._live())
+
+    def _live(self) -> list[Any]:
+        with reading(self._engine) as connection:
+            return list(connection.execute(select(pairings).where(pairings.c.expires_at > self._clock())).mappings())
+
+
+def _digest(code: str, salt: str) -> str:
+    return hashlib.scrypt(code.encode(), salt=salt.encode(), n=2**13, r=8, p=1, dklen=32).hex()
+
+
+EVERYBODY = ""  # the row of all addresses
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """`most` tries at once, and one more every `refill_s`."""
+
+    most: int
+    refill_s: float
+
+
+EACH, ALL = Budget(5, 60.0), Budget(200, 20.0)
+
+
+class TooManyTriesError(Exception):
+    """This one was not looked at. everywhere: not from here alone, too many wrong codes come."""
+
+    def __init__(self, wait_s: float, *, everywhere: bool) -> None:
+        self.wait_s = max(1, math.ceil(wait_s))
+        why = "many wrong codes are being tried at this server" if everywhere else "too many wrong codes from here"
+        super().__init__(f"{why}; try again in {self.wait_s} s")
+
+
+def take_try(connection: Connection, address: str, now: float, *, counts_for_all: bool) -> None:
+    """Take a try before it is looked at, so that those that come at once are counted, too. TooManyTriesError."""
+    connection.execute(delete(rows).where(rows.c.address != EVERYBODY, rows.c.at < now - EACH.most * EACH.refill_s))
+    budgets = [(address, EACH), (EVERYBODY, ALL)] if counts_for_all else [(address, EACH)]
+    used = [_used(connection, name, budget, now) for name, budget in budgets]
+    for (name, budget), spent in zip(budgets, used, strict=True):
+        if spent + 1 > budget.most:
+            raise TooManyTriesError((spent + 1 - budget.most) * budget.refill_s, everywhere=name == EVERYBODY)
+    for (name, _), spent in zip(budgets, used, strict=True):
+        connection.execute(update(rows).where(rows.c.address == name).values(used=spent + 1, at=now))
+
+
+def give_back(connection: Connection, address: str, *, counts_for_all: bool) -> None:
+    """It was right."""
+    names = [address, EVERYBODY] if counts_for_all else [address]
+    connection.execute(update(rows).where(rows.c.address.in_(names)).values(used=rows.c.used - 1))
+
+
+def tries_left(connection: Connection, address: str, now: float) -> int:
+    """Of this address, at once."""
+    return max(0, math.floor(EACH.most - _used(connection, address, EACH, now) + 1e-9))
+
+
+def _used(connection: Connection, address: str, budget: Budget, now: float) -> float:
+    """Tries of a budget that time has not given back yet; its row is this transaction's from now on."""
+    insert_new(connection, rows, {"address": address, "used": 0.0, "at": now})
+    used, at = connection.execute(
+        select(rows.c.used, rows.c.at).where(rows.c.address == address).with_for_update()
+    ).one()
+    return max(0.0, float(used) - max(0.0, now - float(at)) / budget.refill_s)

@@ -1,0 +1,181 @@
+"""What the job book gives out: rows of the database as frozen values, and its refusals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Self
+
+from service.server.database.states import ENDED, JobState, StageState
+
+Json = dict[str, Any]
+
+
+PRIORITIES: dict[str, int] = {"high": 10, "normal": 100, "low": 1000}
+"""Words of the API, numbers of the queue: smaller ones run earlier."""
+NORMAL = PRIORITIES["normal"]
+
+
+class UnknownJobError(LookupError):
+    """There is no job of this id."""
+
+    def __init__(self, job_id: str) -> None:
+        super().__init__(f"there is no job {job_id}")
+        self.job_id = job_id
+
+
+class UnknownArtifactError(LookupError):
+    """The job has no artifact of this name, or does not offer it yet."""
+
+    def __init__(self, job_id: str, name: str) -> None:
+        super().__init__(f"job {job_id} has no artifact {name}")
+        self.job_id = job_id
+        self.name = name
+
+
+class KeyReusedError(Exception):
+    """An idempotency key came a second time, with another request."""
+
+    def __init__(self, key: str) -> None:
+        super().__init__("this Idempotency-Key was used before, for another request; use a new one")
+        self.key = key
+
+
+@dataclass(frozen=True, slots=True)
+class ClientKey:
+    """An Idempotency-Key, and the id of the token that it came with: another token of that name does not share it."""
+
+    token: str
+    text: str
+
+
+class _Row:
+    """A frozen dataclass whose fields are columns."""
+
+    @classmethod
+    def of(cls, row: Mapping[Any, Any]) -> Self:
+        return cls(**{field.name: row[field.name] for field in fields(cls)})  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NewJob:
+    """What is needed to make a job. key: the caller's Idempotency-Key; request_sha256: all that the caller gave."""
+
+    name: str
+    spec: Json
+    image_sha256: str
+    image_bytes: int
+    created_by: str
+    request_sha256: str
+    priority: int = NORMAL
+    key: ClientKey | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobSummary(_Row):
+    """A row of `jobs` without what is long: of lists."""
+
+    id: str
+    name: str
+    state: JobState
+    priority: int
+    image_sha256: str
+    image_bytes: int
+    created_by: str
+    created_at: float
+    queued_at: float
+    started_at: float | None
+    ended_at: float | None
+    stage: str | None
+    progress: float
+    error: Json | None
+    cancel_requested: bool
+    attempt: int
+    owner: str | None
+    fence: int
+    version: int
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "state", JobState(self.state))
+
+    @property
+    def ended(self) -> bool:
+        return self.state in ENDED
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Job(JobSummary):
+    """A whole row of `jobs`."""
+
+    spec: Json
+    report: Json | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StageRun(_Row):
+    """A row of `stage_runs`: one try of one stage."""
+
+    id: int
+    job_id: str
+    attempt: int
+    number: int
+    stage: str
+    state: StageState
+    key: str
+    executor: str
+    fence: int
+    started_at: float
+    ended_at: float | None
+    peak_rss_mb: float | None
+    log_sha256: str | None
+    words: str | None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "state", StageState(self.state))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Artifact(_Row):
+    """A row of `artifacts`: a file of a job."""
+
+    job_id: str
+    name: str
+    sha256: str
+    bytes: int
+    stage: str
+    created_at: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Event(_Row):
+    """A row of `events`. data holds "stage" where it is about one."""
+
+    job_id: str
+    seq: int
+    at: float
+    kind: str
+    data: Json
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Progress(_Row):
+    """How far the running stage of a job is (share 0..1 of the stage), and the job as a whole."""
+
+    job_id: str
+    stage: str
+    share: float
+    progress: float
+    at: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class News:
+    """What happened to some jobs since last asked: events in order, and the running stages' progress by job."""
+
+    events: list[Event]
+    progress: dict[str, Progress]
+
+
+def priority_word(number: int) -> str:
+    """The word nearest to a number of the queue."""
+    return min(PRIORITIES, key=lambda word: abs(PRIORITIES[word] - number))

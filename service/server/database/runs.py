@@ -1,0 +1,259 @@
+"""Runs as the database has them: who handed which program to which mill, and what its agent said of it last.
+
+The agent is the truth about a run that it knows. What is kept here is that there is one, so that a restarted server
+finds it again, and that a mill has one open run at a time, by a unique index.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, fields, replace
+from typing import Any, Self
+from uuid import uuid4
+
+import sqlalchemy as sa
+from sqlalchemy.exc import IntegrityError, OperationalError
+
+from machines.runs import LIVE
+from service.server.database.connection import clock, insert_new, reading, writing
+from service.server.database.job_rows import locked_job
+from service.server.database.offered_files import may_be_milled
+from service.server.database.records import ClientKey, Job, KeyReusedError
+from service.server.database.states import JobState
+from service.server.database.tables import idempotency_keys, runs
+
+Json = dict[str, Any]
+
+PREPARING, PARKED, REFUSED = "preparing", "parked", "refused"
+FINISHED, ABORTED, INTERRUPTED, LOST = "finished", "aborted", "interrupted", "lost"
+ENDED = frozenset({FINISHED, ABORTED})  # of the agent's words
+LIVE_WORDS = frozenset(state.value for state in LIVE)
+_WORDS = 1000
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunRow:
+    """A row of `runs`. state: the agent's word, or preparing, refused, lost."""
+
+    id: str
+    machine: str
+    job_id: str
+    program: str
+    number: int
+    sha256: str
+    agent_run: str | None
+    state: str
+    open: bool
+    view: Json | None
+    words: str | None
+    created_by: str
+    created_at: float
+    ended_at: float | None
+
+    @classmethod
+    def of(cls, row: sa.RowMapping) -> Self:
+        return cls(**{field.name: row[field.name] for field in fields(cls)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NewRun:
+    """A program of a job for a mill; key: the caller's Idempotency-Key, request_sha256: what it stands for."""
+
+    machine: str
+    job_id: str
+    program: str
+    number: int
+    sha256: str
+    created_by: str
+    key: ClientKey | None = None
+    request_sha256: str = ""
+
+
+class UnknownRunError(LookupError):
+    def __init__(self, run_id: str) -> None:
+        super().__init__(f"there is no run {run_id}")
+
+
+class MachineTakenError(Exception):
+    """The mill has an open run already."""
+
+    def __init__(self, machine: str, other: str) -> None:
+        super().__init__(f"machine '{machine}' has an open run, {other}; it must be finished or aborted first")
+        self.other = other
+
+
+class JobNotReadyError(Exception):
+    """The job's programs have not all been checked, or it has failed or was given up: none of them may be run."""
+
+    def __init__(self, job: Job) -> None:
+        state = "being cancelled" if job.state is JobState.RUNNING and job.cancel_requested else job.state
+        super().__init__(
+            f"job {job.id} is {state}; its programs may be run once all of them have been checked, "
+            "and not those of failed or cancelled jobs"
+        )
+
+
+class RunBook:
+    """May be used from any thread and any process."""
+
+    def __init__(self, database: sa.Engine) -> None:
+        self._database = database
+
+    def made_before(self, key: ClientKey, request_sha256: str) -> RunRow | None:
+        """The run that this key has made. KeyReusedError where it stood for another request."""
+        table = idempotency_keys.c
+        mine = sa.and_(table.principal == key.token, table.kind == "run", table.key == key.text)
+        with reading(self._database) as connection:
+            known = connection.execute(sa.select(idempotency_keys).where(mine)).mappings().first()
+            if known is None:
+                return None
+            if known["request_sha256"] != request_sha256:
+                raise KeyReusedError(key.text)
+            return _get(connection, known["resource_id"])
+
+    def create(self, new: NewRun) -> tuple[RunRow, bool]:
+        """A run in state preparing; False where the key made it before. MachineTakenError, JobNotReadyError.
+
+        The job's row is locked meanwhile, so that nobody deletes it and no retry begins.
+        """
+        run_id = str(uuid4())
+        try:
+            with writing(self._database) as connection:
+                job = locked_job(connection, new.job_id)
+                if not may_be_milled(connection, job):
+                    raise JobNotReadyError(job)
+                at = clock(connection)
+                fresh = new.key is None or insert_new(connection, idempotency_keys, _key_row(new.key, new, run_id, at))
+                if fresh:
+                    connection.execute(runs.insert().values(**_first_row(new, run_id, at)))
+                    return _get(connection, run_id), True
+        except IntegrityError:
+            raise MachineTakenError(new.machine, self._open_id(new.machine)) from None
+        assert new.key is not None
+        before = self.made_before(new.key, new.request_sha256)
+        if before is None:  # made and refused by another caller in the meantime
+            raise MachineTakenError(new.machine, self._open_id(new.machine))
+        return before, False
+
+    def get(self, run_id: str) -> RunRow:
+        with reading(self._database) as connection:
+            return _get(connection, run_id)
+
+    def open_on(self, machine: str) -> RunRow | None:
+        with reading(self._database) as connection:
+            query = sa.select(runs).where(runs.c.machine == machine, runs.c.open)
+            row = connection.execute(query).mappings().first()
+            return None if row is None else RunRow.of(row)
+
+    def open_ones(self) -> list[RunRow]:
+        with reading(self._database) as connection:
+            return [RunRow.of(row) for row in connection.execute(sa.select(runs).where(runs.c.open)).mappings()]
+
+    def listed(
+        self, *, machine: str | None = None, job: str | None = None, limit: int = 50, before: str | None = None
+    ) -> list[RunRow]:
+        """Runs, newest first; those older than the run `before`. UnknownRunError where that is gone."""
+        query = sa.select(runs).order_by(runs.c.created_at.desc(), runs.c.id.desc()).limit(limit)
+        if machine is not None:
+            query = query.where(runs.c.machine == machine)
+        if job is not None:
+            query = query.where(runs.c.job_id == job)
+        with reading(self._database) as connection:
+            if before is not None:
+                at = _get(connection, before).created_at
+                query = query.where(sa.tuple_(runs.c.created_at, runs.c.id) < sa.tuple_(at, before))
+            return [RunRow.of(row) for row in connection.execute(query).mappings()]
+
+    def finished(self, job_id: str, machine: str) -> frozenset[str]:
+        """Hashes of the job's programs that this mill has finished."""
+        return self.finished_by_mill([job_id]).get((job_id, machine), frozenset())
+
+    def finished_by_mill(self, job_ids: Collection[str]) -> dict[tuple[str, str], frozenset[str]]:
+        """By job and mill: hashes of the job's programs that the mill has finished."""
+        query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).distinct()
+        found: dict[tuple[str, str], frozenset[str]] = {}
+        with reading(self._database) as connection:
+            for row in connection.execute(query.where(runs.c.job_id.in_(job_ids), runs.c.state == FINISHED)):
+                key = row.job_id, row.machine
+                found[key] = found.get(key, frozenset()) | {row.sha256}
+        return found
+
+    # ------------------------------------------------------------------ what happens to a run
+
+    def parked(self, run_id: str, view: Json) -> bool:
+        """The agent has it. False where the run was closed meanwhile."""
+        values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view, "words": _words(view)}
+        with writing(self._database) as connection:
+            mine = sa.and_(runs.c.id == run_id, runs.c.open)
+            return connection.execute(runs.update().where(mine).values(**values)).rowcount == 1
+
+    def told(self, run: RunRow, view: Json) -> RunRow:
+        """What the agent says of it now; a run that has ended is closed, one that goes on again is opened again.
+
+        Where another run has taken the mill's place meanwhile it stays closed: its state is told all the same. What a
+        database that is full or busy cannot write down now is told as well, and again at the next look.
+        """
+        state = str(view["state"])
+        is_open = state not in ENDED and (run.open or state in LIVE_WORDS)
+        values: Json = {"state": state, "view": view, "words": _words(view), "open": is_open}
+        values["ended_at"] = view.get("ended_s") if not is_open else None
+        if run.state == state and run.open == values["open"] and not _news(run.view, view):
+            return replace(run, view=view)  # how far it is, though that is not written down
+        try:
+            self._write(run.id, values)
+        except IntegrityError:
+            self._write(run.id, values | {"open": False})
+        except OperationalError:
+            return replace(run, **values)
+        return self.get(run.id)
+
+    def close(self, run_id: str, state: str, words: str, *, forget_key: bool = False) -> None:
+        """It is over for us: never handed over, taken back, or given up. An ended run stays what it is."""
+        with writing(self._database) as connection:
+            mine = sa.and_(runs.c.id == run_id, runs.c.open)
+            values = {"open": False, "state": state, "words": words[:_WORDS], "ended_at": clock(connection)}
+            closed = connection.execute(runs.update().where(mine).values(**values)).rowcount
+            if closed and forget_key:
+                connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == run_id))
+
+    def reopen(self, run: RunRow) -> None:
+        """Before a recovery: the mill's place is taken first. MachineTakenError."""
+        try:
+            self._write(run.id, {"open": True})
+        except IntegrityError:
+            raise MachineTakenError(run.machine, self._open_id(run.machine)) from None
+
+    def _write(self, run_id: str, values: Json) -> None:
+        with writing(self._database) as connection:
+            connection.execute(runs.update().where(runs.c.id == run_id).values(**values))
+
+    def _open_id(self, machine: str) -> str:
+        other = self.open_on(machine)
+        return other.id if other is not None else "which has just ended"
+
+
+def _get(connection: sa.Connection, run_id: str) -> RunRow:
+    row = connection.execute(sa.select(runs).where(runs.c.id == run_id)).mappings().first()
+    if row is None:
+        raise UnknownRunError(run_id)
+    return RunRow.of(row)
+
+
+def _first_row(new: NewRun, run_id: str, at: float) -> Json:
+    given = {name: getattr(new, name) for name in ("machine", "job_id", "program", "number", "sha256", "created_by")}
+    return given | {"id": run_id, "state": PREPARING, "open": True, "created_at": at}
+
+
+def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
+    row = {"principal": key.token, "kind": "run", "key": key.text, "request_sha256": new.request_sha256}
+    return row | {"resource_id": run_id, "created_at": at}
+
+
+def _words(view: Json) -> str:
+    return str(view.get("words", ""))[:_WORDS]
+
+
+def _news(before: Json | None, now: Json) -> bool:
+    """Is it worth a write? Lines alone are not: they change all the time, and the agent knows them."""
+    told = ("words", "recoveries", "operator", "started_s", "ended_s")
+    return before is None or any(before.get(name) != now.get(name) for name in told)

@@ -1,0 +1,254 @@
+"""One mill's agent over HTTP: where it is, that it is the right one, and what can go wrong on the way to it.
+
+Nothing is ever sent twice by itself, except a stop of which no answer came. Answers are bounded in size
+and in time, and an agent's word that one should look elsewhere is not followed.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, TypeVar
+
+import httpx
+
+from machines.mill.orders import Stop
+from service.errors import InputError
+from service.http.problems import Problem
+from service.milling.agent.auth import read_token
+from service.milling.agent.card import read_card
+from service.server.fleet.agent_feed import AgentFeed
+from service.server.fleet.agent_replies import MOST_BYTES, json_object, lease_json, table
+from service.server.fleet.registry import KnownMachine
+
+ASK_S = 3.0
+TELL_S = 30.0
+URGENT_S = 3.0  # a person waits beside the mill
+_CONNECT_S = 2.0
+_QUIET_S = 60.0  # an event stream beats every 15 s
+
+_HTTP_ERRORS = (httpx.HTTPError, httpx.InvalidURL, httpx.StreamError)
+
+Json = dict[str, Any]
+T = TypeVar("T")
+
+
+class AgentAwayError(Exception):
+    """The agent did not answer. `sent`: the request may have arrived all the same."""
+
+    def __init__(self, words: str, *, sent: bool = False) -> None:
+        super().__init__(words)
+        self.words = words
+        self.sent = sent
+
+    def problem(self, order: str = "") -> Problem:
+        """503; 504 where this order or stop may have arrived, so that a person has to look."""
+        if not (order and self.sent):
+            return Problem(503, self.words, field="machine", headers={"Retry-After": "2"})
+        advice = "use its own stop button" if order in set(Stop) else "it is not sent again"
+        words = f"{self.words}; whether the {order} arrived is not known: LOOK AT THE MILL, {advice}"
+        return Problem(504, words, field="machine")
+
+
+async def require_answer(asking: Awaitable[T], order: str = "") -> T:
+    """Return what the agent answered. Problem as `AgentAwayError.problem`."""
+    try:
+        return await asking
+    except AgentAwayError as away:
+        raise away.problem(order) from None
+
+
+class AgentLink:
+    """Speaks to the agent of one machine; finds it again when it was started anew."""
+
+    def __init__(self, machine: KnownMachine, client: Callable[[], httpx.AsyncClient]) -> None:
+        self.machine = machine
+        self._client = client
+        self._address: tuple[str, str] | None = None  # where the right agent is, and its token
+        self._last_address: tuple[str, str] | None = None  # where it was met last: good enough for a stop
+        self._finding = asyncio.Lock()
+        self.feed = AgentFeed(self.events, AgentAwayError)
+
+    async def get(self, path: str, *, timeout_s: float = ASK_S) -> Json:
+        return await self._told("GET", path, timeout_s=timeout_s)
+
+    async def post(self, path: str, body: Json | None = None, *, timeout_s: float = TELL_S) -> Json:
+        return await self._told("POST", path, timeout_s=timeout_s, json=body or {})
+
+    async def once(self, path: str, body: Json, *, timeout_s: float, headers: Json | None = None) -> Json:
+        """As `post`, but not even one that certainly did not arrive is sent again: an order is for now or for never."""
+        return await self._asked("POST", path, timeout_s=timeout_s, json=body, headers=headers)
+
+    async def delete(self, path: str, *, headers: Json) -> Json:
+        return await self._asked("DELETE", path, timeout_s=ASK_S, headers=headers)
+
+    async def urgent(self, path: str, *, headers: Json | None = None, within_s: float = URGENT_S) -> Json:
+        """A stop: to do it twice is better than not at all, so one that failed is sent once more.
+
+        It leaves for where the agent was met last, before anything is looked up; nobody else takes our token. It is
+        known within the time given whether it was taken: a person has to use the mill's own button otherwise.
+        """
+        try:
+            async with asyncio.timeout(within_s):
+                if self._last_address is not None:
+                    with contextlib.suppress(AgentAwayError):
+                        return await self._asked_at(
+                            self._last_address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
+                        )
+                self._address = self._last_address = await self._found()
+                return await self._asked_at(
+                    self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
+                )
+        except TimeoutError:
+            words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
+            raise AgentAwayError(words, sent=True) from None
+
+    async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
+        headers = {"Content-Length": str(size)}
+        return await self._told("PUT", path, timeout_s=TELL_S, content=content, headers=headers)
+
+    @asynccontextmanager
+    async def events(self, last_id: str) -> AsyncIterator[AsyncIterator[str]]:
+        """The lines of the agent's event stream."""
+        url, token = await self.address()
+        headers = {"Authorization": f"Bearer {token}"} | ({"Last-Event-ID": last_id} if last_id else {})
+        timeout = httpx.Timeout(_QUIET_S, connect=_CONNECT_S)
+        try:
+            async with self._client().stream("GET", f"{url}/v1/events", headers=headers, timeout=timeout) as answer:
+                if answer.status_code != 200:
+                    raise self._refusal(answer.status_code, await _whole(answer, self.machine.name))
+                yield _lines(answer, self.machine.name)
+        except _HTTP_ERRORS as error:
+            self._address = None
+            raise AgentAwayError(self._words(error)) from None
+
+    async def address(self) -> tuple[str, str]:
+        """Address and token of the agent, once it has said that it is this machine's. AgentAwayError."""
+        if self._address is None:
+            async with self._finding:
+                if self._address is None:
+                    self._address = self._last_address = await self._found()
+        return self._address
+
+    # ------------------------------------------------------------------
+
+    async def _found(self) -> tuple[str, str]:
+        last: AgentAwayError | None = None
+        for url, token_file in self._candidates():
+            try:
+                token = read_token(token_file)
+            except InputError as error:
+                last = AgentAwayError(f"machine '{self.machine.name}': its agent's token cannot be used: {error}")
+                continue
+            try:
+                await self._require_right(url, token)
+            except AgentAwayError as away:
+                last = away
+                continue
+            return url, token
+        raise last or AgentAwayError(f"machine '{self.machine.name}' has no agent at present; `serve` starts one")
+
+    def _candidates(self) -> list[tuple[str, Path]]:
+        if self.machine.remote and self.machine.token_file is not None:
+            return [(self.machine.url, self.machine.token_file)]
+        cards = [card for folder in self.machine.folders if (card := read_card(folder)) is not None]
+        return [(card.url, Path(card.token_file)) for card in cards]
+
+    async def _require_right(self, url: str, token: str) -> None:
+        """Who answers there? After a crash a card points to nobody, or to somebody else."""
+        try:
+            status, content = await self._exchanged("GET", f"{url}/v1/machine", token, within_s=ASK_S)
+            said = json_object(content, self.machine.name).get("name") if status == 200 else None
+        except (*_HTTP_ERRORS, TimeoutError, Problem) as error:
+            raise AgentAwayError(self._words(error)) from None
+        if status in (401, 403):
+            raise AgentAwayError(
+                f"machine '{self.machine.name}': the agent at {url} does not take the token we have for it"
+            )
+        if said != self.machine.name:
+            there = repr(said[:80]) if isinstance(said, str) and said else "no agent"
+            raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}")
+
+    async def _told(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
+        """One that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent again."""
+        before = self._address
+        try:
+            return await self._asked(method, path, timeout_s=timeout_s, **more)
+        except AgentAwayError as away:
+            if away.sent or before is None or "content" in more:
+                raise
+            return await self._asked(method, path, timeout_s=timeout_s, **more)
+
+    async def _asked(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
+        return await self._asked_at(await self.address(), method, path, timeout_s=timeout_s, **more)
+
+    async def _asked_at(
+        self, address: tuple[str, str], method: str, path: str, *, timeout_s: float, **more: Any
+    ) -> Json:
+        url, token = address
+        try:
+            status, content = await self._exchanged(method, url + path, token, within_s=timeout_s, **more)
+        except (*_HTTP_ERRORS, TimeoutError) as error:
+            self._address = None
+            unsent = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.PoolTimeout)
+            raise AgentAwayError(self._words(error), sent=not unsent) from None
+        if 200 <= status < 300:
+            return json_object(content, self.machine.name)
+        if status in (401, 403):
+            self._address = None
+        raise self._refusal(status, content)
+
+    async def _exchanged(
+        self, method: str, url: str, token: str, *, within_s: float, headers: Json | None = None, **more: Any
+    ) -> tuple[int, bytes]:
+        """Status and content of one answer. The time is for all of it, but a program takes as long as it takes."""
+        own = {"Authorization": f"Bearer {token}", "Accept-Encoding": "identity"} | (headers or {})
+        timeout = httpx.Timeout(within_s, connect=_CONNECT_S)
+        async with asyncio.timeout(None if "content" in more else within_s + _CONNECT_S):
+            async with self._client().stream(method, url, headers=own, timeout=timeout, **more) as answer:
+                return answer.status_code, await _whole(answer, self.machine.name)
+
+    def _refusal(self, status: int, content: bytes) -> Problem:
+        """The agent's own refusal, passed on; what is between it and us only is not the caller's fault."""
+        try:
+            told = json_object(content, self.machine.name)
+        except Problem:
+            told = {}
+        detail, field = str(told.get("detail", ""))[:2000], str(told.get("field", ""))[:200]
+        if status in (401, 403):
+            return Problem(502, f"the agent of '{self.machine.name}' does not take the token we have for it")
+        if not detail or status not in (404, 409, 413, 422, 428, 503, 507):
+            return Problem(502, f"the agent of '{self.machine.name}' answered {status}: {detail or 'no reason given'}")
+        more: Json = {name: told[name][:2000] for name in ("code", "effect") if isinstance(told.get(name), str)}
+        if "control" in told:
+            more["control"] = lease_json(table(told, "control")) if told["control"] else None
+        return Problem(status, detail, field=field, more=more)
+
+    def _words(self, error: Exception) -> str:
+        reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(
+            type(error).__name__, type(error).__name__
+        )
+        return f"the agent of '{self.machine.name}' cannot be reached: {reason}"
+
+
+async def _whole(answer: httpx.Response, machine: str) -> bytes:
+    content = bytearray()
+    async for piece in answer.aiter_raw():
+        content += piece
+        if len(content) > MOST_BYTES:
+            raise Problem(502, f"the agent of '{machine}' answered with more than {MOST_BYTES // 1_000_000} MB")
+    return bytes(content)
+
+
+async def _lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
+    """Lines as an event stream has them; httpx's own would hold any amount of one that does not end."""
+    rest = b""
+    async for piece in answer.aiter_raw():
+        *lines, rest = (rest + piece).split(b"\n")
+        if len(rest) > MOST_BYTES:
+            raise Problem(502, f"the agent of '{machine}' sends an event without an end")
+        for line in lines:
+            yield line.rstrip(b"\r").decode("utf-8", "replace")

@@ -1,0 +1,115 @@
+"""The event stream of one agent, read once for all who follow its runs: an agent has room for few readers.
+
+Theory of operation: one task reads as long as somebody follows, and puts each message into everybody's queue. Who comes
+back with the id of the last event it has asks the agent itself for what it missed, a few at a time, while its queue
+fills already; what it finds in there and has by then is left out. When the stream breaks everybody is told so, once,
+and comes back in the same way.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from contextlib import AbstractAsyncContextManager
+
+from service.http.problems import Problem
+
+_QUEUE = 1000
+_CATCH_UP = 4  # connections beside the one
+
+Message = dict[str, str]  # the fields of an event: id, event, data; empty: a heartbeat
+Opened = Callable[[str], AbstractAsyncContextManager[AsyncIterator[str]]]
+
+
+class AgentFeed:
+    """opened : the agent's event stream after an id, as lines. lost : the error for a stream that broke."""
+
+    def __init__(self, opened: Opened, lost: Callable[[str], Exception]) -> None:
+        self._opened = opened
+        self._lost = lost
+        self._queues: set[asyncio.Queue[Message | str]] = set()  # a text: the stream broke, and why
+        self._reader: asyncio.Task[None] | None = None
+        self._status: Message = {}
+        self._catching_up = asyncio.Semaphore(_CATCH_UP)
+
+    async def messages(self, last_id: str) -> AsyncGenerator[Message]:
+        """Those after last_id, then how things stand, then each new one; ends with the error for a broken stream."""
+        queue: asyncio.Queue[Message | str] = asyncio.Queue(_QUEUE)
+        self._queues.add(queue)
+        try:
+            first = await self._missed(last_id) if last_id else [self._status] if self._status else []
+            for message in first:
+                last_id = message.get("id") or last_id
+                yield message
+            self._read()
+            while isinstance(news := await queue.get(), dict):
+                if not _is_known(news.get("id", ""), last_id):
+                    yield news
+            raise self._lost(news)
+        finally:
+            self._queues.discard(queue)
+            if not self._queues and self._reader is not None:
+                self._reader.cancel()
+
+    def _read(self) -> None:
+        if self._reader is None or self._reader.done():
+            self._reader = asyncio.create_task(self._reading(), name="agent feed")
+
+    async def _reading(self) -> None:
+        words = "the event stream of the agent has ended"
+        try:
+            async with self._opened("") as lines:
+                async for message in _parsed(lines):
+                    self._status = message if message.get("event") == "status" else self._status
+                    self._hand_out(message)
+        except Problem as problem:
+            words = problem.detail
+        except Exception as error:  # whatever it was: everybody is told, and tries again
+            words = str(error) or type(error).__name__
+        finally:
+            self._status = {}
+        self._hand_out(words)
+
+    def _hand_out(self, message: Message | str) -> None:
+        for queue in list(self._queues):
+            told = message
+            if queue.full():
+                told = "this reader does not keep up"
+                queue.get_nowait()  # it asks for it again
+            if isinstance(told, str):
+                self._queues.discard(queue)
+            queue.put_nowait(told)
+
+    async def _missed(self, last_id: str) -> list[Message]:
+        """What has happened since, and how things stand, with which the agent ends what it tells at first."""
+        found: list[Message] = []
+        async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parsed(lines)) as messages:
+            self._read()
+            async for message in messages:
+                found.append(message)
+                if message.get("event") == "status" or not message:
+                    break
+        return found
+
+
+async def _parsed(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
+    """The messages of a stream; an empty one for each heartbeat."""
+    message: Message = {}
+    async for line in lines:
+        if line.startswith(":"):
+            yield {}
+        elif line:
+            name, _, value = line.partition(": ")
+            message[name] = value
+        elif message:
+            if "data" in message:
+                yield message
+            message = {}
+
+
+def _is_known(event_id: str, last_id: str) -> bool:
+    """An event of the same life of the agent that is not newer than the last one the reader has."""
+    life, _, number = event_id.partition("-")
+    last_life, _, last = last_id.partition("-")
+    return bool(last_id) and life == last_life and number.isdigit() and last.isdigit() and int(number) <= int(last)

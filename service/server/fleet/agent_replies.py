@@ -1,0 +1,90 @@
+"""What an agent says, before anybody believes it: JSON of a bounded size, and of a run what every run has.
+
+An agent on another computer may be of another version, broken, or not an agent at all. What it says wrong is refused
+here, once, as a problem of its own (502), and is neither written down nor shown.
+"""
+
+from __future__ import annotations
+
+import json
+from datetime import UTC, datetime
+from math import isfinite
+from typing import Any
+
+from machines.mill.orders import LEASE_S
+from machines.runs import RunState
+from service.http.problems import Problem
+
+MOST_BYTES = 4_000_000
+_STATES = frozenset(state.value for state in RunState)
+_LATEST_S = 4e9  # year 2096: what is later is no time
+_NUMBERS = {  # least, most; None is allowed where a run has none of it yet
+    "share": (0.0, 1.0),
+    "executed_line": (0, 1e12),
+    "lines": (0, 1e12),
+    "recoveries": (0, 1e9),
+    "time_s": (0.0, 1e12),
+    "time_left_s": (0.0, 1e12),
+    "created_s": (0.0, _LATEST_S),
+    "started_s": (0.0, _LATEST_S),
+    "ended_s": (0.0, _LATEST_S),
+}
+_NEVER_NONE = ("share", "executed_line", "recoveries")
+
+Json = dict[str, Any]
+
+
+def json_object(content: bytes, machine: str) -> Json:
+    """The JSON object of an answer; an empty one for an empty answer. Problem 502 for anything else."""
+    try:
+        values = json.loads(content) if content else {}
+        json.dumps(values, allow_nan=False, ensure_ascii=False).encode()  # numbers and texts that can be passed on
+    except (ValueError, RecursionError):
+        values = None
+    if not isinstance(values, dict):
+        raise Problem(502, f"the agent of '{machine}' answered with something that is not a JSON object")
+    return values
+
+
+def run_view(values: Json, machine: str) -> Json:
+    """What the agent says of a run. Problem 502 where it cannot be so."""
+    wrong = [name for name, (least, most) in _NUMBERS.items() if not _is_number(values, name, least, most)]
+    wrong += [name for name in ("words", "operator") if not isinstance(values.get(name, ""), str)]
+    warnings = values.get("warnings", [])
+    if not isinstance(warnings, list) or not all(isinstance(one, str) for one in warnings):
+        wrong.append("warnings")
+    if not isinstance(values.get("id"), str) or not 1 <= len(values["id"]) <= 100 or "/" in values["id"]:
+        wrong.append("id")
+    if values.get("state") not in _STATES:
+        wrong.append("state")
+    if wrong:
+        raise Problem(502, f"the agent of '{machine}' says what cannot be of its run: {', '.join(wrong)}")
+    return values
+
+
+def lease_json(values: Json, secret: str = "") -> Json:
+    """Who has control and since when; for the holder, with the secret and how long it lasts without a sign."""
+    since_s = values.get("since_s")
+    known = isinstance(since_s, int | float) and 0 <= since_s < _LATEST_S
+    told: Json = {"operator": str(values.get("operator", ""))[:100], "since": moment(since_s if known else 0.0)}
+    return told | ({"control": secret, "expires_s": LEASE_S} if secret else {})
+
+
+def moment(at: float | None) -> str | None:
+    """ISO 8601, UTC."""
+    if at is None:
+        return None
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def table(values: Json, name: str) -> Json:
+    """A JSON object inside another; an empty one where there is none."""
+    found = values.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _is_number(values: Json, name: str, least: float, most: float) -> bool:
+    value = values.get(name, 0 if name in _NEVER_NONE else None)
+    if value is None:
+        return name not in _NEVER_NONE
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and least <= value <= most

@@ -1,0 +1,162 @@
+"""What every part of the fleet works with: the books, the links to the agents, and threads for the database."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, TypeVar
+
+import httpx
+import sqlalchemy as sa
+
+from service.http.problems import Problem
+from service.server.database.jobs import JobBook
+from service.server.database.runs import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow, UnknownRunError
+from service.server.fleet.agent_client import ASK_S, AgentAwayError, AgentLink
+from service.server.fleet.agent_replies import run_view
+from service.server.fleet.registry import KnownMachine, known_machines
+from service.settings import ServerSettings
+from service.store.base import Store
+
+T = TypeVar("T")
+_THREADS = 8
+_MOST_KNOWN = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Seen:
+    """A run as it is known now; `away`: why its agent could not be asked (empty: it was asked, or need not be)."""
+
+    run: RunRow
+    away: str = ""
+
+
+def no_machine(name: str, known: Iterable[str]) -> Problem:
+    words = ", ".join(known) or "none; a profile of yours with [link] port makes one"
+    return Problem(404, f"no machine '{name}'; known: {words}", field="machine")
+
+
+def not_handed_over(run: RunRow) -> Problem:
+    words = f"the run is {run.state}: its program has not been handed over, nothing moves"
+    return Problem(409, words, field="run")
+
+
+class FleetCore:
+    """Asks, and writes down what it is told. Moves nothing."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, jobs: JobBook) -> None:
+        self.settings = settings
+        self.store = store
+        self.ending = asyncio.Event()
+        self.jobs = jobs
+        self.runs = RunBook(database)
+        self.links: dict[str, AgentLink] = {}
+        self.stopped_s: dict[str, float] = {}  # when a stop of a machine came by last, by `suspend_aware_clock_s`
+        self.live_runs: set[str] = set()  # as last seen
+        self.known_runs: dict[str, RunRow] = {}  # handed over: machine and the agent's id of them never change
+        self._http: httpx.AsyncClient | None = None
+        # Of its own, so that an order to a mill never waits behind uploads and downloads.
+        self._threads = ThreadPoolExecutor(_THREADS, thread_name_prefix="fleet")
+        self._looking = ThreadPoolExecutor(1, thread_name_prefix="fleet-profiles")
+
+    async def do(self, function: Callable[..., T], *arguments: Any, **named: Any) -> T:
+        """A call that waits for the database or a disk, off the event loop."""
+        loop = asyncio.get_running_loop()
+        return await loop.run_in_executor(self._threads, lambda: function(*arguments, **named))
+
+    async def machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+        return await self.do(known_machines, self.settings)
+
+    async def machine(self, name: str) -> KnownMachine:
+        """Problem 404 where there is none of this name."""
+        known, _ = await self.machines()
+        if name not in known:
+            raise no_machine(name, known)
+        return known[name]
+
+    def link(self, machine: KnownMachine) -> AgentLink:
+        """The link to its agent; a new one where the machine has changed."""
+        found = self.links.get(machine.name)
+        if found is None or found.machine != machine:
+            found = self.links[machine.name] = AgentLink(machine, self._client)
+        return found
+
+    def known_link(self, machine: str) -> AgentLink | None:
+        """The link used before, without a look at any file."""
+        return self.links.get(machine)
+
+    async def renewed_link(self, machine: str) -> AgentLink:
+        """The link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
+        known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, known_machines, self.settings)
+        if machine not in known:
+            raise no_machine(machine, known)
+        return self.link(known[machine])
+
+    def remember(self, run: RunRow) -> RunRow:
+        """Where this run is, so that a stop of it asks no database."""
+        if run.agent_run is not None:
+            self.known_runs.pop(run.id, None)
+            while len(self.known_runs) >= _MOST_KNOWN:
+                del self.known_runs[next(iter(self.known_runs))]
+            self.known_runs[run.id] = run
+        return run
+
+    async def row(self, run_id: str) -> RunRow:
+        """The run by the database. Problem 404 where there is none."""
+        try:
+            return await self.do(self.runs.get, run_id)
+        except UnknownRunError as error:
+            raise Problem(404, str(error), field="run") from None
+
+    async def link_of(self, run: RunRow) -> AgentLink:
+        """The link to the agent that has this run."""
+        try:
+            return self.known_link(run.machine) or self.link(await self.machine(run.machine))
+        except Problem as gone:
+            raise AgentAwayError(gone.detail) from None
+
+    async def seen(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
+        """The run as its agent has it now, written down where that is news."""
+        seen = await self._seen(run, timeout_s=timeout_s)
+        (self.live_runs.add if seen.run.state in LIVE_WORDS else self.live_runs.discard)(run.id)
+        return seen
+
+    async def _seen(self, run: RunRow, *, timeout_s: float) -> Seen:
+        self.remember(run)
+        if run.agent_run is None or (run.state == FINISHED and not run.open) or run.state == LOST:
+            return Seen(run)
+        try:
+            link = await self.link_of(run)
+            view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s), run.machine)
+        except AgentAwayError as away:
+            return Seen(run, away.words)
+        except Problem as problem:
+            if problem.status != 404:
+                return Seen(run, problem.detail)
+            await self.do(self.runs.close, run.id, LOST, "its agent no longer knows this run")
+            return Seen(await self.do(self.runs.get, run.id))
+        return Seen(await self.do(self.runs.told, run, view))
+
+    async def ended_within(self, seconds: float) -> bool:
+        """Wait so long, or until the server ends: then True."""
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                await self.ending.wait()
+        return self.ending.is_set()
+
+    async def close(self) -> None:
+        if self._http is not None:
+            await self._http.aclose()
+            self._http = None
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        self._looking.shutdown(wait=False, cancel_futures=True)
+
+    def _client(self) -> httpx.AsyncClient:
+        """One for all agents, made in the loop that uses it. No proxies: a mill's agent is asked directly."""
+        if self._http is None:
+            limits = httpx.Limits(max_connections=None, max_keepalive_connections=20, keepalive_expiry=30)
+            self._http = httpx.AsyncClient(trust_env=False, limits=limits, headers={"User-Agent": "causticmill"})
+        return self._http

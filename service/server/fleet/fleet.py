@@ -1,0 +1,208 @@
+"""The mills, as the job server offers them: what they are and do, and the runs of programs on them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+from typing import Any
+
+import sqlalchemy as sa
+import structlog
+
+from machines.mill.orders import Stop
+from service.errors import printable
+from service.http.problems import Problem
+from service.server.database.jobs import JobBook
+from service.server.database.records import ClientKey
+from service.server.database.runs import PREPARING, RunRow, UnknownRunError
+from service.server.fleet.agent_client import AgentAwayError, require_answer
+from service.server.fleet.core import FleetCore, Seen
+from service.server.fleet.event_format import known_id
+from service.server.fleet.handover import Handovers
+from service.server.fleet.machine_commands import ASK_S, OrderContext, Orders
+from service.server.fleet.machine_events import MachineEvents
+from service.server.fleet.programs import programs_of
+from service.server.fleet.registry import KnownMachine
+from service.server.fleet.representation import Surroundings, machine_json, run_json
+from service.server.fleet.run_commands import Controls, RunOrder
+from service.server.fleet.run_events import RunEvents
+from service.server.fleet.stops import Stops
+from service.settings import ServerSettings
+from service.store.base import Store
+
+Json = dict[str, Any]
+WATCH_S = 10.0
+_MOST_FOLLOWERS = 300
+_log = structlog.get_logger("api")
+
+
+class Fleet:
+    """For one event loop. Every refusal is a Problem."""
+
+    def __init__(self, settings: ServerSettings, database: sa.Engine, store: Store, book: JobBook) -> None:
+        self._core = FleetCore(settings, database, store, book)
+        self._handovers = Handovers(self._core)
+        self.orders = Orders(self._core)
+        self.stops = Stops(self._core)
+        self._controls = Controls(self._core, self.orders)
+        self._followers = 0
+
+    def end_streams(self) -> None:
+        """The server ends: so do the event streams, which would not by themselves."""
+        self._core.ending.set()
+
+    async def watch(self, every_s: float = WATCH_S) -> None:
+        """Look at every open run now and then: one that ends while nobody asks is closed all the same."""
+        while not await self._core.ended_within(every_s):
+            try:
+                rows = await self._core.do(self._core.runs.open_ones)
+                await asyncio.gather(*map(self._now, rows))
+            except Exception as error:  # the database or a mill is away, or an agent talks nonsense
+                _log.warning("runs were not looked at", error=printable(str(error))[:200])
+
+    async def aclose(self) -> None:
+        self.end_streams()
+        await self._handovers.close()
+        await self._core.close()
+
+    @property
+    def has_live_run(self) -> bool:
+        """A program is on one of the mills, as they were last seen."""
+        return bool(self._core.live_runs)
+
+    # ------------------------------------------------------------------ machines
+
+    async def machines(self) -> Json:
+        known, problems = await self._core.machines()
+        rows = await asyncio.gather(*(self._machine(machine) for machine in known.values()))
+        return {"machines": list(rows), "problems": problems}
+
+    async def machine(self, name: str) -> Json:
+        return await self._machine(await self._core.machine(name))
+
+    async def _machine(self, machine: KnownMachine) -> Json:
+        status, away, run = None, "", await self._core.do(self._core.runs.open_on, machine.name)
+        try:
+            status = await self._core.link(machine).get("/v1/status")
+            run = None if run is None else (await self._now(run)).run
+        except AgentAwayError as error:
+            away = error.words
+        except Problem as problem:
+            away = problem.detail
+        return machine_json(machine, status, away, run if run is not None and run.open else None)
+
+    async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
+        """What a mill does and what happens at it, as server-sent events without an end."""
+        machine = await self._core.machine(name)
+        return self._followed(MachineEvents(self._core, machine, known_id(last_id)).stream())
+
+    # ------------------------------------------------------------------ runs
+
+    async def park(
+        self,
+        machine: str,
+        job_id: str,
+        program: int | str | None,
+        by: str,
+        key: ClientKey | None,
+        context: OrderContext,
+    ) -> tuple[Json, bool]:
+        """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
+        known = await self._core.machine(machine)
+        with contextlib.suppress(AgentAwayError):
+            await self._core.link(known).once("/v1/lease/check", {}, timeout_s=ASK_S, headers=context.headers())
+        run = await self._handovers.begin(known, job_id, program, by, key)
+        run = self._core.remember(await self._handovers.finish(run, known))
+        return await self._shown(Seen(run)), run.state != PREPARING
+
+    async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> Json:
+        """Newest first; open ones as their agents have them now."""
+        try:
+            rows = await self._core.do(self._core.runs.listed, machine=machine, job=job, limit=limit, before=before)
+        except UnknownRunError as error:
+            raise Problem(422, str(error), field="cursor") from None
+        seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
+        around = await self._core.do(self._read_surroundings, [one.run for one in seen])
+        return {"runs": list(map(run_json, seen, around)), "next": rows[-1].id if len(rows) == limit else None}
+
+    async def run(self, run_id: str) -> Json:
+        return await self._shown(await self._now(await self._core.row(run_id)))
+
+    async def recovery(self, run_id: str, caller: str) -> Json:
+        return await self._controls.recovery(run_id, caller)
+
+    async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+        context = await self._controls.require_grant(run_id, context)
+        run = await self._core.row(run_id)
+        return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
+
+    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+        return await self._shown(await self._controls.recover(run_id, said, context))
+
+    async def resume(self, run_id: str, context: OrderContext) -> Json:
+        return await self._shown(await self._controls.resume(run_id, context))
+
+    async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Json:
+        seen = await self.stops.stop_run(run_id, stop, context)
+        return run_json(seen, await self.stops.wait_briefly(self._around(seen.run), Surroundings()))
+
+    async def past_orders(self, machine: str, before: int | None, limit: int) -> Json:
+        """Who ordered what at this mill, newest first."""
+        link = self._core.link(await self._core.machine(machine))
+        from_number = "" if before is None else f"&before={before}"
+        return await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
+
+    async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
+        """The run's server-sent events; None where it was over when the reader last heard of it."""
+        seen = await self._now(await self._core.row(run_id))
+        if last_id and not seen.run.open and not seen.away:
+            return None
+        return self._followed(RunEvents(self._core, seen, known_id(last_id)).stream())
+
+    # ------------------------------------------------------------------
+
+    def _followed(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+        if self._followers >= _MOST_FOLLOWERS:
+            raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
+        return self._counted(stream)
+
+    async def _counted(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+        self._followers += 1
+        try:
+            async with contextlib.aclosing(stream) as pieces:
+                async for piece in pieces:
+                    yield piece
+        finally:
+            self._followers -= 1
+
+    async def _now(self, run: RunRow) -> Seen:
+        return await self._core.seen((await self._handovers.repaired(Seen(run))).run)
+
+    async def _shown(self, seen: Seen) -> Json:
+        return run_json(seen, await self._around(seen.run))
+
+    async def _around(self, run: RunRow) -> Surroundings:
+        """The job may be gone by now; its run is not."""
+        return (await self._core.do(self._read_surroundings, [run]))[0]
+
+    def _read_surroundings(self, rows: Sequence[RunRow]) -> list[Surroundings]:
+        """What each of the runs is part of, by as many queries for a hundred of them as for one."""
+        job_ids = {run.job_id for run in rows}
+        found = self._core.jobs.with_programs(job_ids)
+        finished = self._core.runs.finished_by_mill(job_ids)
+        programs = {job_id: programs_of(files) for job_id, (_, files) in found.items()}
+        return [
+            Surroundings(
+                job=found[run.job_id][0],
+                programs=programs[run.job_id],
+                finished=finished.get((run.job_id, run.machine), frozenset()),
+            )
+            if run.job_id in found
+            else Surroundings()
+            for run in rows
+        ]
+
+
+async def _as_it_is(run: RunRow) -> Seen:
+    return Seen(run)

@@ -1,0 +1,195 @@
+"""Handing a program over: the row first, then the program by its hash, then a parked run under the row's id as its key.
+
+Each step may be done again without harm, so whoever finds a run still being prepared just goes on with it: this server
+after a lost answer, or the next one after a crash. Nothing of it makes the mill move: a parked run waits for a person.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import AsyncIterator, Iterator
+
+from service.http.problems import Problem
+from service.server.database.records import ClientKey, Job, UnknownJobError
+from service.server.database.runs import (
+    PREPARING,
+    REFUSED,
+    JobNotReadyError,
+    MachineTakenError,
+    NewRun,
+    RunRow,
+)
+from service.server.fleet.agent_client import AgentAwayError, AgentLink
+from service.server.fleet.agent_replies import run_view
+from service.server.fleet.core import FleetCore, Seen
+from service.server.fleet.programs import Program, programs_of
+from service.server.fleet.registry import KnownMachine
+from service.store.base import MissingObjectError
+
+ANSWER_WITHIN_S = 20.0
+_PREFLIGHT_S = 1800.0  # a program of gigabytes is read whole
+
+
+class Handovers:
+    """One task for each run that is being prepared by this process."""
+
+    def __init__(self, core: FleetCore) -> None:
+        self._core = core
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._untried: set[str] = set()  # runs made here, of which no agent can have heard yet
+
+    async def begin(
+        self, machine: KnownMachine, job_id: str, wanted: int | str | None, by: str, key: ClientKey | None
+    ) -> RunRow:
+        """Make the run, or find the one that this key has made. Problem where it may not be."""
+        asked = hashlib.sha256(repr((machine.name, job_id, wanted)).encode()).hexdigest()
+        core = self._core
+        if key is not None and (before := await core.do(core.runs.made_before, key, asked)) is not None:
+            return before
+        program = await self._chosen(machine, job_id, wanted)
+        if (other := await core.do(core.runs.open_on, machine.name)) is not None:
+            await core.seen(other)  # it may have ended since anybody asked
+        new = NewRun(
+            machine=machine.name, job_id=job_id, program=program.name, number=program.number, sha256=program.sha256,
+            created_by=by, key=key, request_sha256=asked,
+        )  # fmt: skip
+        try:
+            run, fresh = await core.do(core.runs.create, new)
+        except MachineTakenError as error:
+            raise Problem(409, str(error), field="machine") from None
+        except JobNotReadyError as error:
+            raise Problem(409, str(error), field="job") from None
+        except UnknownJobError:
+            raise _no_job(job_id) from None
+        if fresh:
+            self._untried.add(run.id)
+        return run
+
+    async def finish(self, run: RunRow, machine: KnownMachine) -> RunRow:
+        """Go on until it is parked, or for 20 s; Problem where it cannot be handed over."""
+        if run.state != PREPARING or not run.open:
+            return run
+        task = self.go_on(run, machine)
+        await asyncio.wait({task}, timeout=ANSWER_WITHIN_S)
+        if task.done() and not task.cancelled() and (error := task.exception()) is not None:
+            if isinstance(error, Problem):
+                raise error
+            if not isinstance(error, AgentAwayError):
+                raise error
+        return await self._core.do(self._core.runs.get, run.id)
+
+    def go_on(self, run: RunRow, machine: KnownMachine) -> asyncio.Task[None]:
+        """The task that hands this run over: the one that is at it, or a new one."""
+        task = self._tasks.get(run.id)
+        if task is None or task.done():
+            self._tasks = {key: other for key, other in self._tasks.items() if not other.done()}
+            task = self._tasks[run.id] = asyncio.create_task(self._hand_over(run, machine))
+            task.add_done_callback(_looked_at)
+        return task
+
+    async def repaired(self, seen: Seen) -> Seen:
+        """A run whose hand-over was cut short goes on; what it is now is told without waiting for that."""
+        if seen.run.state != PREPARING or not seen.run.open:
+            return seen
+        try:
+            task = self.go_on(seen.run, await self._core.machine(seen.run.machine))
+        except Problem as gone:
+            return Seen(seen.run, gone.detail)
+        await asyncio.wait({task}, timeout=0.2)
+        run = await self._core.do(self._core.runs.get, seen.run.id)
+        error = task.exception() if task.done() and not task.cancelled() else None
+        return Seen(run, error.words if isinstance(error, AgentAwayError) else "")
+
+    async def close(self) -> None:
+        for task in self._tasks.values():
+            task.cancel()
+        await asyncio.gather(*self._tasks.values(), return_exceptions=True)
+
+    # ------------------------------------------------------------------
+
+    async def _chosen(self, machine: KnownMachine, job_id: str, wanted: int | str | None) -> Program:
+        core = self._core
+        try:
+            job: Job = await core.do(core.jobs.get, job_id)
+            programs = programs_of(await core.do(core.jobs.artifacts, job_id))
+        except UnknownJobError:
+            raise _no_job(job_id) from None
+        if not await core.do(core.jobs.may_be_milled, job):
+            raise Problem(409, str(JobNotReadyError(job)), field="job")
+        if wanted is None:
+            done = await core.do(core.runs.finished, job_id, machine.name)
+            return _next(programs, done, machine.name)
+        for program in programs:
+            if wanted in (program.number, program.name):
+                return program
+        allowed = ", ".join(f"{one.number} ({one.name})" for one in programs) or "none"
+        raise Problem(
+            422, f"program {str(wanted)[:100]!r} is not one of this job's; allowed: {allowed}", field="program"
+        )
+
+    async def _hand_over(self, run: RunRow, machine: KnownMachine) -> None:
+        """AgentAwayError leaves the run as it is, to be gone on with; a refusal closes it."""
+        link, posted = self._core.link(machine), False
+        try:
+            await self._bring(link, run)
+            posted = True
+            name = f"{run.program} of job {run.job_id}"
+            body = {"program": run.sha256, "name": name, "key": run.id}
+            view = run_view(await link.post("/v1/runs", body, timeout_s=_PREFLIGHT_S), run.machine)
+        except Problem as problem:
+            await self._refused(run, problem.detail)
+            raise
+        except AgentAwayError as away:
+            if (posted and away.sent) or run.id not in self._untried:
+                raise
+            await self._refused(run, away.words)  # nothing of it is there, certainly
+            raise away.problem() from None
+        finally:
+            self._untried.discard(run.id)
+        if not await self._core.do(self._core.runs.parked, run.id, view):
+            await link.post(f"/v1/runs/{view['id']}:abort")  # taken back while it was on its way
+
+    async def _refused(self, run: RunRow, words: str) -> None:
+        await self._core.do(self._core.runs.close, run.id, REFUSED, words, forget_key=True)
+
+    async def _bring(self, link: AgentLink, run: RunRow) -> None:
+        """The program into the agent's own store, which checks its hash."""
+        try:
+            await link.get(f"/v1/programs/{run.sha256}")
+            return
+        except Problem as problem:
+            if problem.status != 404:
+                raise
+        store = self._core.store
+        try:
+            size = (await self._core.do(store.head, run.sha256)).bytes
+            pieces = await self._core.do(store.open_range, run.sha256)
+        except MissingObjectError as error:
+            raise Problem(409, f"the program is no longer there: {error}", field="program") from None
+        await link.put(f"/v1/programs/{run.sha256}", self._streamed(pieces), size)
+
+    async def _streamed(self, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+        while (piece := await self._core.do(next, pieces, b"")) != b"":
+            yield piece
+
+
+def _next(programs: list[Program], finished: frozenset[str], machine: str) -> Program:
+    """The first pass that this mill has not finished."""
+    for program in programs:
+        if program.sha256 not in finished:
+            return program
+    if not programs:
+        raise Problem(409, "the job has no programs", field="job")
+    words = f"machine '{machine}' has finished every program of this job; name one in `program` to run it again"
+    raise Problem(409, words, field="program")
+
+
+def _no_job(job_id: str) -> Problem:
+    return Problem(422, f"there is no job {job_id[:80]!r}", field="job")
+
+
+def _looked_at(task: asyncio.Task[None]) -> None:
+    """Its error is told to whoever asks for the run; nobody may, and then it is no news."""
+    if not task.cancelled():
+        task.exception()

@@ -1,0 +1,118 @@
+"""Orders to a mill from the person who has control of it, each under a grant of the mill's agent.
+
+Theory of operation. An order is good for the moment in which it was given. The page asks for a grant when a button is
+pressed and sends the order with it; the agent carries it out within seconds, once, and only if nobody has stopped the
+mill or taken control since. Nothing here decides whether an order is still for now: it may wait for a database, a
+thread or a network as long as it likes, and then the agent refuses it. For a caller without a grant (curl) one is asked
+for here, before anything else is waited for: a stop that comes later, through whatever server, ends it as any other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from urllib.parse import quote
+
+from machines.mill.orders import Refusal, suspend_aware_clock_s
+from service.http.problems import Problem
+from service.milling.agent.callers import BY, CONTROL, FROM, GRANT
+from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
+from service.server.fleet.agent_replies import lease_json
+from service.server.fleet.core import FleetCore
+from service.server.fleet.representation import order_json
+
+ASK_S = 2.0  # from the request's arrival to the grant
+_ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OrderContext:
+    """Who gives an order, from where, and what it rests on. arrived_s: by `suspend_aware_clock_s`."""
+
+    name: str
+    origin: str
+    control: str = ""
+    grant: str = ""
+    arrived_s: float = 0.0
+
+    def headers(self) -> dict[str, str]:
+        values = {BY: quote(self.name), FROM: quote(self.origin), CONTROL: self.control, GRANT: self.grant}
+        return {name: value for name, value in values.items() if value}
+
+
+class Orders:
+    """Who has control of the mills of this fleet, and what they say."""
+
+    def __init__(self, core: FleetCore, clock: Callable[[], float] = suspend_aware_clock_s) -> None:
+        self._core = core
+        self._clock = clock
+
+    # ------------------------------------------------------------------ control
+
+    async def take(self, machine: str, context: OrderContext, operator: str, *, take_over: bool) -> tuple[Json, bool]:
+        """Control of a machine, and whether it is new. Problem 409 where another person has it."""
+        link = self._core.link(await self._core.machine(machine))
+        body = {"operator": operator, "principal": context.name, "take_over": take_over}
+        lease = await require_answer(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
+        secret = str(lease.get("control", ""))
+        return lease_json(lease, secret), secret != context.control
+
+    async def release(self, machine: str, context: OrderContext) -> None:
+        """Nobody has control, if it was the caller who had it. Problem 409 where it is somebody else."""
+        link = self._core.link(await self._core.machine(machine))
+        await require_answer(link.delete("/v1/lease", headers=context.headers()))
+
+    # ------------------------------------------------------------------ orders
+
+    async def grant(self, machine: str, context: OrderContext, stops: int | None = None) -> Json:
+        """A grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped since the
+        caller has seen this stop count.
+        """
+        link = self._core.link(await self._core.machine(machine))
+        return await require_answer(self._ask_grant(link, context, stops))
+
+    async def require_grant(self, machine: str, context: OrderContext) -> OrderContext:
+        """Return the context with a grant. To be called before anything else is waited for; Problem as `grant`."""
+        if context.grant:
+            return context
+        granted = await require_answer(self._ask_first_grant(machine, context))
+        return replace(context, grant=str(granted.get("grant", "")))
+
+    async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> Json:
+        """An order beside a run, from the holder of control. Problem 504 where it is not known what came of it."""
+        context = await self.require_grant(machine, context)
+        link = self._core.link(await self._core.machine(machine))
+        sending = link.once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
+        return order_json(machine, what, await require_answer(sending, what))
+
+    # ------------------------------------------------------------------
+
+    async def _ask_first_grant(self, machine: str, context: OrderContext) -> Json:
+        """From where the agent was met last, as long as it is there; where it has moved to is looked up afterwards."""
+        link = self._core.known_link(machine) or await self._core.renewed_link(machine)
+        try:
+            return await self._ask_grant(link, context)
+        except AgentAwayError:
+            present = await self._core.renewed_link(machine)
+            if present is link:
+                raise
+            return await self._ask_grant(present, context)
+
+    async def _ask_grant(self, link: AgentLink, context: OrderContext, stops: int | None = None) -> Json:
+        """A grant of the agent, as long as the request is for now and no stop has come by since. AgentAwayError."""
+        body = {} if stops is None else {"stops": stops}
+        left_s = ASK_S - (self._clock() - context.arrived_s)
+        if left_s > 0:
+            granted = await link.once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
+            if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
+                words = "the mill was stopped since: the order was not sent"
+                raise Problem(409, words, field="machine", more={"code": Refusal.STOPPED.value})
+            if self._clock() - context.arrived_s <= ASK_S:
+                return granted
+        raise Problem(
+            503,
+            f"the order has waited for more than {ASK_S:g} s: it was not sent; give it again",
+            field="machine",
+            headers={"Retry-After": "2"},
+            more={"code": "grant_expired"},
+        )

@@ -1,0 +1,149 @@
+"""A machine's own events: how it stands, by its agent and by our books, and what happens at it.
+
+It has no end: while the agent is away the reader is told so and the stream goes on. The ids are the agent's, so that a
+reader who comes back, to this server or to the next one, misses nothing that the agent still has; one who comes for the
+first time is told what the agent remembers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import AsyncGenerator
+from dataclasses import replace
+
+from service.http.problems import Problem
+from service.server.database.runs import RunRow
+from service.server.fleet.agent_client import AgentAwayError, AgentLink
+from service.server.fleet.agent_feed import Message
+from service.server.fleet.agent_replies import json_object, run_view, table
+from service.server.fleet.core import FleetCore
+from service.server.fleet.event_format import AGAIN_S, FIRST, PING, Json, event_bytes, known_id, until
+from service.server.fleet.registry import KnownMachine
+from service.server.fleet.representation import machine_json
+
+_TICK_S = 0.5  # which run is open is looked at so often
+_BEAT_S = 15.0
+
+
+class MachineEvents:
+    """What one reader of a machine is sent."""
+
+    def __init__(self, core: FleetCore, machine: KnownMachine, last_id: str) -> None:
+        self._core = core
+        self._machine = machine
+        self._last_id = last_id
+        self._status: Json | None = None
+        self._shown: Json = {}
+        self._told: tuple[float, float] = (0.0, 0.0)  # time and number of the last entry of the log
+        self._remembered = bool(last_id)
+        self._sent_s = self._looked_s = 0.0
+        self._run: RunRow | None = None
+        self._failures = 0
+
+    async def stream(self) -> AsyncGenerator[bytes]:
+        """Bytes of the event stream: `status` events hold how it stands, `log` events what happened."""
+        core = self._core
+        yield FIRST
+        while not core.ending.is_set():
+            try:
+                async for piece in self._live():
+                    yield piece
+                away = "the event stream of its agent has ended"
+            except (AgentAwayError, Problem) as error:
+                away = str(error)
+            self._status = None
+            yield await self._state(away, fresh=True) or PING
+            if await core.ended_within(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):
+                return
+            self._failures += 1
+            with contextlib.suppress(Problem):  # its profile is gone: it is told of as it was
+                self._machine = await core.machine(self._machine.name)
+
+    async def _live(self) -> AsyncGenerator[bytes]:
+        """As long as the agent's stream goes on."""
+        link = self._core.link(self._machine)
+        self._status = await link.get("/v1/status")
+        yield await self._state("", fresh=True)
+        messages = until(self._core.ending, link.feed.messages(self._last_id), tick_s=_TICK_S)
+        async with contextlib.aclosing(messages):
+            async for message in messages:
+                self._failures = 0
+                if message is not None:
+                    for entry in await self._history(link):
+                        yield entry
+                    self._last_id = known_id(message.get("id", "")) or self._last_id
+                if piece := await self._piece(message):
+                    yield piece
+
+    async def _piece(self, message: Message | None) -> bytes:
+        if not message or "data" not in message:
+            return await self._state("")
+        data = json_object(message["data"].encode(), self._machine.name)
+        if message.get("event") == "status":
+            self._status = data
+            return await self._state("")
+        return self._entry(data, self._last_id)
+
+    # ------------------------------------------------------------------ what happened
+
+    async def _history(self, link: AgentLink) -> list[bytes]:
+        """What the agent remembers, for a reader who is new. Asked for when its stream is open: nothing is lost."""
+        if self._remembered:
+            return []
+        entries = (await link.get("/v1/status")).get("events", [])
+        self._remembered = True
+        if not isinstance(entries, list):
+            return []
+        return [piece for entry in entries if isinstance(entry, dict) and (piece := self._entry(entry))]
+
+    def _entry(self, entry: Json, event_id: str = "") -> bytes:
+        """Nothing for one that was told already."""
+        place = (_number(entry, "at_s"), _number(entry, "number"))
+        if place != (0.0, 0.0) and place <= self._told:
+            return b""
+        self._told = max(place, self._told)
+        return event_bytes("log", entry, event_id)
+
+    # ------------------------------------------------------------------ how it stands
+
+    async def _state(self, away: str, *, fresh: bool = False) -> bytes:
+        """A `status` where it is news, a comment now and then, else nothing."""
+        now_s = time.monotonic()
+        view = table(self._status or {}, "run")
+        if fresh or now_s > self._looked_s + _TICK_S or self._run_is_news(view):
+            self._looked_s = now_s
+            self._run = await self._open_run(view)
+        run = self._run
+        if run is not None and _is_about(view, run):
+            run = replace(run, view=run_view(view, self._machine.name))
+        shown = machine_json(self._machine, self._status, away, run)
+        if shown != self._shown:
+            self._shown, self._sent_s = shown, now_s
+            return event_bytes("status", shown, self._last_id)
+        if now_s > self._sent_s + _BEAT_S:
+            self._sent_s = now_s
+            return PING
+        return b""
+
+    def _run_is_news(self, view: Json) -> bool:
+        known = None if self._run is None else (self._run.agent_run, self._run.state)
+        return bool(view) and known != (view.get("id"), view.get("state"))
+
+    async def _open_run(self, view: Json) -> RunRow | None:
+        """The run that has the mill; what the agent says of it is written down where that is news."""
+        runs = self._core.runs
+        run = await self._core.do(runs.open_on, self._machine.name)
+        if run is not None and _is_about(view, run):
+            run = await self._core.do(runs.told, run, run_view(view, self._machine.name))
+        return run if run is not None and run.open else None
+
+
+def _is_about(view: Json, run: RunRow) -> bool:
+    """What the agent says is about this run, which it knows."""
+    return run.agent_run is not None and view.get("id") == run.agent_run
+
+
+def _number(entry: Json, name: str) -> float:
+    value = entry.get(name)
+    return float(value) if isinstance(value, int | float) else 0.0

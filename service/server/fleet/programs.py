@@ -1,0 +1,126 @@
+"""The programs of a job, and what a person has to set up before each of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from service.job.files import is_program, run_order
+from service.server.database.records import Artifact, Job
+from service.wording import ball
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Program:
+    """One program of a job, or one part of a pass: number from 1 in the order of running, file name, hash, size.
+
+    pass_number : of the pass, from 1; part: of it, from 1
+    """
+
+    number: int
+    pass_number: int
+    part: int
+    name: str
+    sha256: str
+    bytes: int
+
+    def as_dict(self) -> Json:
+        return {"number": self.number, "name": self.name, "sha256": self.sha256}
+
+
+def programs_of(files: Sequence[Artifact]) -> list[Program]:
+    """The programs among a job's files, in the order in which they are run."""
+    found = sorted((file for file in files if is_program(file.name)), key=lambda file: run_order(file.name))
+    passes = [run_order(file.name)[0] for file in found]
+    return [
+        Program(
+            number=number,
+            pass_number=passes[number - 1],
+            part=number - passes.index(passes[number - 1]),
+            name=file.name,
+            sha256=file.sha256,
+            bytes=file.bytes,
+        )
+        for number, file in enumerate(found, 1)
+    ]
+
+
+def set_up(job: Job, number: int, part: int = 1) -> Json:
+    """Tool, block, zero and what changes since the program before, from the job's own spec and report.
+
+    number : of the pass, from 1, 0 for the facing before them, one more than they are for the cutting out; part: of
+             it, from 1
+    """
+    row, before = _pass(job, number), _pass(job, number - 1)
+    tool = {"shape": _shape(row), "radius_mm": row.get("radius_mm"), "spindle_rpm": row.get("spindle_rpm")}
+    optics, stock = _table(job.spec, "optics"), _table(job.spec, "stock")
+    margin_mm = float(stock.get("margin_mm", 0.0))
+    width_mm, height_mm, thickness_mm = optics.get("width_mm"), optics.get("height_mm"), stock.get("thickness_mm")
+    block = {
+        "width_mm": None if width_mm is None else width_mm + 2 * margin_mm,
+        "height_mm": None if height_mm is None else height_mm + 2 * margin_mm,
+        "thickness_mm": thickness_mm,
+        "margin_mm": margin_mm,
+        "material": stock.get("material"),
+    }
+    top = "the block's top" if number else f"{row.get('above_mm') or 0:g} mm below the raw top"
+    zero = f"X0 Y0: front left corner of the lens, {margin_mm:g} mm from the block's left and front edges; Z0: {top}"
+    change = _same_pass(row) if part > 1 else _change(row, before) if before or number > 1 else None
+    return {"tool": tool, "stock": block, "zero": zero, "change": change}
+
+
+def _same_pass(row: Mapping[str, Any]) -> Json:
+    """Between two parts of one pass nothing may change: a mark would show where one goes on from the other."""
+    radius = row.get("radius_mm")
+    words = f"the same tool as before, {_tool(row)}, and all zeros as they are: the pass goes on where it ended"
+    return {"from_radius_mm": radius, "to_radius_mm": radius, "words": words}
+
+
+def _change(row: Mapping[str, Any], before: Mapping[str, Any]) -> Json:
+    """What to do between two passes. The work zero in X and Y stays; a tool's length is its own."""
+    old, new = before.get("radius_mm"), row.get("radius_mm")
+    if old is not None and old == new and _shape(row) == _shape(before):
+        words = f"the same tool as before, {_tool(row)}: it stays in, and all zeros as they are"
+    else:
+        words = f"change the tool from {_tool(before)} to {_tool(row)}, set Z zero again; X and Y zero stay"
+    return {"from_radius_mm": old, "to_radius_mm": new, "words": words}
+
+
+def _pass(job: Job, number: int) -> Mapping[str, Any]:
+    """Row `number` of the spec's passes, what the report says of it on top; what is milled around them by its table."""
+    wanted, made = _rows(job.spec), _rows(job.report or {})
+    stock = _table(job.spec, "stock")
+    row: dict[str, Any] = {}
+    if number == 0:
+        return _table(stock, "face")
+    if number == max(len(wanted), len(made)) + 1:
+        cut_out = _table(stock, "cut_out")
+        return {"tool": "flat", **cut_out} if cut_out else {}
+    if 1 <= number <= len(wanted):
+        row |= wanted[number - 1]
+    if 1 <= number <= len(made):
+        settings = made[number - 1].get("settings")
+        row |= {key: value for key, value in (settings or {}).items() if value is not None}
+    return row
+
+
+def _shape(row: Mapping[str, Any]) -> str:
+    return f"{row.get('tool', 'ball')} end mill"
+
+
+def _tool(row: Mapping[str, Any]) -> str:
+    size = "R ?" if row.get("radius_mm") is None else ball(row["radius_mm"])
+    return f"flat end mill {size}" if row.get("tool") == "flat" else size
+
+
+def _rows(values: Mapping[str, Any]) -> list[dict[str, Any]]:
+    rows = values.get("passes")
+    return [row for row in rows if isinstance(row, dict)] if isinstance(rows, list) else []
+
+
+def _table(values: Mapping[str, Any], name: str) -> Mapping[str, Any]:
+    found = values.get(name)
+    return found if isinstance(found, dict) else {}

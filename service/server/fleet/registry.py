@@ -1,0 +1,158 @@
+"""Which mills there are: the person's own profiles that name a port, agents on other computers, a simulated one.
+
+Read anew each time it is asked: a profile that is mended or added is there at once, and a broken one costs itself only.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+from machines.profiles import (
+    MachineProfile,
+    ProfileError,
+    UnknownProfileError,
+    load_profile,
+    profile_sources,
+    user_folders,
+)
+from service.errors import InputError, printable, sentence_of_os_error
+from service.http.hosts import require_unread
+from service.milling.agent.settings import state_home
+from service.settings import ServerSettings
+
+SIMULATED = "simulated"
+_FINDS_ITSELF = "roland-usb"
+_TEXTS = {"machine", "url", "token_file"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KnownMachine:
+    """A mill that may have an agent.
+
+    folders    : where a local agent's agent.json may lie, the one `serve` starts first; empty for a remote one
+    url, token_file : of a remote agent
+    problem    : why it cannot be used, in words
+    simulated  : there is no mill, only a model of one
+    """
+
+    name: str
+    profile: MachineProfile | None = None
+    folders: tuple[Path, ...] = ()
+    url: str = ""
+    token_file: Path | None = None
+    problem: str = ""
+    simulated: bool = False
+
+    @property
+    def remote(self) -> bool:
+        return bool(self.url)
+
+
+def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], list[str]]:
+    """The machines by name, sorted, and what is wrong with the list of remote ones."""
+    found = {machine.name: machine for machine in _local_machines(settings)}
+    problems: list[str] = []
+    if settings.simulated_mill:
+        if SIMULATED in found:
+            problems.append(f"there is a mill of the name '{SIMULATED}', so no simulated one is offered")
+        else:
+            found[SIMULATED] = _simulated(settings)
+    try:
+        remote = remote_machines(settings.agents_file) if settings.agents_file is not None else []
+    except InputError as error:
+        remote, problems = [], [str(error)]
+    for machine in remote:
+        if machine.name in found:
+            problems.append(f"machine '{machine.name}' of the agents file is a machine of this computer, too")
+        else:
+            found[machine.name] = machine
+    return dict(sorted(found.items())), problems
+
+
+def local_folder(settings: ServerSettings, machine: str) -> Path:
+    """Where the agent that `serve` starts keeps everything."""
+    return (settings.agents_folder / machine).absolute()
+
+
+def simulated_folder(settings: ServerSettings) -> Path:
+    """Profile and port of the simulated mill, and its agent's folder `agent`."""
+    return (settings.data / "simulated").absolute()
+
+
+def _simulated(settings: ServerSettings) -> KnownMachine:
+    """The mill that `serve --with-simulated-mill` keeps."""
+    folders = (simulated_folder(settings) / "agent",)
+    try:
+        profile = load_profile(SIMULATED, (simulated_folder(settings),))
+    except (ProfileError, UnknownProfileError) as error:
+        return KnownMachine(name=SIMULATED, folders=folders, simulated=True, problem=printable(str(error)))
+    return KnownMachine(name=SIMULATED, profile=profile, folders=folders, simulated=True)
+
+
+def _local_machines(settings: ServerSettings) -> Iterator[KnownMachine]:
+    own = {str(folder) for folder in user_folders()}
+    for name, file in profile_sources().items():
+        if str(Path(file).parent) not in own:
+            continue
+        folders = (local_folder(settings, name), state_home() / name)
+        try:
+            profile = load_profile(name)
+        except (ProfileError, UnknownProfileError) as error:
+            yield KnownMachine(name=name, folders=folders, problem=printable(str(error)))
+            continue
+        if profile.link.driver == "none" or not (profile.link.port or profile.link.driver == _FINDS_ITSELF):
+            continue  # a profile to make programs for, not a mill at the end of a wire
+        yield KnownMachine(name=name, profile=profile, folders=folders)
+
+
+def remote_machines(path: Path) -> list[KnownMachine]:
+    """The agents file: [[agents]] tables with machine, url, token_file, and private_network = true where nobody else is
+    on the network between here and the agent. InputError says what is wrong in it.
+    """
+    try:
+        rows = tomllib.loads(path.read_text(encoding="utf-8")).get("agents", [])
+    except OSError as error:
+        raise InputError(sentence_of_os_error(error, doing="agents file: cannot read")) from None
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"agents file {path}: not TOML: {error}") from None
+    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
+        raise InputError(f"agents file {path}: allowed: [[agents]] tables with machine, url and token_file")
+    machines = [_remote(path, number, row) for number, row in enumerate(rows, start=1)]
+    names = [machine.name for machine in machines]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"agents file {path}: machine '{twice}' is there twice")
+    return machines
+
+
+def _remote(path: Path, number: int, row: dict[str, Any]) -> KnownMachine:
+    where = f"agents file {path}, agent {number}"
+    texts = {key: value for key, value in row.items() if key != "private_network"}
+    private = row.get("private_network", False)
+    if set(texts) != _TEXTS or not all(isinstance(value, str) for value in texts.values()):
+        raise InputError(f"{where}: allowed: machine, url and token_file, each a text, and private_network")
+    if not isinstance(private, bool):
+        raise InputError(f"{where}: private_network = {str(private)[:40]!r}; allowed: true or false")
+    try:
+        parts = urlsplit(row["url"])
+        good = parts.scheme in ("http", "https") and bool(parts.hostname) and not parts.query and parts.port != 0
+    except ValueError:
+        good = False
+    if not good:
+        raise InputError(f"{where}: url = '{row['url'][:200]}'; allowed: https://..., or http://127.0.0.1:port")
+    if parts.scheme == "http":
+        require_unread(
+            str(parts.hostname),
+            f"{where}: url = '{row['url'][:200]}' is on another computer",
+            vouched=private,
+            allowed="https://... of a proxy with TLS in front of the agent, http://127.0.0.1:port, or "
+            "private_network = true where nobody else is on the network between them",
+        )
+    if not row["machine"] or "/" in row["machine"]:
+        raise InputError(f"{where}: machine = '{row['machine'][:80]}'; allowed: a name without /")
+    token_file = path.parent / Path(row["token_file"]).expanduser()
+    return KnownMachine(name=row["machine"], url=row["url"].rstrip("/"), token_file=token_file)

@@ -1,0 +1,203 @@
+"""How runs and machines look from outside."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import quote
+
+from machines.profiles import MachineProfile
+from machines.runs import RECOVER_CHECKS, START_CHECKS
+from service.server.database.records import Job
+from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, RunRow
+from service.server.fleet.agent_replies import lease_json, moment, table
+from service.server.fleet.core import Seen
+from service.server.fleet.programs import Program, set_up
+from service.server.fleet.registry import KnownMachine
+
+Json = dict[str, Any]
+ORDER = "order"
+CHECK_ORDER = ("tool", "zero", "stock", "clear", "position", ORDER)
+_ACTIONS = ("start", "hold", "resume", "abort", "recover")
+
+
+@dataclasses.dataclass(frozen=True, slots=True, kw_only=True)
+class Surroundings:
+    """What a run is part of. job: None where it is gone; finished: hashes of programs that this mill has finished."""
+
+    job: Job | None = None
+    programs: Sequence[Program] = ()
+    finished: frozenset[str] = frozenset()
+
+    def left_out(self, number: int) -> list[Program]:
+        """Earlier passes that this mill has not finished."""
+        return [one for one in self.programs if one.number < number and one.sha256 not in self.finished]
+
+    def following(self, number: int) -> Program | None:
+        return next((one for one in self.programs if one.number > number and one.sha256 not in self.finished), None)
+
+
+def required_checks(run: RunRow, around: Surroundings) -> list[str]:
+    """What a person has to confirm before the run may go on from here."""
+    if run.state == PARKED and run.open:
+        needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
+    elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and started(run):
+        needed = RECOVER_CHECKS
+    else:
+        return []
+    return [check for check in CHECK_ORDER if check in needed]
+
+
+def started(run: RunRow) -> bool:
+    return bool(run.view and run.view.get("started_s"))
+
+
+def run_json(seen: Seen, around: Surroundings) -> Json:
+    """A whole run."""
+    run = seen.run
+    following = around.following(run.number)
+    return live_json(seen) | {
+        "job": run.job_id,
+        "program": {"number": run.number, "name": run.program, "sha256": run.sha256},
+        "setup": _set_up(around, run),
+        "required_checks": required_checks(run, around),
+        "left_out": [one.as_dict() for one in around.left_out(run.number)],
+        "next": None if following is None else following.as_dict(),
+        "created_by": run.created_by,
+        "created_at": moment(run.created_at),
+        "links": _links(run),
+    }
+
+
+def _set_up(around: Surroundings, run: RunRow) -> Json | None:
+    if around.job is None:
+        return None
+    for one in around.programs:
+        if one.number == run.number:
+            return set_up(around.job, one.pass_number, one.part)
+    return set_up(around.job, run.number)
+
+
+def _links(run: RunRow) -> Json:
+    here = f"/v1/runs/{run.id}"
+    own = {"self": here, "events": f"{here}/events", "recovery": f"{here}/recovery"}
+    others = {"job": f"/v1/jobs/{run.job_id}", "machine": f"/v1/machines/{quote(run.machine, safe='')}"}
+    return own | others | {action: f"{here}:{action}" for action in _ACTIONS}
+
+
+def live_json(seen: Seen) -> Json:
+    """The part of a run that changes while it is on the mill."""
+    run, view = seen.run, seen.run.view or {}
+    return {
+        "id": run.id,
+        "machine": run.machine,
+        "state": run.state,
+        "open": run.open,
+        "words": run.words or "",
+        "unreachable": bool(seen.away),
+        "unreachable_words": seen.away,
+        "share": view.get("share", 0.0),
+        "executed_line": view.get("executed_line", 0),
+        "lines": view.get("lines"),
+        "time_s": view.get("time_s"),
+        "time_left_s": view.get("time_left_s"),
+        "operator": view.get("operator", ""),
+        "recoveries": view.get("recoveries", 0),
+        "warnings": view.get("warnings", []),
+        "started_at": moment(view.get("started_s")),
+        "ended_at": moment(run.ended_at),
+    }
+
+
+def machine_json(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> Json:
+    """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
+    profile = machine.profile
+    name = quote(machine.name, safe="")
+    here = f"/v1/machines/{name}"
+    return {
+        "name": machine.name,
+        "remote": machine.remote,
+        "simulated": machine.simulated,
+        "problem": machine.problem,
+        "profile": None if profile is None else _profile(profile),
+        "agent": {"reachable": status is not None, "words": away},
+        "mill": None if status is None else mill_json(status),
+        "run": None if run is None else _open_run(run),
+        "control": lease_json(lease) if (lease := table(status or {}, "control")) else None,
+        "links": {
+            "self": here,
+            "events": f"{here}/events",
+            "control": f"{here}/control",
+            "runs": f"/v1/runs?machine={name}",
+        },
+    }
+
+
+def _profile(profile: MachineProfile) -> Json:
+    """What a person chooses a mill by; how bytes get there is the agent's business."""
+    values = dataclasses.asdict(profile)
+    names = (
+        "description",
+        "dialect",
+        "travel_mm",
+        "max_rate_mm_per_min",
+        "step_mm",
+        "spindle_rpm",
+        "safe_z_mm",
+        "homing",
+        "spindle",
+    )
+    told: Json = {name: values[name] for name in names}
+    told["spindle"] |= {"words": list(profile.spindle.sentences)}
+    return told
+
+
+def _open_run(run: RunRow) -> Json:
+    """How far the run is, for who looks at the mill; the rest is in the run itself."""
+    view = run.view or {}
+    return {
+        "id": run.id,
+        "state": run.state,
+        "job": run.job_id,
+        "program": run.program,
+        "words": run.words or "",
+        "share": view.get("share", 0.0),
+        "executed_line": view.get("executed_line", 0),
+        "lines": view.get("lines"),
+        "time_s": view.get("time_s"),
+        "time_left_s": view.get("time_left_s"),
+        "operator": view.get("operator", ""),
+    }
+
+
+def order_json(machine: str, order: str, status: Json) -> Json:
+    """What an order or a stop beside a run is answered with."""
+    return {"machine": machine, "order": order, "mill": mill_json(status)}
+
+
+def mill_json(status: Json) -> Json:
+    """What the mill does, out of its agent's status."""
+    told = table(status, "status")
+    names = (
+        "state",
+        "detail",
+        "work_mm",
+        "machine_mm",
+        "feed_mm_per_min",
+        "spindle_rpm",
+        "overrides",
+        "position_trusted",
+        "spindle_on",
+        "pins",
+        "controller",
+    )
+    return {name: told.get(name) for name in names} | {
+        "connected": status.get("connected", False),
+        "problem": status.get("problem", ""),
+        "needs": status.get("needs", []),
+        "latched": status.get("latched", ""),
+        "zeroed": status.get("zeroed", ""),
+        "stops": status.get("stops", 0),
+        "setup": str(status.get("setup", ""))[:100],
+    }

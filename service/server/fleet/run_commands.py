@@ -1,0 +1,140 @@
+"""Start, resume and recover: a person's word for a run, passed on to its agent once.
+
+An order whose answer was lost is not sent again: what became of it is asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from machines.mill.orders import Refusal
+from service.http.problems import Problem
+from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow
+from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
+from service.server.fleet.agent_replies import run_view
+from service.server.fleet.core import FleetCore, Seen, not_handed_over
+from service.server.fleet.machine_commands import OrderContext, Orders
+from service.server.fleet.representation import ORDER, Surroundings, required_checks
+
+_MOST_KNOWN = 1000
+_PLAN_S = 30.0  # the controller is asked first
+_TELL_S = 45.0  # a start asks it first, too, and waits for the journal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RunOrder:
+    """A person's word for a start or a recovery. seen: digest of the set-up, or of the plan, that they have seen."""
+
+    operator: str
+    checks: frozenset[str]
+    seen: str = ""
+
+
+class Controls:
+    def __init__(self, core: FleetCore, orders: Orders) -> None:
+        self._core = core
+        self._orders = orders
+        self._plans_shown: dict[tuple[str, str], str] = {}  # by caller and run: the digest of what they saw last
+
+    async def require_grant(self, run_id: str, context: OrderContext) -> OrderContext:
+        """As `Orders.require_grant`, for the mill of a run: from memory, where this server has seen the run before."""
+        if context.grant:
+            return context
+        return await self._orders.require_grant((await self._require_handed_over(run_id)).machine, context)
+
+    async def resume(self, run_id: str, context: OrderContext) -> Seen:
+        context = await self.require_grant(run_id, context)
+        run = await self._require_handed_over(run_id)
+        went_on = ("running", "recovering")
+        return await self._send_once(run, "resume", {}, context, went_on=lambda state: state in went_on)
+
+    async def start(self, run_id: str, said: RunOrder, around: Surroundings, context: OrderContext) -> Seen:
+        context = await self.require_grant(run_id, context)
+        run = await self._require_handed_over(run_id, fresh=True)
+        if not run.open:
+            raise Problem(409, f"the run is {run.state} and closed; load the program again", field="run")
+        needed = required_checks(run, around)
+        if ORDER in needed and ORDER not in said.checks:
+            names = ", ".join(one.name for one in around.left_out(run.number))
+            raise Problem(
+                409,
+                f"start needs the operator's confirmation of: {ORDER} (this mill has not finished {names} of this job)",
+                field="checks",
+            )
+        body: Json = {"operator": said.operator, "checks": sorted(said.checks - {ORDER})}
+        body |= {"setup": said.seen} if said.seen else {}
+        return await self._send_once(run, "start", body, context, went_on=lambda state: state != PARKED)
+
+    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Seen:
+        """Only as the plan says that the caller has read: the one named, or the one shown to them last."""
+        plan = said.seen or self._plans_shown.get((context.name, run_id), "")
+        if not plan:
+            words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
+            raise Problem(409, words, field="plan", more={"code": Refusal.PLAN.value})
+        context = await self.require_grant(run_id, context)
+        run = await self._require_handed_over(run_id, fresh=True)
+        seen = await self._core.seen(run)
+        if seen.away:
+            raise AgentAwayError(seen.away).problem()
+        was_open = seen.run.open
+        try:
+            await self._core.do(self._core.runs.reopen, run)
+        except MachineTakenError as error:
+            raise Problem(409, str(error), field="machine") from None
+        body: Json = {"operator": said.operator, "checks": sorted(said.checks), "plan": plan}
+        over = (INTERRUPTED, ABORTED)
+        try:
+            return await self._send_once(run, "recover", body, context, went_on=lambda state: state not in over)
+        finally:
+            if not was_open:  # as its agent has it now: closed again where nothing came of it
+                await self._core.seen(await self._core.row(run_id))
+
+    async def recovery(self, run_id: str, caller: str) -> Json:
+        """How the run would go on now; what the caller has been shown."""
+        run = await self._require_handed_over(run_id)
+        path = f"/v1/runs/{run.agent_run}/recovery"
+        plan = await require_answer((await self._link(run)).get(path, timeout_s=_PLAN_S))
+        while len(self._plans_shown) >= _MOST_KNOWN:
+            del self._plans_shown[next(iter(self._plans_shown))]
+        self._plans_shown[caller, run.id] = str(plan.get("plan", ""))[:100]
+        return plan | {"run": run.id}
+
+    # ------------------------------------------------------------------
+
+    async def _require_handed_over(self, run_id: str, *, fresh: bool = False) -> RunRow:
+        """The run, with the agent's own id of it."""
+        if not fresh and (known := self._core.known_runs.get(run_id)) is not None:
+            return known
+        run = await self._core.row(run_id)
+        if run.agent_run is None:
+            raise not_handed_over(run)
+        return self._core.remember(run)
+
+    async def _link(self, run: RunRow) -> AgentLink:
+        return await require_answer(self._core.link_of(run))
+
+    async def _send_once(
+        self, run: RunRow, action: str, body: Json, context: OrderContext, *, went_on: Callable[[str], bool]
+    ) -> Seen:
+        """Once. Where the answer is lost the agent is asked; where it cannot be, a person has to look."""
+        link = await self._link(run)
+        try:
+            path = f"/v1/runs/{run.agent_run}:{action}"
+            view = await link.once(path, body, timeout_s=_TELL_S, headers=context.headers())
+        except AgentAwayError as away:
+            if not away.sent:
+                raise away.problem() from None
+            seen = await self._core.seen(run)
+            if seen.away:
+                raise away.problem(action) from None
+            if went_on(seen.run.state):
+                return seen
+            words = f"{away.words}; the {action} has not taken effect so far, the run is {seen.run.state}"
+            raise Problem(504, words, field="machine") from None
+        return await self._write_view(run, view)
+
+    async def _write_view(self, run: RunRow, view: Json) -> Seen:
+        return Seen(
+            await self._core.do(self._core.runs.told, await self._core.row(run.id), run_view(view, run.machine))
+        )

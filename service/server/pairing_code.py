@@ -1,0 +1,51 @@
+"""Codes for pairing a page, as they are made, printed and typed. Only the standard library: the supervisor makes them.
+
+Twelve characters of Crockford's base 32: sixty random bits. What is typed may be small letters, with any blanks and
+dashes, and with O for 0 and I or L for 1, which the alphabet therefore leaves out.
+"""
+
+from __future__ import annotations
+
+import re
+import secrets
+from typing import TextIO
+
+ALPHABET = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+_LENGTH = 12
+_MEANT = str.maketrans("OIL", "011")
+
+
+def new_offer() -> str:
+    """A new code with an id, as one text: ID:7K3D-0QXM-91TZ."""
+    return f"{secrets.token_hex(16)}:{_group(''.join(secrets.choice(ALPHABET) for _ in range(_LENGTH)))}"
+
+
+def code_of(offer: str) -> str:
+    """What a person types."""
+    return offer.rpartition(":")[2]
+
+
+def read_code(typed: str) -> str:
+    """What a person has typed, spelled as codes are printed."""
+    return _group(re.sub(r"[\s-]", "", typed).upper().translate(_MEANT))
+
+
+def _group(text: str) -> str:
+    return "-".join(text[at : at + 4] for at in range(0, len(text), 4))
+
+
+_FINE, _PLAIN = tuple("┌─┐│└┘"), tuple("+-+|++")
+
+
+def code_lines(stream: TextIO, url: str, code: str) -> str:
+    """Where the page is, and the code for running mills from it. For a terminal only."""
+    rows = (f"Open  {url}  in a browser.", f"Code  {code}   (the page asks for it before it runs a mill)")
+    return framed(rows, fine=(stream.encoding or "").lower().replace("-", "") == "utf8")
+
+
+def framed(rows: tuple[str, ...], *, fine: bool) -> str:
+    """Rows in a box with an empty line before and after it."""
+    left_top, across, right_top, down, left, right = _FINE if fine else _PLAIN
+    width = max(map(len, rows)) + 4
+    inner = (f"{down}  {row:<{width - 4}}  {down}" for row in rows)
+    return "\n".join(("", left_top + across * width + right_top, *inner, left + across * width + right, "", ""))

@@ -1,0 +1,1 @@
+"""The job engine: few verbs, and DBOS behind them."""

@@ -1,0 +1,220 @@
+"""The job engine on DBOS Transact: the only file that imports it.
+
+A ticket is a workflow whose name is its id. Its body is called directly and not as a step of DBOS: the body can be
+called any number of times, and DBOS records an outcome only for the executor that owns the ticket, while it would take
+the result of a step from anybody. Measured reasons for every setting: the trials of the project's first design.
+"""
+
+from __future__ import annotations
+
+import logging
+import sqlite3
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+from dbos import DBOS, DBOSClient, DBOSConfig, DBOSPortableJSONSerializer, EnqueueOptions, WorkflowStatus
+from dbos._dbos import _get_dbos_instance
+
+from service.server.queue.engine import Busy, Fenced, Ticket
+from service.settings import ServerSettings
+
+NAME = "causticmill"
+QUEUE = "jobs"
+WORKFLOW = "job"
+# Of what is in the engine's rows, not of the program: another number would leave the jobs of the old one lying.
+SCHEMA_VERSION = "1"
+POLL_S = 0.2
+FENCED_PAUSE_S = 0.5
+STRAY_S = 5.0
+# A job may be begun so often before it counts as one that kills its workers.
+MAX_STARTS = 1000
+POOL = {"pool_size": 4, "max_overflow": 6, "pool_pre_ping": True}
+OPEN = ["ENQUEUED", "DELAYED", "PENDING"]
+
+
+class DbosEngine:
+    """The client's side connects when first used, and costs a worker nothing."""
+
+    def __init__(self, settings: ServerSettings) -> None:
+        _quiet()
+        self._path = settings.data.absolute() / "engine.sqlite" if settings.embedded else None
+        self._url = settings.sqlalchemy_url if self._path is None else f"sqlite:///{self._path}"
+        self._client: DBOSClient | None = None
+        self._lock = threading.Lock()
+        self._serving = False
+        self._runner: _Runner | None = None
+
+    def prepare(self) -> None:
+        if self._path is not None:
+            connection = sqlite3.connect(self._path, timeout=30)
+            connection.execute("PRAGMA journal_mode = WAL")
+            connection.close()
+        DBOS.migrate(self._url)
+
+    def submit(self, ticket: Ticket, *, priority: int) -> None:
+        options: EnqueueOptions = {
+            "workflow_name": WORKFLOW,
+            "queue_name": QUEUE,
+            "workflow_id": ticket.text,
+            "app_version": SCHEMA_VERSION,
+            "priority": priority,
+        }
+        self._clients().enqueue(options, ticket.text)
+
+    def cancel(self, ticket: Ticket) -> None:
+        self._clients().cancel_workflow(ticket.text)
+
+    def known(self, tickets: list[Ticket]) -> set[Ticket]:
+        return {Ticket.of(status.workflow_id) for status in self._statuses(tickets)}
+
+    def owners(self) -> dict[Ticket, str]:
+        begun = self._clients().list_workflows(status="PENDING", name=WORKFLOW, load_input=False, load_output=False)
+        return {Ticket.of(status.workflow_id): status.executor_id or "" for status in begun}
+
+    def ended(self, tickets: list[Ticket]) -> set[Ticket]:
+        return {Ticket.of(status.workflow_id) for status in self._statuses(tickets) if status.status not in OPEN}
+
+    def forget(self, tickets: list[Ticket]) -> None:
+        if ended := self.ended(tickets):
+            self._clients().delete_workflows([ticket.text for ticket in ended])
+
+    def serve(self, body: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
+        runner = self._runner = _Runner(body, self, executor)
+        DBOS(config=self._config(executor))
+
+        @DBOS.workflow(name=WORKFLOW, max_recovery_attempts=MAX_STARTS)
+        def job(text: str) -> None:
+            runner.run(text)
+
+        # Before the launch: DBOS looks for queues once a second only.
+        self._clients().register_queue(QUEUE, worker_concurrency=slots, polling_interval_sec=POLL_S)
+        DBOS.launch()
+        self._serving = True
+
+    def take_over(self, executors: list[str]) -> None:
+        if executors:
+            DBOS._recover_pending_workflows(executors)
+
+    def pick_up(self) -> None:
+        if self._runner is None:
+            return
+        for ticket in self._runner.strays(self.owners()):
+            self._clients().resume_workflow(ticket.text, queue_name=QUEUE)
+
+    def give_back(self, ticket: Ticket, executor: str) -> None:
+        """Queue it again, unless somebody else has it by now. As in the recovery of one that was cut short."""
+        _get_dbos_instance()._sys_db.reenqueue_for_recovery(ticket.text, [executor], QUEUE)
+
+    def close(self) -> None:
+        if self._serving:
+            DBOS.destroy()
+            self._serving = False
+        if self._client is not None:
+            self._client.destroy()
+            self._client = None
+
+    def owns(self, ticket: Ticket, executor: str) -> bool:
+        """Is this executor the one that the engine lets run the ticket?"""
+        return any(s.status == "PENDING" and s.executor_id == executor for s in self._statuses([ticket]))
+
+    def _statuses(self, tickets: list[Ticket]) -> list[WorkflowStatus]:
+        if not tickets:
+            return []
+        ids = [ticket.text for ticket in tickets]
+        return self._clients().list_workflows(workflow_ids=ids, load_input=False, load_output=False)
+
+    def _clients(self) -> DBOSClient:
+        """Made at the first use; an operation that finds no database fails instead of waiting for it."""
+        with self._lock:
+            if self._client is None:
+                self._client = DBOSClient(
+                    system_database_url=self._url,
+                    serializer=DBOSPortableJSONSerializer(),
+                    application_name=NAME,
+                    lazy=True,
+                    retry_connection_errors=False,
+                )
+            return self._client
+
+    def _config(self, executor: str) -> DBOSConfig:
+        engine: dict[str, Any] = dict(POOL)
+        return {
+            "name": NAME,
+            "system_database_url": self._url,
+            "executor_id": executor,
+            "application_version": SCHEMA_VERSION,
+            "serializer": DBOSPortableJSONSerializer(),
+            "notification_listener_polling_interval_sec": POLL_S,
+            "log_level": "WARNING",
+            "enable_otlp": False,
+            "run_migrations": False,
+            "db_engine_kwargs": engine,
+        }
+
+
+class _Runner:
+    """What DBOS calls: the body, again and again while it is fenced and the ticket is still ours."""
+
+    def __init__(self, body: Callable[[Ticket], None], engine: DbosEngine, executor: str) -> None:
+        self._body = body
+        self._engine = engine
+        self._executor = executor
+        self._pause = threading.Event()
+        self._in_hand: Counter[Ticket] = Counter()
+        self._strays: dict[Ticket, float] = {}
+
+    def run(self, text: str) -> None:
+        ticket = Ticket.of(text)
+        self._in_hand[ticket] += 1
+        try:
+            self._go_on(ticket)
+        finally:
+            self._in_hand[ticket] -= 1
+
+    def strays(self, owners: dict[Ticket, str]) -> list[Ticket]:
+        """Tickets that have been ours for a while, and are not in hand: DBOS may just be about to call us."""
+        now = time.monotonic()
+        mine = {t for t, owner in owners.items() if owner == self._executor and not self._in_hand[t]}
+        self._strays = {ticket: self._strays.get(ticket, now) for ticket in mine}
+        return [ticket for ticket, since in self._strays.items() if now - since > STRAY_S]
+
+    def _go_on(self, ticket: Ticket) -> None:
+        while True:
+            try:
+                return self._body(ticket)
+            except Fenced as error:
+                self._pause.wait(FENCED_PAUSE_S)
+                if (isinstance(error, Busy) and self._given_back(ticket)) or self._lost(ticket):
+                    # DBOS sees for itself that the ticket is no longer ours, and records nothing.
+                    return None
+
+    def _given_back(self, ticket: Ticket) -> bool:
+        try:
+            self._engine.give_back(ticket, self._executor)
+        except Exception:  # the database is away: it stays ours
+            return False
+        return True
+
+    def _lost(self, ticket: Ticket) -> bool:
+        try:
+            return not self._engine.owns(ticket, self._executor)
+        except Exception:  # the database is away: the body finds out
+            return False
+
+
+def _first_line(record: logging.LogRecord) -> bool:
+    """It puts whole tracebacks into messages about a database that is away for a moment."""
+    record.msg, record.args = record.getMessage().partition("\n")[0], None
+    return True
+
+
+def _quiet() -> None:
+    """DBOS's words go where all of the program's go, warnings and worse; it would write to stderr itself."""
+    logger = logging.getLogger("dbos")
+    logger.handlers[:] = [logging.NullHandler()]
+    logger.filters[:] = [_first_line]
+    logger.propagate = True
+    logger.setLevel(logging.WARNING)

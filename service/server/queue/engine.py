@@ -1,0 +1,74 @@
+"""The job engine as the rest of the service sees it: it promises that what was submitted runs until it has ended.
+
+What a job is, and which state it is in, is not its business: that is service/server/database.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Ticket:
+    """One attempt of one job: what the engine runs. `text` is its name in the engine."""
+
+    job_id: str
+    attempt: int
+
+    @property
+    def text(self) -> str:
+        return f"{self.job_id}.{self.attempt}"
+
+    @classmethod
+    def of(cls, text: str) -> Ticket:
+        job_id, _, attempt = text.rpartition(".")
+        return cls(job_id, int(attempt))
+
+
+class Fenced(Exception):
+    """Raised by a body that may not go on: another worker owns the job, or this one may have lost its lease.
+
+    The ticket has not ended. As long as it is still this executor's, the body is called again a little later.
+    """
+
+
+class Busy(Fenced):
+    """Raised by a body when every slot of this worker is taken: the ticket is queued again, for whoever is free."""
+
+
+class JobEngine(Protocol):
+    """The client's side may be used in any process; `serve` only in a worker."""
+
+    def prepare(self) -> None:
+        """Make what the engine needs in the database, or bring it up to date. Workers only."""
+
+    def submit(self, ticket: Ticket, *, priority: int) -> None:
+        """Durable when it returns. A ticket that is known already is left as it is. Smaller priority runs earlier."""
+
+    def cancel(self, ticket: Ticket) -> None:
+        """It is not started (again). A running body is not stopped: it sees the job's own cancel_requested."""
+
+    def known(self, tickets: list[Ticket]) -> set[Ticket]:
+        """Those of the tickets that the engine will run, runs, or has run."""
+
+    def owners(self) -> dict[Ticket, str]:
+        """Executor of each ticket that has begun and not ended."""
+
+    def ended(self, tickets: list[Ticket]) -> set[Ticket]:
+        """Those of the tickets that the engine will not run (again)."""
+
+    def forget(self, tickets: list[Ticket]) -> None:
+        """Drop the history of tickets that have ended."""
+
+    def serve(self, body: Callable[[Ticket], None], *, executor: str, slots: int) -> None:
+        """Begin to run tickets in threads of this process: first those that this executor had begun before."""
+
+    def take_over(self, executors: list[str]) -> None:
+        """Run here what these executors, which are dead, had begun. Safe to repeat and to race."""
+
+    def pick_up(self) -> None:
+        """Run what the engine says this executor has begun, but has not: the answer to its beginning was lost."""
+
+    def close(self) -> None: ...

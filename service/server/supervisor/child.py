@@ -1,0 +1,149 @@
+"""One child of the supervisor: started, listened to, started again with patience, stopped."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+
+from service.processes import lifeline
+
+Say = Callable[[str], None]
+_FIRST_WAIT_S = 0.1
+_LONGEST_WAIT_S = 10.0
+_LIVED_WELL_S = 5.0
+FAILED, REFUSED = 1, 2
+
+
+class Watched:
+    """`module` runs while it is wanted; `beats` is the pipe to listen to (None while it does not run).
+
+    trusted : the server was ready with it
+    lease_s : it is killed when it was not heard of for so long; `passed` are descriptors it inherits
+    """
+
+    def __init__(
+        self,
+        name: str,
+        module: str,
+        environment: Mapping[str, str],
+        *,
+        lease_s: float,
+        passed: tuple[int, ...],
+        say: Say,
+    ) -> None:
+        self.name = name
+        self.beats: int | None = None
+        self.code: int | None = None
+        self.failures = 0
+        self.trusted = False
+        self._proven = False
+        self._command = [sys.executable, "-P", "-m", "service.server.supervisor.child_main", module]
+        self._environment = dict(environment)
+        self._lease_s = lease_s
+        self._passed = passed
+        self._say = say
+        self._process: subprocess.Popen[bytes] | None = None
+        self._started_at = self._heard_at = self._listened_at = 0.0
+        self._again_at: float | None = None
+        self._wait_s = 0.0
+
+    @property
+    def running(self) -> bool:
+        return self._process is not None
+
+    @property
+    def refused(self) -> bool:
+        """It will not have its configuration. One that it had before is not at fault: then it is started again."""
+        return self.code == REFUSED and not self.running and not self._proven
+
+    @property
+    def failed(self) -> bool:
+        """It ended by itself and has said why, before the server was ready with it: the same would come again."""
+        return self.code == FAILED and not self.trusted
+
+    @property
+    def pid(self) -> int | None:
+        return self._process.pid if self._process is not None else None
+
+    @property
+    def due_at(self) -> float | None:
+        """When it wants to be looked at next, without anything having happened."""
+        return self._again_at if self._process is None else self._listened_at + self._lease_s / 4
+
+    def start(self) -> None:
+        ours, its = os.pipe()
+        os.set_blocking(ours, False)
+        environment = self._environment | {lifeline.BEAT_FD: str(its), lifeline.SUPERVISOR: str(os.getpid())}
+        try:
+            self._process = subprocess.Popen(
+                self._command,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(its, *self._passed),
+                start_new_session=True,
+            )
+        except BaseException:
+            os.close(ours)
+            raise
+        finally:
+            os.close(its)
+        self.beats, self._again_at = ours, None
+        self._started_at = self._heard_at = self._listened_at = time.monotonic()
+
+    def listen(self) -> None:
+        """Take what it has beaten since."""
+        self._listened_at = time.monotonic()
+        with contextlib.suppress(BlockingIOError):
+            while self.beats is not None and os.read(self.beats, 4096):
+                self._heard_at = time.monotonic()
+
+    def forgive(self) -> None:
+        """The supervisor itself was away: patience starts anew."""
+        self._heard_at = time.monotonic()
+
+    def look(self, *, wanted: bool) -> None:
+        """Notice its end, kill it when it is frozen, start it again when its time has come."""
+        now = time.monotonic()
+        if self._process is not None:
+            self.listen()
+            if self._process.poll() is None and now - self._heard_at > self._lease_s:
+                self._say(f"the {self.name} was not heard of for {self._lease_s:g} s and is killed")
+                self.signal(signal.SIGKILL)
+                self._heard_at = now
+            if self._process.poll() is not None:
+                self._ended(now, wanted=wanted)
+        elif wanted and self._again_at is not None and now >= self._again_at:
+            self.start()
+
+    def signal(self, number: int) -> None:
+        if self._process is not None and self._process.poll() is None:
+            self._process.send_signal(number)
+
+    def _ended(self, now: float, *, wanted: bool) -> None:
+        assert self._process is not None and self.beats is not None
+        lived_well = now - self._started_at >= _LIVED_WELL_S
+        self._proven = self._proven or (self.trusted and lived_well)
+        self.code, self._process = self._process.returncode, None
+        os.close(self.beats)
+        self.beats = None
+        if not wanted or self.refused or self.failed:
+            return
+        self.failures += 1
+        self._wait_s = _FIRST_WAIT_S if lived_well else min(max(2 * self._wait_s, _FIRST_WAIT_S), _LONGEST_WAIT_S)
+        self._again_at = now + self._wait_s
+        self._say(f"the {self.name} {_how(self.code)}; it is started again")
+
+
+def _how(code: int) -> str:
+    if code >= 0:
+        return f"ended with exit code {code}"
+    try:
+        return f"was ended by {signal.Signals(-code).name}"
+    except ValueError:
+        return f"was ended by signal {-code}"

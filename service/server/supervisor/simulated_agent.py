@@ -1,0 +1,56 @@
+"""`python -m service.server.supervisor.simulated_agent`: the agent of the simulated mill, as a child of `serve`.
+
+Agents of real mills outlive the server. This one would watch over nothing: its mill ends with the server.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+from machines.errors import MachineError
+from machines.profiles import load_profile
+from service.errors import JobError
+from service.milling.agent.main import run_agent
+from service.milling.agent.settings import agent_settings
+from service.server.fleet.registry import SIMULATED, simulated_folder
+from service.settings import ServerSettings
+
+_PATIENCE_S = 20.0
+
+
+def main() -> int:
+    """Until SIGTERM."""
+    try:
+        folder = simulated_folder(ServerSettings.load())
+        _await(folder / "port")
+        profile = load_profile(SIMULATED, (folder,))
+        port = profile.link.port or ""
+        run_agent(
+            agent_settings(
+                machine=SIMULATED,
+                port_url=port,
+                own_port=port,
+                host="127.0.0.1",
+                bind_port=0,
+                data=folder / "agent",
+                token_file=None,
+            ),
+            profile,
+        )
+    except (JobError, MachineError, LookupError) as error:
+        print(f"error: the agent of the simulated mill: {error}", file=sys.stderr, flush=True)
+        return 3  # neither of the codes that end the server: it is tried again
+    return 0
+
+
+def _await(port: Path) -> None:
+    """The mill is started at the same time."""
+    until = time.monotonic() + _PATIENCE_S
+    while not port.exists() and time.monotonic() < until:
+        time.sleep(0.05)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

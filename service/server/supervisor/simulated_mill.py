@@ -1,0 +1,77 @@
+"""A mill to try everything on, as a child of `serve --with-simulated-mill`.
+
+A model of a GRBL router with homing switches, twenty times as fast as a real one, on a port of its own. It forgets
+where it was when it ends, as a mill does that was switched off.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+from typing import NoReturn
+
+from machines.simulated import GRBL_11, Recording, SimulatedMill, serve_pty
+from service.errors import FailedError, JobError, sentence_of_os_error
+from service.processes import lifeline
+from service.processes.private import make_private
+from service.server.fleet.registry import SIMULATED, simulated_folder
+from service.settings import ServerSettings
+
+TIME_FACTOR = 20.0
+_TOUCHED_AT_MM = -30.0  # machine Z of what a probe touches: the top of a block on the table
+_PROFILE = """# Written anew each time that `causticmill serve --with-simulated-mill` starts.
+extends = "grbl"
+description = "a simulated mill, {factor:g} times as fast as a real one"
+homing = true
+
+[link]
+port = "{port}"
+"""
+
+
+def main() -> int:
+    """Until SIGTERM."""
+    for kind in lifeline.STOPPING:
+        signal.signal(kind, _leave)
+    try:
+        folder = simulated_folder(ServerSettings.load())
+        try:
+            make_private(folder)
+            _written(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
+            endpoint = serve_pty(made(), TIME_FACTOR, folder / "port")
+        except OSError as error:
+            raise FailedError(sentence_of_os_error(error, doing="simulated mill: cannot use")) from None
+    except JobError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    try:
+        endpoint.run(threading.Event())
+    finally:
+        endpoint.close()
+    return 0
+
+
+def _leave(*_: object) -> NoReturn:
+    for kind in lifeline.STOPPING:
+        signal.signal(kind, signal.SIG_IGN)
+    sys.exit(0)
+
+
+def made() -> SimulatedMill:
+    """The mill itself; it keeps no record of what it cuts."""
+    from_here_mm = GRBL_11.power_up_machine_mm[2]  # where Z of the recording is zero
+    traits = replace(GRBL_11, homing=True, probe_surface_mm=_TOUCHED_AT_MM - from_here_mm)
+    return SimulatedMill(traits, recording=Recording(keep=False))
+
+
+def _written(path: Path, text: str) -> None:
+    fresh = path.with_suffix(".new")
+    fresh.write_text(text, encoding="utf-8")
+    fresh.replace(path)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

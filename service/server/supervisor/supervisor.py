@@ -1,0 +1,232 @@
+"""`python -m service.server.supervisor.supervisor`: the process of `causticmill serve`, configured by its environment.
+
+It locks the data folder, binds the address, and starts worker and API as its children; it starts either again when it
+dies or freezes, and ends both when it is told to. It holds nothing else, and imports only what the standard library
+has: it lives as long as the server does. Children die with it, whatever ends it (`processes.lifeline`); agents of mills
+do not.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import TextIO
+
+from service.errors import EXIT_FAILURE, EXIT_INPUT, JobError, printable
+from service.http import listener as address
+from service.processes import lifeline
+from service.processes.folder_lock import lock_folder
+from service.server.pairing_code import code_lines, code_of, new_offer
+from service.server.supervisor.child import Watched
+
+_PREFIX = "CAUSTICMILL_"
+_MODULES = {
+    "worker": "service.server.worker.main",
+    "API": "service.server.api.main",
+    "agents": "service.server.supervisor.start_agents",
+}
+_SIMULATED = {
+    "simulated mill": "service.server.supervisor.simulated_mill",
+    "simulated agent": "service.server.supervisor.simulated_agent",
+}
+_GRACE_S = 20.0
+_FIRST_FAILURES = 5
+_PROBE_S = 0.05
+_LONG_S = 10.0  # no server takes so long to be ready where all is well
+_LONG_PROBE_S = 2.0
+_ANSWER_S = 1.0
+_AWAY_S = 2.0
+_TICK_S = 60.0
+
+
+class Supervisor:
+    """Worker and API of one data folder, and perhaps a simulated mill, from start to stop.
+
+    offer : id and code with which a page may be paired; "" where no terminal would show it
+    """
+
+    def __init__(self, listener: socket.socket, modules: Mapping[str, str], *, offer: str, began: float) -> None:
+        self._listener = listener
+        self._offer = offer
+        self._began = began
+        self._ready = False
+        self._announced = False
+        self._signals = 0
+        self._heeded = 0
+        self._code: int | None = None
+        self._kill_at = 0.0
+        self._starter: subprocess.Popen[bytes] | None = None
+        self._starts = modules.get("agents")
+        self._probe = "/readyz" if "worker" in modules else "/livez"
+        names = [name for name in ("worker", "API", *_SIMULATED) if name in modules]
+        self._children = [_watched(name, modules[name], listener, offer) for name in names]
+
+    def run(self) -> int:
+        """Until told to stop, or until a child refuses its configuration; returns the exit code."""
+        with _wakeups(self._signalled) as wake, selectors.DefaultSelector() as selector:
+            selector.register(wake, selectors.EVENT_READ)
+            for child in self._children:
+                child.start()
+            while self._code is None or any(child.running for child in self._children):
+                patience_s, before = self._patience_s(), time.monotonic()
+                selector.select(patience_s)
+                with contextlib.suppress(BlockingIOError):
+                    wake.recv(4096)
+                if time.monotonic() - before > patience_s + _AWAY_S:  # stopped, or the computer slept
+                    for child in self._children:
+                        child.forgive()
+                self._heed()
+                self._look()
+            return self._code
+
+    def _signalled(self, _number: int, _frame: FrameType | None) -> None:
+        self._signals += 1
+
+    def _heed(self) -> None:
+        """The first signal asks the children to end well, the second ends them."""
+        if self._signals > self._heeded:
+            if self._code is None:
+                self._stop(0)
+            elif self._signals > 1:
+                self._kill_at = 0.0
+            self._heeded = self._signals
+
+    def _look(self) -> None:
+        for child in self._children:
+            child.look(wanted=self._code is None)
+        if self._starter is not None and self._starter.poll() is not None:
+            self._starter = None
+        if self._code is None:
+            self._judge()
+        elif time.monotonic() >= self._kill_at:
+            for child in self._children:
+                child.signal(signal.SIGKILL)
+
+    def _judge(self) -> None:
+        """Is all well, or is there no point in going on?"""
+        if any(child.refused for child in self._children):
+            return self._stop(EXIT_INPUT)  # it said why itself
+        if self._ready:
+            return None
+        for child in self._children:
+            if child.failed or child.failures >= _FIRST_FAILURES:
+                if not child.failed:
+                    _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
+                return self._stop(EXIT_FAILURE)
+        if address.answers(self._listener, self._probe, patience_s=_ANSWER_S):
+            self._ready = True
+            for child in self._children:
+                child.trusted = True
+            self._announce(f"ready in {time.time() - self._began:.1f} s")
+        elif not self._announced and time.time() - self._began > _LONG_S:
+            words = address.complaint(self._listener, self._probe, patience_s=_ANSWER_S)
+            if words is not None:
+                self._announce(f"not ready: {words}")
+        return None
+
+    def _announce(self, words: str) -> None:
+        """Where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
+        where, folder = address.url_of(self._listener), _setting("DATA", "")
+        with contextlib.suppress(OSError):
+            print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
+            if self._ready:
+                self._show_code(where)
+        if not self._announced and self._starts is not None and _setting("START_AGENTS", "true") == "true":
+            command = [sys.executable, "-P", "-m", self._starts]
+            self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
+        self._announced = True
+
+    def _show_code(self, where: str) -> None:
+        """On a terminal only: a code opens a mill, and what goes into files and pipes is stored and shipped."""
+        if (terminal := _terminal()) is not None and self._offer:
+            terminal.write(code_lines(terminal, where, code_of(self._offer)))
+            terminal.flush()
+        else:
+            words = f"causticmill token pair --data {_setting('DATA', '')}"
+            print(f"open {where} in a browser; on a terminal, this prints a code for it: {words}", flush=True)
+
+    def _stop(self, code: int) -> None:
+        self._code = code
+        self._kill_at = time.monotonic() + _GRACE_S
+        for child in self._children:
+            child.signal(signal.SIGTERM)
+            child.signal(signal.SIGCONT)
+
+    def _patience_s(self) -> float:
+        """How long nothing needs to be looked at unless a signal comes."""
+        if self._code is None and not self._ready:
+            return _LONG_PROBE_S if self._announced else _PROBE_S
+        due = [child.due_at for child in self._children if child.due_at is not None]
+        if self._code is not None:
+            due.append(self._kill_at if self._kill_at else time.monotonic() + _PROBE_S)
+        return max(0.01, min([_TICK_S, *(at - time.monotonic() for at in due)]))
+
+
+def main() -> int:
+    """What `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=: nothing."""
+    began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
+    modules = _MODULES | (_SIMULATED if _setting("SIMULATED_MILL", "false") == "true" else {})
+    modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
+    try:
+        with (
+            lock_folder(Path(_setting("DATA", "causticmill-data"))),
+            contextlib.closing(address.bound(_setting("HOST", "127.0.0.1"), int(_setting("PORT", "8000")))) as listener,
+        ):
+            wanted = {name: module for name, module in modules.items() if module}
+            return Supervisor(listener, wanted, offer=new_offer() if _terminal() else "", began=began).run()
+    except JobError as error:
+        _say(f"error: {error}")
+        return error.exit_code
+
+
+def _terminal() -> TextIO | None:
+    return next((stream for stream in (sys.stdout, sys.stderr) if stream is not None and stream.isatty()), None)
+
+
+def _setting(name: str, default: str) -> str:
+    """The command has checked them all and put them into the environment."""
+    return os.environ.get(f"{_PREFIX}{name}", default)
+
+
+def _watched(name: str, module: str, listener: socket.socket, offer: str) -> Watched:
+    environment = os.environ | {f"{_PREFIX}PORT": str(listener.getsockname()[1])}
+    passed: tuple[int, ...] = ()
+    if name == "API":
+        passed = (listener.fileno(),)
+        environment |= {lifeline.LISTEN_FD: str(listener.fileno()), lifeline.PAIRING_OFFER: offer}
+    return Watched(name, module, environment, lease_s=float(_setting("LEASE_S", "30")), passed=passed, say=_say)
+
+
+@contextlib.contextmanager
+def _wakeups(stop: Callable[[int, FrameType | None], None]) -> Iterator[socket.socket]:
+    """A socket that becomes readable with every signal: children's ends, and those that stop us."""
+    ours, its = socket.socketpair()
+    with ours, its:
+        ours.setblocking(False)
+        its.setblocking(False)
+        signal.set_wakeup_fd(its.fileno(), warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        for kind in lifeline.STOPPING:
+            if signal.getsignal(kind) is not signal.SIG_IGN:  # nohup means it
+                signal.signal(kind, stop)
+        yield ours
+        signal.set_wakeup_fd(-1)
+
+
+def _say(line: str) -> None:
+    with contextlib.suppress(OSError):
+        sys.stderr.write(printable(line) + "\n")  # in one piece: the children write there, too
+        sys.stderr.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

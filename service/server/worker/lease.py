@@ -1,0 +1,119 @@
+"""The worker's claim to be alive: a row in the database that it renews, and the lock that makes its name its own.
+
+Theory of operation: others take a worker's jobs when its row is older than one lease, by the database's clock. The
+worker itself stops working at 0.6 of a lease without a successful beat, by its own clock that never jumps and counted
+from before the beat was sent; so it has stopped before anyone takes over, however slow the beat's answer was.
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from uuid import uuid4
+
+import sqlalchemy as sa
+import structlog
+
+from service.server.database.connection import clock, put_rows, writing
+from service.server.database.tables import executors
+
+SAFE_SHARE = 0.6
+BEATS_PER_LEASE = 6
+log = structlog.get_logger()
+
+
+class NameTakenError(Exception):
+    """Another process has started under this worker's name, and owns it now."""
+
+
+@dataclass
+class Lease:
+    """The row of one worker. `boot` tells its process from others of the same name.
+
+    alone : nobody can take over, as a lock makes this process the only worker of the database; then it need not stop
+            where the database is away for longer (a backup that locks the file), and `safe` is about the row only
+    """
+
+    database: sa.Engine
+    executor: str
+    lease_s: float
+    pid: int
+    version: str
+    alone: bool = False
+    monotonic: Callable[[], float] = time.monotonic
+    boot: str = field(default_factory=lambda: uuid4().hex)
+    _good_at: float = field(default=float("-inf"), init=False)
+
+    def take(self) -> None:
+        """Put the row there: from now on this process is the worker of this name."""
+        begun = self.monotonic()
+        with writing(self.database) as connection:
+            at = clock(connection)
+            row = {"id": self.executor, "host": socket.gethostname(), "pid": self.pid, "boot": self.boot}
+            put_rows(connection, executors, [row | {"version": self.version, "started_at": at, "seen_at": at}])
+        self._good_at = begun
+
+    def beat(self) -> None:
+        """Renew the row. NameTakenError where it is another process's."""
+        begun = self.monotonic()
+        with writing(self.database) as connection:
+            mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
+            renewed = connection.execute(executors.update().where(mine).values(seen_at=clock(connection)))
+            if renewed.rowcount == 0:
+                raise NameTakenError(f"another process works as {self.executor}")
+        self._good_at = begun
+
+    def give_back(self) -> None:
+        """Others need not wait for the lease to run out."""
+        with writing(self.database) as connection:
+            mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
+            connection.execute(executors.delete().where(mine))
+        self._good_at = float("-inf")
+
+    def safe(self) -> bool:
+        """May this worker still work? Costs nothing."""
+        age_s = self.monotonic() - self._good_at
+        return age_s < (float("inf") if self.alone else SAFE_SHARE * self.lease_s)
+
+
+class Heart:
+    """Beats a lease from a thread of its own. `on_taken` is called once where the name is another process's."""
+
+    def __init__(self, lease: Lease, on_taken: Callable[[], None]) -> None:
+        self._lease = lease
+        self._on_taken = on_taken
+        self._stop = threading.Event()
+        self._turn_at = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="heart", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join(timeout=self._lease.lease_s)
+
+    def is_turning(self) -> bool:
+        """False where the thread has hung for a lease: the process had better be started again."""
+        return time.monotonic() - self._turn_at < max(self._lease.lease_s, 10.0)
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._lease.lease_s / BEATS_PER_LEASE):
+            self._turn_at = time.monotonic()
+            try:
+                self._lease.beat()
+            except NameTakenError:
+                log.error("name taken: another process works under this executor's name")
+                self._on_taken()
+                return
+            except Exception as error:  # the database is away: the lease runs down by itself
+                log.warning("no beat", error=str(error).splitlines()[0], safe=self._lease.safe())
+
+
+def live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
+    """Workers that were heard of within a lease."""
+    query = sa.select(executors.c.id).where(executors.c.seen_at > clock(connection) - lease_s)
+    return set(connection.execute(query).scalars())

@@ -1,0 +1,96 @@
+"""The worker's process: `python -m service.server.worker.main`, configured by the environment (service/settings.py).
+
+Brings the database up to date, makes sure that it is the only worker of its name, and runs jobs until SIGTERM.
+
+Theory of operation: where jobs wait from before, the process that stages are forked from is started first of all: it
+imports for as long as everything else here takes, on another core. So nothing heavy is imported at the top.
+"""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import socket
+import sqlite3
+import sys
+import threading
+from contextlib import closing
+
+from service.errors import FailedError, JobError
+from service.processes.private import keep_private
+from service.server.worker.process.pool import STAGE_ENTRY, StageProcesses
+from service.settings import ServerSettings
+
+
+def main(*, entry: str = STAGE_ENTRY) -> int:
+    """Run until told to stop; one line on stderr and a code where that cannot be. entry: what stages run."""
+    end = catch_stop()
+    try:
+        settings = ServerSettings.load()
+        keep_private(settings.data)  # before the process from which stages are forked
+        processes = StageProcesses(settings, entry=entry)
+        try:
+            if _jobs_wait(settings):
+                processes.warm()
+            _work(settings, processes, end, prepare=settings.prepare and entry == STAGE_ENTRY)
+        finally:
+            processes.close()
+    except JobError as error:
+        print(f"error: {error}", file=sys.stderr, flush=True)
+        return error.exit_code
+    # The engine's threads wait for tickets that this worker has left for its next start: they are not waited for.
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)
+
+
+def catch_stop() -> socket.socket:
+    """A socket that becomes readable when this process is told to stop.
+
+    The interpreter writes to it in the very handler: a wait for what a handler of ours would do (set an event, fill a
+    queue) never ends where the signal comes just before the wait begins.
+    """
+    ours, its = socket.socketpair()
+    its.setblocking(False)
+    signal.set_wakeup_fd(its.detach(), warn_on_full_buffer=False)
+    for kind in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(kind, lambda *_: None)
+    return ours
+
+
+def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socket, *, prepare: bool) -> None:
+    import sqlalchemy as sa
+
+    from service.logs import configure_logs
+    from service.server.worker import warmup as preparing
+    from service.server.worker.preconditions import executor_name
+    from service.server.worker.worker import open_worker
+
+    configure_logs(settings.log_level, form=settings.log_format, executor=executor_name(settings))
+    try:
+        with open_worker(settings, processes) as worker:
+            worker.start()
+            print(f"ready: worker {worker.bench.executor}", flush=True)
+            if prepare and (process := preparing.begin()):
+                threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
+            gc.freeze()  # what is here now stays: not worth looking at again and again
+            end.recv(1)
+            worker.stop()
+    except sa.exc.SQLAlchemyError as error:
+        reason = str(getattr(error, "orig", None) or error).splitlines()[0]
+        raise FailedError(f"the database cannot be used: {reason}") from None
+
+
+def _jobs_wait(settings: ServerSettings) -> bool:
+    """Are there jobs to go on with? Asked without any library, and only where the answer is a file; else no."""
+    try:
+        with closing(sqlite3.connect(f"file:{settings.sqlite}?mode=ro", uri=True, timeout=0.1)) as database:
+            query = "SELECT 1 FROM jobs WHERE state IN ('queued', 'running') LIMIT 1"
+            return database.execute(query).fetchone() is not None
+    except sqlite3.Error:
+        return False
+
+
+if __name__ == "__main__":
+    sys.exit(main())

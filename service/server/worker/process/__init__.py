@@ -1,0 +1,1 @@
+"""One stage in a process that can be killed, forked from a warm one."""

@@ -1,0 +1,20 @@
+"""What the nursery imports before any fork, and what a child does with its order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from service.job.stages.order import StageOrder
+from service.job.stages.preload import LATER  # and what the lens is computed with, imported once for all children
+from service.job.stages.run import run_order
+from service.settings import ServerSettings
+from service.store.opening import open_store
+
+__all__ = ["LATER", "run_stage"]
+
+
+def run_stage(order: dict[str, Any], on_progress: Callable[[float], None]) -> dict[str, Any]:
+    """The stage that `order` (StageOrder.plain) asks for, with the store of the environment's settings."""
+    store = open_store(ServerSettings.load())
+    return run_order(StageOrder.from_plain(order), store, on_progress).plain()

@@ -1,0 +1,248 @@
+"""The nursery: a warm process with one thread that forks a child for each stage, watches over it and buries it.
+
+Theory of operation: numpy, numba and our own modules take a second to import, so they are imported once, here, before
+any fork; what only some stages need (LATER of the entry's module) is imported piece by piece while there is nothing
+else to do, and a child that needs it earlier imports it by itself. A fork copies a process safely only while it has one
+thread, so nothing here starts one (OPENBLAS_NUM_THREADS is 1, no kernel runs). The worker sends orders and beats over a
+socket; beats are handed on to the children. Each child leads a group of its own; descendants that lose their parent are
+adopted (subreaper). When a child has ended, or was silent too long, the rest of its group is killed, and its end is
+reported only when nobody of it is left. The leader is not waited for before its group was signalled, so its number
+cannot belong to anybody else. When the worker goes, the socket ends, and so does everything here.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import time
+from dataclasses import dataclass, field
+from typing import Any, NoReturn
+
+from service.processes.kernel_cache import use_current_kernels
+from service.processes.linux import (
+    adopt_orphans,
+    die_with_parent,
+    name_process,
+    own_children,
+    signal_group,
+    signal_stage,
+    thread_count,
+)
+from service.processes.priority import give_way
+from service.server.worker.process.child import ChildOrder, find_entry, run_child
+
+MESSAGE_BYTES = 65536
+FILES = 3  # that come with an order: the order itself, the pipe of words, the log
+_BURYING_S = 0.01
+_ENDING_S = 2.0  # a process in the middle of a disk access may take longer: the kernel ends it later
+
+
+@dataclass(slots=True)
+class _Stage:
+    number: int
+    pid: int
+    beats: int
+    silence_s: float
+    beaten_at: float = field(default_factory=time.monotonic)
+    silent: bool = False
+    status: int | None = None
+    peak_mb: float = 0.0
+
+
+class _Nursery:
+    def __init__(self, line: socket.socket, entry: str) -> None:
+        self._line = line
+        self._entry = entry
+        self._later = [*getattr(importlib.import_module(entry.partition(":")[0]), "LATER", ())][::-1]
+        self._stages: dict[int, _Stage] = {}  # by process id
+        self._pid = os.getpid()
+
+    def serve(self) -> None:
+        """Until the worker closes its end, or is gone."""
+        wake, woken = socket.socketpair()
+        for end in (wake, woken):
+            end.setblocking(False)
+        signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        signal.signal(signal.SIGTERM, lambda *_: self.end())
+        self._tell({"ready": True})
+        poll = select.poll()
+        poll.register(self._line, select.POLLIN)
+        poll.register(wake, select.POLLIN)
+        while True:
+            ready = {number for number, _ in poll.poll(self._patience_s() * 1000)}
+            if not ready:
+                self._import_one_more()
+            if wake.fileno() in ready:
+                with contextlib.suppress(BlockingIOError):
+                    wake.recv(4096)
+            if self._line.fileno() in ready and not self._listen():
+                return
+            self._kill_the_silent()
+            self._bury()
+
+    def end(self) -> NoReturn:
+        """Leave nobody behind."""
+        if os.getpid() != self._pid:  # a child that was told to end before it had made itself at home
+            os._exit(128 + signal.SIGTERM)
+        for stage in self._stages.values():
+            signal_stage(stage.pid, signal.SIGKILL)
+        until = time.monotonic() + _ENDING_S
+        with contextlib.suppress(ChildProcessError):  # nobody is left
+            while time.monotonic() < until:
+                for pid in own_children():  # who had left his group is adopted when his parent is dead
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(pid, signal.SIGKILL)
+                while os.waitpid(-1, os.WNOHANG)[0]:
+                    continue
+                time.sleep(_BURYING_S)
+        os._exit(0)
+
+    def _import_one_more(self) -> None:
+        if self._later:
+            importlib.import_module(self._later.pop())
+            if not self._later:
+                gc.freeze()
+                self._tell({"warm": True, "threads": thread_count()})
+
+    def _patience_s(self) -> float:
+        if self._later:
+            return 0.0
+        if any(stage.status is not None for stage in self._stages.values()):
+            return _BURYING_S
+        now = time.monotonic()
+        return max(
+            0.0, min((s.beaten_at + s.silence_s - now for s in self._stages.values() if not s.silent), default=60.0)
+        )
+
+    def _listen(self) -> bool:
+        """One message; False: the worker is gone."""
+        try:
+            data, files, _, _ = socket.recv_fds(self._line, MESSAGE_BYTES, FILES)
+        except InterruptedError:
+            return True
+        except OSError:
+            return False
+        if not data:
+            return False
+        for file in files:
+            os.set_inheritable(file, False)
+        message = json.loads(data)
+        if "beat" in message:
+            self._beat(message["beat"])
+        else:
+            self._start(message, files)
+        return True
+
+    def _beat(self, number: int) -> None:
+        for stage in self._stages.values():
+            if stage.number == number:
+                stage.beaten_at = time.monotonic()
+                with contextlib.suppress(OSError):  # a child that is busy, or gone
+                    os.write(stage.beats, b".")
+
+    def _start(self, message: dict[str, Any], files: list[int]) -> None:
+        number, silence_s = message["start"], message["silence_s"]
+        beats, beaten = os.pipe()
+        os.set_blocking(beaten, False)
+        given = ChildOrder(
+            parent=self._pid, entry=self._entry, memory_mb=message["memory_mb"], silence_s=silence_s,
+            order=files[0], words=files[1], log=files[2], beats=beats,
+        )  # fmt: skip
+        try:
+            pid = os.fork()
+        except OSError as error:
+            os.close(beaten)
+            self._tell({"not_started": number, "words": str(error.strerror)})
+        else:
+            if pid == 0:
+                run_child(given)
+            self._stages[pid] = _Stage(number, pid, beaten, silence_s)
+            self._tell({"started": number, "pid": pid})
+        for file in (*files, beats):
+            os.close(file)
+
+    def _kill_the_silent(self) -> None:
+        now = time.monotonic()
+        for stage in self._stages.values():
+            if not stage.silent and stage.status is None and now >= stage.beaten_at + stage.silence_s:
+                stage.silent = True
+                signal_stage(stage.pid, signal.SIGKILL)
+
+    def _bury(self) -> None:
+        """Wait for the dead, kill who outlives his leader or has left his group, report whose group is gone."""
+        while (dead := _somebody_dead()) is not None:
+            if (stage := self._stages.get(dead)) is not None:
+                signal_group(dead, signal.SIGKILL)
+                _, stage.status, usage = os.wait4(dead, 0)
+                stage.peak_mb = usage.ru_maxrss * 1024 / 1e6
+            else:
+                os.waitpid(dead, 0)
+        ended = [stage for stage in self._stages.values() if stage.status is not None]
+        if not ended or self._strays_killed():
+            return
+        for stage in ended:
+            if not signal_group(stage.pid, signal.SIGKILL):
+                self._report(stage)
+
+    def _strays_killed(self) -> bool:
+        """Adopted processes that belong to the group of no stage."""
+        strays = [pid for pid in own_children() if pid not in self._stages and _group(pid) not in self._stages]
+        for pid in strays:
+            with contextlib.suppress(OSError):
+                os.kill(pid, signal.SIGKILL)
+        return bool(strays)
+
+    def _report(self, stage: _Stage) -> None:
+        del self._stages[stage.pid]
+        os.close(stage.beats)
+        self._tell({"ended": stage.number, "status": stage.status, "silent": stage.silent, "peak_mb": stage.peak_mb})
+
+    def _tell(self, message: dict[str, Any]) -> None:
+        with contextlib.suppress(OSError):  # the worker is gone: the next read tells
+            self._line.send(json.dumps(message).encode())
+
+
+def _somebody_dead() -> int | None:
+    """A child that has ended and was not waited for; it is left so."""
+    try:
+        found = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
+    except ChildProcessError:
+        return None
+    return found.si_pid if found is not None else None
+
+
+def _group(pid: int) -> int:
+    try:
+        return os.getpgid(pid)
+    except ProcessLookupError:
+        return -1
+
+
+def main() -> None:
+    """Arguments: the socket, the worker's process id, the function that does a stage's work."""
+    line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+    name_process("cm-nursery")
+    die_with_parent(worker)  # whatever an import may be waiting for
+    give_way()
+    use_current_kernels()
+    gc.disable()  # importing makes nothing but what stays
+    find_entry(entry)
+    gc.freeze()
+    gc.enable()
+    adopt_orphans()
+    nursery = _Nursery(socket.socket(fileno=line), entry)
+    die_with_parent(worker, signal.SIGTERM)
+    nursery.serve()
+    nursery.end()
+
+
+if __name__ == "__main__":
+    main()

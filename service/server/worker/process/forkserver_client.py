@@ -1,0 +1,248 @@
+"""The worker's end of the nursery: starts it when it is needed, hands it orders and beats, hears who has ended.
+
+One thread, the keeper, starts the nursery process and listens to it: the kernel ties a process to the thread that
+started it, so that thread has to live as long.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import dataclass, field
+from typing import Any
+
+from service.processes.python_path import python_path
+from service.server.worker.process.forkserver import MESSAGE_BYTES
+from service.settings import ServerSettings
+
+_IDLE_S = 60.0
+_ANSWER_S = 10.0
+
+
+class NurseryError(Exception):
+    """There is no nursery, or it went away, before a child was started."""
+
+
+@dataclass(slots=True, eq=False)
+class Child:
+    """One stage's process as the nursery tells of it. `gone`: nobody of its group is left, or the nursery is dead."""
+
+    number: int
+    life: _Life
+    pid: int = 0
+    status: int | None = None
+    silent: bool = False
+    peak_mb: float = 0.0
+    orphaned: bool = False  # the nursery died before it
+    refused: str = ""
+    answered: threading.Event = field(default_factory=threading.Event)
+    gone: threading.Event = field(default_factory=threading.Event)
+
+
+class _Life:
+    """One nursery process, from its start to its end."""
+
+    def __init__(self, settings: ServerSettings, entry: str) -> None:
+        self.ready = threading.Event()
+        self.over = threading.Event()
+        self.threads = 0  # it had when it had imported everything; 0: it has not
+        self.words = ""
+        self.idle_since = time.monotonic()
+        self.lock = threading.Lock()
+        self._settings, self._entry = settings, entry
+        self._process: subprocess.Popen[bytes] | None = None
+        self._children: dict[int, Child] = {}
+        self.closing = False
+        self._line, self._its_line = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._line.settimeout(1.0)
+        self._keeper = threading.Thread(target=self._keep, name="nursery keeper", daemon=True)
+        self._keeper.start()
+
+    def add(self, child: Child, message: dict[str, Any], files: list[int]) -> None:
+        """Order a child. NurseryError where this nursery takes no more."""
+        with self.lock:
+            if self.closing or self.over.is_set():
+                raise NurseryError(self.words)
+            self._children[child.number] = child
+        try:
+            socket.send_fds(self._line, [json.dumps(message).encode()], files)
+        except OSError as error:
+            with self.lock:
+                self._children.pop(child.number, None)
+            raise NurseryError(str(error)) from None
+
+    def beat(self, child: Child) -> None:
+        try:
+            self._line.send(json.dumps({"beat": child.number}).encode(), socket.MSG_DONTWAIT)
+        except OSError:
+            return  # it is full or gone: both show elsewhere
+
+    def close(self) -> None:
+        """No more children; those there are die, and it ends."""
+        with self.lock:
+            self.closing = True
+        try:
+            self._line.shutdown(socket.SHUT_RDWR)
+        except OSError:
+            return
+
+    def kill(self) -> None:
+        """It does not answer: the kernel ends its children with it."""
+        with self.lock:
+            if self._process is not None:
+                self._process.kill()
+
+    def join(self) -> None:
+        self._keeper.join()
+
+    def _keep(self) -> None:
+        try:
+            self._process = self._started()
+            self._its_line.close()
+            self._listen()
+        except OSError as error:
+            self.words = f"cannot start the stages' process: {error.strerror or error}"
+        finally:
+            self._end()
+
+    def _started(self) -> subprocess.Popen[bytes]:
+        one_thread = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+        return subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "service.server.worker.process.forkserver",
+                str(self._its_line.fileno()),
+                str(os.getpid()),
+                self._entry,
+            ],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            pass_fds=(self._its_line.fileno(),),
+            env={**self._settings.environment(), **one_thread, "PYTHONPATH": python_path(), "MPLBACKEND": "Agg"},
+            start_new_session=True,  # Ctrl-C on the terminal is for the worker to judge
+        )
+
+    def _listen(self) -> None:
+        while True:
+            try:
+                data = self._line.recv(MESSAGE_BYTES)
+            except TimeoutError:
+                if self._is_idle():
+                    return
+                continue
+            except OSError:
+                return
+            if not data:
+                return
+            self._hear(json.loads(data))
+
+    def _is_idle(self) -> bool:
+        with self.lock:
+            if not self.ready.is_set() or self._children or time.monotonic() < self.idle_since + _IDLE_S:
+                return False
+            self.closing = True
+            return True
+
+    def _hear(self, message: dict[str, Any]) -> None:
+        match message:
+            case {"ready": True}:
+                self.idle_since = time.monotonic()
+                self.ready.set()
+            case {"warm": True, "threads": threads}:
+                self.threads = threads
+            case {"started": number, "pid": pid}:
+                self._children[number].pid = pid
+                self._children[number].answered.set()
+            case {"not_started": number, "words": words}:
+                child = self._forgotten(number)
+                child.refused = words
+                child.answered.set()
+                child.gone.set()
+            case {"ended": number, "status": status, "silent": silent, "peak_mb": peak_mb}:
+                child = self._forgotten(number)
+                child.status, child.silent, child.peak_mb = status, silent, peak_mb
+                child.gone.set()
+
+    def _forgotten(self, number: int) -> Child:
+        with self.lock:
+            self.idle_since = time.monotonic()
+            return self._children.pop(number)
+
+    def _end(self) -> None:
+        """Whatever ended it: no process of it is left, and who waits for a child hears that it is orphaned."""
+        self._line.close()
+        self._its_line.close()
+        if self._process is not None:
+            code = _waited_for(self._process)
+            self.words = self.words or f"the stages' process ended (code {code})"
+        with self.lock:
+            self.over.set()
+            self.ready.set()
+            lost, self._children = list(self._children.values()), {}
+        for child in lost:
+            child.orphaned = True
+            child.answered.set()
+            child.gone.set()
+
+
+def _waited_for(process: subprocess.Popen[bytes]) -> int:
+    try:
+        return process.wait(timeout=4.0)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return process.wait()
+
+
+class NurseryLink:
+    """The nursery there is, or a new one. Any thread may call."""
+
+    def __init__(self, settings: ServerSettings, entry: str) -> None:
+        self._settings, self._entry = settings, entry
+        self._lock = threading.Lock()
+        self._life: _Life | None = None
+        self._number = 0
+        self._closed = False
+
+    def begin(self) -> _Life:
+        """Start it if there is none; it need not be ready."""
+        with self._lock:
+            if self._closed:
+                raise NurseryError("the worker is ending")
+            if self._life is None or self._life.over.is_set() or self._life.closing:
+                self._life = _Life(self._settings, self._entry)
+            return self._life
+
+    def child(self, life: _Life, files: list[int], *, silence_s: float) -> Child:
+        """A child that works on the files' order; NurseryError where it could not be started."""
+        with self._lock:
+            self._number += 1
+            child = Child(self._number, life)
+        order = {"start": child.number, "silence_s": silence_s, "memory_mb": self._settings.stage_memory_mb}
+        life.add(child, order, files)
+        if not child.answered.wait(_ANSWER_S):
+            life.kill()
+            child.answered.wait()
+        if child.pid == 0:
+            raise NurseryError(child.refused or life.words)
+        return child
+
+    def beat(self, child: Child) -> None:
+        """The worker is well, and still owns the child's job."""
+        child.life.beat(child)
+
+    def give_up(self, child: Child) -> None:
+        """The nursery does not tell of this child any more: end the nursery."""
+        child.life.kill()
+
+    def close(self) -> None:
+        with self._lock:
+            self._closed, life = True, self._life
+        if life is not None:
+            life.close()
+            life.join()

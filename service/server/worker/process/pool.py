@@ -1,0 +1,123 @@
+"""Stages as child processes: `StageProcesses.run` starts one in the nursery and supervises it to its end.
+
+A cancelled, late or silent stage is killed with everything it started, and `run` returns only when nobody is left.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from service.errors import FailedError
+from service.server.worker.process.forkserver_client import Child, NurseryError, NurseryLink
+from service.server.worker.process.log import StageLog
+from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
+from service.server.worker.process.supervision import Supervision, Task
+from service.settings import ServerSettings
+
+__all__ = ["STAGE_ENTRY", "Crashed", "Done", "Failed", "Refused", "StageEnd", "StageProcesses", "Stopped"]
+
+STAGE_ENTRY = "service.server.worker.process.entry:run_stage"
+_TICK_S = 0.1
+_STARTS = 3
+
+
+class StageProcesses:
+    """Runs stages in killable child processes; several at a time, from any thread.
+
+    entry : `module:function` called in the child as function(order, on_progress) -> result, both plain JSON
+    """
+
+    def __init__(self, settings: ServerSettings, *, entry: str = STAGE_ENTRY) -> None:
+        if sys.platform != "linux":
+            raise FailedError("stages run under Linux only: elsewhere a stopped job could leave processes behind")
+        self._settings = settings
+        self._link = NurseryLink(settings, entry)
+
+    def warm(self) -> None:
+        """Begin to get ready for a stage; returns at once."""
+        with contextlib.suppress(NurseryError):  # it is ending
+            self._link.begin()
+
+    def close(self) -> None:
+        """End every process; stages that run end as crashed, and none is started any more."""
+        self._link.close()
+
+    def run(
+        self,
+        order: Any,
+        *,
+        log: Path,
+        on_progress: Callable[[float], None],
+        stop: Callable[[], str | None],
+    ) -> StageEnd:
+        """Run one stage to its end; when this returns no process of it lives.
+
+        order : a dataclass or mapping of plain values; log : what the stage prints is added to this file
+        stop  : asked at least 5 times per second: "cancelled", "fenced" or None. The stage is beaten only after it
+                has answered: as long as it hangs, so does the worker's claim, and the stage ends itself at 0.6 lease
+        """
+        with _Files(order, log) as files:
+            child = self._child(files, stop)
+            if not isinstance(child, Child):
+                return child
+            files.hand_over()
+            task = Task(settings=self._settings, log=StageLog(log), on_progress=on_progress, stop=stop)
+            return Supervision(self._link, child, files.words, task).follow()
+
+    def _child(self, files: _Files, stop: Callable[[], str | None]) -> Child | StageEnd:
+        """A started child; a nursery that is not there yet is waited for."""
+        words = ""
+        for _ in range(_STARTS):
+            try:
+                life = self._link.begin()
+                while not life.ready.wait(_TICK_S):
+                    if reason := stop():
+                        return Stopped(reason)
+                return self._link.child(life, files.given, silence_s=0.6 * self._settings.lease_s)
+            except NurseryError as error:
+                words = str(error)
+        return Crashed(f"the stage could not be started: {words}")
+
+
+class _Files:
+    """The files of one child: what it is given, and the worker's end of its pipe of words."""
+
+    def __init__(self, order: Any, log: Path) -> None:
+        plain = dict(order) if isinstance(order, Mapping) else dataclasses.asdict(order)
+        text = json.dumps(plain).encode()
+        log.parent.mkdir(parents=True, exist_ok=True)
+        self.given: list[int] = []
+        self._own: list[int] = []
+        try:
+            self.given.append(os.memfd_create("order"))
+            with open(self.given[0], "wb", closefd=False) as file:
+                file.write(text)
+            os.lseek(self.given[0], 0, os.SEEK_SET)
+            self.words, its_words = os.pipe()
+            self._own.append(self.words)
+            self.given.append(its_words)
+            os.set_blocking(self.words, False)
+            self.given.append(os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o600))
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def hand_over(self) -> None:
+        """The child has its own: the pipe's end shall show when the child has closed it."""
+        while self.given:
+            os.close(self.given.pop())
+
+    def __enter__(self) -> _Files:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.hand_over()
+        while self._own:
+            os.close(self._own.pop())

@@ -1,0 +1,193 @@
+"""The watch over one running stage: its words, its beats, its time, whoever wants it stopped, and its end."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import select
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+from service.errors import printable
+from service.processes.linux import living_members, signal_group, signal_stage
+from service.server.worker.process.child import out_of_memory
+from service.server.worker.process.forkserver_client import Child, NurseryLink
+from service.server.worker.process.log import StageLog
+from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
+from service.settings import ServerSettings
+
+_TICK_S = 0.1
+_GRACE_S = 1.0  # between SIGTERM and SIGKILL
+_BURIAL_S = 5.0  # a nursery that has not told of a dead child by then is stuck
+_LINE_BYTES = 64_000_000  # longer words are no words
+_MEMORY_SHARE = 0.9  # a crash so near to the limit is the limit's
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What one supervision is about."""
+
+    settings: ServerSettings
+    log: StageLog
+    on_progress: Callable[[float], None]
+    stop: Callable[[], str | None]
+
+
+class Supervision:
+    """Use once: `follow` returns how the stage ended, when nobody of its group is left."""
+
+    def __init__(self, link: NurseryLink, child: Child, pipe: int, task: Task) -> None:
+        self._link, self._child, self._task = link, child, task
+        self._words = _Words(pipe)
+        self._begun = time.monotonic()
+        self._beaten_at = 0.0
+        self._verdict: StageEnd | None = None
+        self._term_at = self._closed_at = float("inf")
+
+    def follow(self) -> StageEnd:
+        try:
+            while not self._child.gone.is_set():
+                self._wait()
+                self._judge()
+                self._task.log.look()
+        finally:
+            self._leave_nobody()
+        self._task.log.end()
+        self._words.drain()
+        return self._verdict or self._told() or self._unexpected()
+
+    def _wait(self) -> None:
+        """For a word, the end of the words, the child's end, or the next beat."""
+        tick_s = min(_TICK_S, self._task.settings.lease_s / 20)
+        if self._words.open:
+            self._words.read(tick_s)
+            self._closed_at = self._closed_at if self._words.open else time.monotonic()
+        else:
+            self._child.gone.wait(tick_s)
+        if (share := self._words.take_share()) is not None and self._verdict is None:
+            self._task.on_progress(share)
+
+    def _judge(self) -> None:
+        now = time.monotonic()
+        if self._verdict is None:
+            limit_s = self._task.settings.stage_time_s
+            if reason := self._task.stop():
+                self._condemn(Stopped(reason))
+            elif now > self._begun + limit_s:
+                self._condemn(Failed((f"the stage took longer than {limit_s:g} s (CAUSTICMILL_STAGE_TIME_S)",)))
+            elif now > self._beaten_at + self._task.settings.lease_s / 20:
+                self._beaten_at = now
+                self._link.beat(self._child)
+        overdue_s = now - _GRACE_S - min(self._term_at, self._closed_at)
+        if overdue_s > 0:  # told to end, or without its pipe, and still there
+            signal_stage(self._child.pid, signal.SIGKILL)
+        if overdue_s > _BURIAL_S:
+            self._link.give_up(self._child)
+
+    def _condemn(self, verdict: StageEnd) -> None:
+        self._verdict, self._term_at = verdict, time.monotonic()
+        signal_stage(self._child.pid, signal.SIGTERM)
+
+    def _leave_nobody(self) -> None:
+        """Also after an error of the worker's own; the nursery has buried the group, or is dead itself."""
+        if not self._child.gone.is_set():
+            signal_stage(self._child.pid, signal.SIGKILL)
+            if not self._child.gone.wait(_BURIAL_S):
+                self._link.give_up(self._child)
+                self._child.gone.wait()
+        if self._child.orphaned:
+            while living_members(self._child.pid):
+                signal_group(self._child.pid, signal.SIGKILL)
+                time.sleep(0.01)
+
+    def _told(self) -> StageEnd | None:
+        match self._words.last:
+            case {"result": dict() as result}:
+                return Done(result)
+            case {"refused": list() as lines, "field": str() as field}:
+                return Refused(_lines(lines), field)
+            case {"failed": list() as lines}:
+                return Failed(_lines(lines))
+            case {"crashed": str() as words}:
+                return Crashed(printable(words))
+        return None
+
+    def _unexpected(self) -> StageEnd:
+        child = self._child
+        if child.silent:
+            return Stopped("fenced")
+        if child.orphaned or child.status is None:
+            return Crashed("the process that starts the stages died, and this stage with it")
+        if child.peak_mb > _MEMORY_SHARE * self._task.settings.stage_memory_mb:
+            return Failed((out_of_memory(self._task.settings.stage_memory_mb),))
+        code = os.waitstatus_to_exitcode(child.status)
+        if code >= 0:
+            return Crashed(f"the stage's process ended with code {code} and without a result")
+        hint = ": perhaps this computer is short of memory" if code == -signal.SIGKILL else ""
+        return Crashed(f"the stage's process was ended by signal {-code} ({_signal_name(-code)}){hint}")
+
+
+class _Words:
+    """Reads the child's JSON lines as they come. What is none is passed over; nothing grows without bound."""
+
+    def __init__(self, pipe: int) -> None:
+        self.open = True
+        self.last: dict[str, Any] = {}
+        self._pipe = pipe
+        self._share: float | None = None
+        self._rest = bytearray()
+        self._poll = select.poll()
+        self._poll.register(pipe, select.POLLIN)
+
+    def read(self, timeout_s: float) -> None:
+        if self._poll.poll(timeout_s * 1000):
+            self._take()
+
+    def drain(self) -> None:
+        """All that the dead child had still written."""
+        while self.open and self._poll.poll(0):
+            self._take()
+
+    def take_share(self) -> float | None:
+        share, self._share = self._share, None
+        return share
+
+    def _take(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            data = os.read(self._pipe, 1 << 18)
+            self.open = bool(data)
+            *lines, rest = data.split(b"\n")
+            for line in lines:
+                self._hear(bytes(self._rest) + line)
+                self._rest.clear()
+            self._rest += rest
+            if len(self._rest) > _LINE_BYTES:
+                self._rest.clear()
+
+    def _hear(self, line: bytes) -> None:
+        try:
+            word = json.loads(line)
+        except (ValueError, RecursionError):
+            return
+        if not isinstance(word, dict) or self.last:
+            return
+        share = word.get("share")
+        if share is None:
+            self.last = word if word.keys() & {"result", "refused", "failed", "crashed"} else {}
+        elif isinstance(share, int | float) and share == share:
+            self._share = min(1.0, max(0.0, float(share)))
+
+
+def _lines(lines: list[Any]) -> tuple[str, ...]:
+    return tuple(printable(str(line)) for line in lines)
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return "unknown"

@@ -1,0 +1,177 @@
+"""Makes what the engine does agree with what the jobs' table says: every few seconds, in every worker.
+
+Level-triggered: each turn looks at how things are and not at what has changed, so a turn that fails or a worker that
+dies between two steps leaves nothing lying. Every step may be repeated, and raced by other workers.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+import sqlalchemy as sa
+import structlog
+
+from service.server.database.claims import interrupt_tries
+from service.server.database.connection import clock, reading, writing
+from service.server.database.job_rows import change_job, end_job, locked_job
+from service.server.database.records import Job, Json, UnknownJobError
+from service.server.database.states import JobState
+from service.server.database.tables import jobs
+from service.server.queue.engine import JobEngine, Ticket
+from service.server.worker.lease import live_executors
+
+CHUNK = 200
+GRACE_S = 2.0  # a job that young may be on its way from the API to the engine
+GIVEN_UP = "the job engine has given it up without a result; the server's log may tell why. It can be retried"
+log = structlog.get_logger()
+
+Queued = dict[Ticket, int]  # and the priority of each
+
+
+class Reconciler:
+    """`in_hand` tells which jobs this worker is about."""
+
+    def __init__(
+        self,
+        database: sa.Engine,
+        engine: JobEngine,
+        *,
+        executor: str,
+        lease_s: float,
+        in_hand: Callable[[], set[str]],
+    ) -> None:
+        self._database = database
+        self._engine = engine
+        self._executor = executor
+        self._lease_s = lease_s
+        self._in_hand = in_hand
+        self._last: tuple[int, float, str] | None = None  # place in the queue up to which the turn before has looked
+
+    def turn(self) -> None:
+        """Look at everything that runs, and at the next 200 jobs of the queue, which mostly is all of it."""
+        self.let_go()
+        queued = self._next_queued()
+        self._submit_unknown(queued)
+        self._engine.pick_up()
+        live = self._take_over_dead()
+        self._end_cancelled(live)
+        self._end_given_up(queued, live)
+
+    def let_go(self) -> None:
+        """Jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
+
+        They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
+        """
+        query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)
+        with reading(self._database) as connection:
+            found = set(connection.execute(query).scalars()) - self._in_hand()
+        for job_id in found:
+            with writing(self._database) as connection, suppress(UnknownJobError):
+                job, at = locked_job(connection, job_id), clock(connection)
+                # Asked again under the lock: who is about to claim the job has said so before.
+                if job.owner == self._executor and job_id not in self._in_hand():
+                    log.info("let go", job=job_id)
+                    interrupt_tries(connection, job, at=at)
+                    change_job(connection, job, owner=None, fence=job.fence + 1)
+
+    def _next_queued(self) -> Queued:
+        """The jobs of the queue after those of the turn before, with their priorities; from its head after its end."""
+        place = sa.tuple_(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+        query = (
+            sa.select(jobs.c.id, jobs.c.attempt, jobs.c.priority, jobs.c.queued_at)
+            .where(jobs.c.state == str(JobState.QUEUED))
+            .order_by(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
+            .limit(CHUNK)
+        )
+        if self._last is not None:
+            query = query.where(place > sa.tuple_(*self._last))
+        with reading(self._database) as connection:
+            at, rows = clock(connection), connection.execute(query).all()
+        last = rows[-1] if len(rows) == CHUNK else None
+        self._last = None if last is None else (last.priority, last.queued_at, last.id)
+        return {Ticket(row.id, row.attempt): row.priority for row in rows if row.queued_at < at - GRACE_S}
+
+    def _submit_unknown(self, queued: Queued) -> None:
+        """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
+        known = self._engine.known(list(queued))
+        for ticket in [ticket for ticket in queued if ticket not in known]:
+            log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
+            self._engine.submit(ticket, priority=queued[ticket])
+
+    def _take_over_dead(self) -> set[str]:
+        """Tickets begun by workers that are not heard of any more run elsewhere. Returns the live workers."""
+        owners = set(self._engine.owners().values())
+        with reading(self._database) as connection:
+            live = live_executors(connection, self._lease_s) | {self._executor}
+        if dead := sorted(owners - live):
+            log.info("taking over", executors=dead)
+            self._engine.take_over(dead)
+        return live
+
+    def _end_cancelled(self, live: set[str]) -> None:
+        """Running jobs that were to be cancelled when their worker died."""
+        query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.cancel_requested)
+        with reading(self._database) as connection:
+            found = list(connection.execute(query).scalars())
+        for job_id in found:
+            self._end(job_id, live, JobState.CANCELLED, None)
+
+    def _end_given_up(self, queued: Queued, live: set[str]) -> None:
+        """Jobs that wait or run although the engine is done with their ticket.
+
+        The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
+        """
+        query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state == str(JobState.RUNNING))
+        with reading(self._database) as connection:
+            running = [Ticket(row.id, row.attempt) for row in connection.execute(query)]
+        for ticket in self._engine.ended([*queued, *running]):
+            error = {"stage": None, "detail": GIVEN_UP, "field": None}
+            self._end(ticket.job_id, live, JobState.FAILED, error, attempt=ticket.attempt)
+
+    def _end(
+        self, job_id: str, live: set[str], state: JobState, error: Json | None, *, attempt: int | None = None
+    ) -> None:
+        """End a job in the name of its owner, unless somebody has it in hand."""
+        with writing(self._database) as connection:
+            try:
+                job, at = locked_job(connection, job_id), clock(connection)
+            except UnknownJobError:
+                return
+            if job.ended or attempt not in (None, job.attempt) or self._is_in_hand(job, live):
+                return
+            interrupt_tries(connection, job, at=at)
+            if job.cancel_requested:
+                state, error = JobState.CANCELLED, None
+            log.info("ended for its owner", job=job_id, owner=job.owner, state=str(state))
+            end_job(connection, job, state, at=at, error=error)
+
+    def _is_in_hand(self, job: Job, live: set[str]) -> bool:
+        return job.id in self._in_hand() or (job.owner != self._executor and job.owner in live)
+
+
+class Rounds:
+    """Calls something again and again from a thread of its own; an error is logged, and the next round tries again."""
+
+    def __init__(self, name: str, work: Callable[[], None], *, every_s: float) -> None:
+        self._name = name
+        self._work = work
+        self._every_s = every_s
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stop.set()
+
+    def _run(self) -> None:
+        while not self._stop.wait(self._every_s):
+            try:
+                self._work()
+            except Exception as error:
+                log.warning(
+                    f"{self._name}: this round failed", error=str(error).splitlines()[:1], kind=type(error).__name__
+                )

@@ -1,0 +1,195 @@
+"""The way of one claimed job through its stages."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import structlog
+
+from service.errors import FailedError, printable
+from service.job.spec.loading import validated
+from service.job.spec.resolve import with_plan
+from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult, merge_notes, merge_reports
+from service.job.stages.table import plan, shares, stage_key
+from service.server.database.claims import STOPPED, Claim, StageClose, StageTry
+from service.server.database.states import JobState, StageState
+from service.server.queue.engine import Fenced
+from service.server.worker.context import Bench, insist
+from service.server.worker.monitor import Watched
+from service.server.worker.process.outcomes import Crashed, Done, Failed, Refused, StageEnd, Stopped
+from service.store.base import MissingObjectError
+
+TRIES = 3
+log = structlog.get_logger()
+
+
+class Walk:
+    """Stages in order; `results` are those that are done."""
+
+    def __init__(self, bench: Bench, claim: Claim, watched: Watched) -> None:
+        self._bench = bench
+        self._claim = claim
+        self._watched = watched
+        self._spec = validated(claim.job.spec)
+        self._shares = shares(self._spec)
+        self._done_share = 0.0
+        self._results: list[StageResult] = []
+
+    def to_the_end(self) -> None:
+        """Every stage, then the job's end; or its end on the way."""
+        while (stage := self._next()) is not None:
+            with structlog.contextvars.bound_contextvars(stage=stage):
+                result = self._result_of(stage)
+            if result is None:
+                return
+            self._done_share = self._whole(stage, 1.0)
+            self._results.append(result)
+            if self._spec.to_be_planned:
+                self._spec = with_plan(self._spec, merge_reports(result.report for result in self._results))
+                self._shares = shares(self._spec)
+        self._finish(JobState.SUCCEEDED, report=merge_reports(result.report for result in self._results))
+
+    def _next(self) -> str | None:
+        """The stage after those that are done; planning passes changes those to come only."""
+        stages = plan(self._spec)
+        return stages[len(self._results)] if len(self._results) < len(stages) else None
+
+    def _result_of(self, stage: str) -> StageResult | None:
+        """Equal work done before, or its own; None where the job has ended here."""
+        key = stage_key(
+            stage,
+            self._spec,
+            image_sha256=self._claim.job.image_sha256,
+            image_name=self._claim.job.name,
+            outputs=self._files(),
+        )
+        if (result := self._reused(stage, key)) is not None:
+            return result
+        while True:
+            if (reason := self._watched.reason()) is not None:
+                self._stopped(reason, None, None)
+                return None
+            begun = insist(lambda: self._bench.work.begin_stage(self._claim, stage, key))
+            path = self._scratch(begun, "log")
+            end = self._run(begun, path)
+            record = self._log_of(path)
+            match end:
+                case Done(plain):
+                    return self._committed(begun, StageResult.from_plain(plain), record)
+                case Crashed(words) if self._crashes(stage) < TRIES - 1:
+                    self._close(begun, StageState.INTERRUPTED, words, record)
+                case Stopped(reason):
+                    self._stopped(reason, begun, record)
+                    return None
+                case _:
+                    self._failed(begun, end, record)
+                    return None
+
+    def _reused(self, stage: str, key: str) -> StageResult | None:
+        found = self._bench.work.result(key)
+        if found is None:
+            return None
+        try:
+            for file in found.outputs.values():
+                self._bench.store.head(file.sha256)
+        except MissingObjectError as error:
+            log.warning("a finished stage has lost a file; it is done again", sha256=error.sha256)
+            self._bench.work.forget_result(key)
+            return None
+        return self._bench.work.reuse_stage(self._claim, stage, key, whole=self._whole(stage, 1.0))
+
+    def _run(self, begun: StageTry, path: Path) -> StageEnd:
+        log.info("stage begins", number=begun.number)
+        path.unlink(missing_ok=True)
+        job = self._claim.job
+        order = StageOrder(
+            job_id=job.id,
+            attempt=job.attempt,
+            stage=begun.stage,
+            spec=self._spec.model_dump(mode="json"),
+            image_sha256=job.image_sha256,
+            image_name=job.name,
+            scratch=str(self._scratch(begun, "d")),
+            inputs=self._files(),
+            report=merge_reports(result.report for result in self._results),
+            notes=merge_notes(result.notes for result in self._results),
+            limits=PictureLimits(max_pixels=int(self._bench.settings.max_megapixels * 1e6)),
+        )
+
+        def on_progress(share: float) -> None:
+            self._watched.news = (begun.stage, share, self._whole(begun.stage, share))
+
+        try:
+            end = self._bench.processes.run(order, log=path, on_progress=on_progress, stop=self._watched.reason)
+        finally:
+            self._watched.news = None
+            shutil.rmtree(order.scratch, ignore_errors=True)  # a process that was killed could not
+        log.info("stage ends", number=begun.number, end=type(end).__name__)
+        return end
+
+    def _committed(self, begun: StageTry, result: StageResult, record: FileRef | None) -> StageResult:
+        whole = self._whole(begun.stage, 1.0)
+        insist(lambda: self._bench.work.commit_stage(self._claim, begun, result, log=record, whole=whole))
+        return result
+
+    def _stopped(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
+        """Cancelled: the job ends. Otherwise it goes on elsewhere, or here at another time."""
+        if reason == "cancelled":
+            if begun is not None:
+                self._close(begun, StageState.CANCELLED, "cancelled", record)
+            self._finish(JobState.CANCELLED)
+            return
+        if reason == "stopping" and begun is not None:
+            self._close(begun, StageState.INTERRUPTED, STOPPED, record)
+        raise Fenced(reason)
+
+    def _failed(self, begun: StageTry, end: StageEnd, record: FileRef | None) -> None:
+        field: str | None = None
+        match end:
+            case Refused(lines, name):
+                words, field = "\n".join(lines), name or None
+            case Failed(lines):
+                words = "\n".join(lines)
+            case Crashed(crash):
+                words = f"it ended {TRIES} times without a result: {crash}"
+            case _:
+                words = f"it ended as {end}"
+        self._close(begun, StageState.FAILED, words, record)
+        detail = "\n".join(map(printable, words.splitlines()))
+        self._finish(JobState.FAILED, error={"stage": begun.stage, "detail": detail, "field": field})
+
+    def _finish(self, state: JobState, **values: Any) -> None:
+        log.info("job ends", state=str(state))
+        insist(lambda: self._bench.work.finish(self._claim, state, **values))
+
+    def _close(self, begun: StageTry, state: StageState, words: str, record: FileRef | None) -> None:
+        log.info("stage made nothing", number=begun.number, state=str(state), words=words)
+        close = StageClose(state=state, words=words, log=record)
+        insist(lambda: self._bench.work.end_stage(self._claim, begun, close))
+
+    def _crashes(self, stage: str) -> int:
+        return insist(lambda: self._bench.work.crashes(self._claim, stage))
+
+    def _log_of(self, path: Path) -> FileRef | None:
+        """What the stage's process said, put into the store; None where it said nothing."""
+        try:
+            if path.stat().st_size == 0:
+                return None
+            stored = self._bench.store.put_file(path)
+            return FileRef(stored.sha256, stored.bytes)
+        except (OSError, FailedError):  # a full disk: the stage is worth more than its words
+            return None
+        finally:
+            path.unlink(missing_ok=True)
+
+    def _files(self) -> dict[str, FileRef]:
+        return {name: file for result in self._results for name, file in result.outputs.items()}
+
+    def _whole(self, stage: str, share: float) -> float:
+        """How far the job is, where this stage is at `share`."""
+        return min(1.0, self._done_share + share * self._shares[stage])
+
+    def _scratch(self, begun: StageTry, kind: str) -> Path:
+        return self._bench.scratch / f"{self._claim.job.id}-{begun.id}.{kind}"

@@ -1,0 +1,125 @@
+"""A worker, put together: what it is made of, in which order it starts, and how it stops.
+
+Threads: heart (lease), watch (wishes and progress of running jobs), reconcile, retention, and those of the engine.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from importlib.metadata import version
+
+import sqlalchemy as sa
+import structlog
+
+from service.processes import lifeline
+from service.server.database.claims import WorkBook
+from service.server.database.schema import open_database
+from service.server.queue.dbos import DbosEngine
+from service.server.worker.attempt import Body
+from service.server.worker.context import Bench
+from service.server.worker.lease import Heart, Lease
+from service.server.worker.monitor import Watch
+from service.server.worker.preconditions import NameLock, executor_name, lock_data, refuse_network_disk
+from service.server.worker.process.pool import StageProcesses
+from service.server.worker.reconcile import Reconciler, Rounds
+from service.server.worker.retention import Retention
+from service.settings import ServerSettings
+from service.store.opening import open_store
+
+DRAIN_S = 8.0
+EXIT_NAME_TAKEN = 3
+RETENTION_S = 300.0
+log = structlog.get_logger()
+
+
+@contextmanager
+def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator[Worker]:
+    """A worker that is the only one of its name. InputError where it would not be safe to work."""
+    refuse_network_disk(settings)
+    executor = executor_name(settings)
+    with ExitStack() as stack:
+        if settings.embedded:
+            stack.enter_context(lock_data(settings))
+        store = open_store(settings)
+        store.check()
+        engine = DbosEngine(settings)
+        database = open_database(settings)
+        name = None if settings.embedded else NameLock(database, executor)
+        # The engine's tables first: who finds ours up to date may use both.
+        engine.prepare()
+        open_database(settings, migrate=True).dispose()
+        ours = version("causticmill")
+        lease = Lease(database, executor, settings.lease_s, pid=os.getpid(), version=ours, alone=settings.embedded)
+        work = WorkBook(database, lease_s=settings.lease_s)
+        watch = Watch(work, lease)
+        bench = Bench(settings, executor, work, store, processes, lease, watch)
+        yield Worker(bench, database, engine, name)
+
+
+@dataclass
+class Worker:
+    """All parts of a worker, put together."""
+
+    bench: Bench
+    database: sa.Engine
+    engine: DbosEngine
+    name: NameLock | None
+
+    def __post_init__(self) -> None:
+        bench = self.bench
+        settings = bench.settings
+        self._heart = Heart(bench.lease, self._leave)
+        self._body = Body(bench)
+        self._reconciler = Reconciler(
+            self.database,
+            self.engine,
+            executor=bench.executor,
+            lease_s=settings.lease_s,
+            in_hand=self._body.in_hand,
+        )
+        every_s = min(max(settings.lease_s / 6, 0.3), 3.0)
+        retention = Retention(self.database, bench.store, self.engine, settings)
+        self._rounds = [
+            Rounds("reconcile", self._reconciler.turn, every_s=every_s),
+            Rounds("retention", retention.turn, every_s=RETENTION_S),
+        ]
+        if self.name is not None:
+            self._rounds.append(Rounds("name", self.name.keep, every_s=settings.lease_s / 6))
+
+    def start(self) -> None:
+        """Beat first, then run jobs: no job is begun without a lease."""
+        shutil.rmtree(self.bench.scratch, ignore_errors=True)
+        self.bench.lease.take()
+        self._heart.start()
+        lifeline.healthy = self._heart.is_turning
+        self.bench.watch.start()
+        self._reconciler.let_go()
+        self.engine.serve(self._body, executor=self.bench.executor, slots=self.bench.settings.slots)
+        for rounds in self._rounds:
+            rounds.start()
+        log.info("worker ready")
+
+    def stop(self) -> None:
+        """Running stages are stopped and noted as interrupted; their jobs go on at the next start, or elsewhere."""
+        log.info("worker stops")
+        self.bench.watch.stopping.set()
+        for rounds in self._rounds:
+            rounds.stop()
+        if not self.bench.watch.is_idle_within(DRAIN_S):
+            log.warning("jobs did not stop in time")
+        else:
+            shutil.rmtree(self.bench.scratch, ignore_errors=True)
+        self._heart.stop()
+        try:
+            self.bench.lease.give_back()
+        except sa.exc.SQLAlchemyError as error:
+            log.warning("the lease was not given back", error=str(error).splitlines()[0])
+
+    def _leave(self) -> None:
+        """Another process works under our name: end, with everything that runs, before it is in its way."""
+        self.bench.processes.close()
+        os._exit(EXIT_NAME_TAKEN)

@@ -1,0 +1,93 @@
+"""Shank and flutes against stock that stands: against brute force, and named where it happens."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cam.checking.collision import RUB_MM, Collisions, lens_over_flutes_mm, shank_of
+from cam.checking.removal import RemovalGrid
+from cam.checking.sweep import STRIKE
+from cam.passes import ball_pass
+from cam.surface.stock_grid import StockGrid
+from tests.cam.checking.test_engagement import batch_of
+
+SPEC = replace(
+    ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.4),
+    flute_length_mm=1.0,
+    shank_radius_mm=1.5,
+)
+
+
+def walled(wall_mm=0.0, floor_mm=-2.0, n=100, cell=0.1) -> StockGrid:
+    """A floor with a wall from X6 on."""
+    top = np.full((n, n), floor_mm)
+    top[:, 60:] = wall_mm
+    return StockGrid(x0_mm=0, y0_mm=0, cell_mm=cell, top_mm=top)
+
+
+def faults(points, spec=SPEC, stock=None) -> list[str]:
+    grid = RemovalGrid(stock or walled(), radius_mm=spec.radius_mm, shank=shank_of(spec), shares=2)
+    collisions, batch = Collisions(spec), batch_of(points)
+    collisions.add(batch, grid.cut(batch), grid)
+    return collisions.faults
+
+
+def test_a_shank_that_strikes_a_wall_is_named():
+    """Wall at Z0, tip at Z-2: flutes end at Z-1, the wall stands 1 mm above them, within 1.5 mm of the axis."""
+    assert faults([(2, 2, -2), (4.3, 2, -2), (4.3, 8, -2)]) == []
+    (fault,) = faults([(2, 2, -2), (4.3, 2, -2), (5.0, 5, -2)])
+    assert "1.000 mm above the end of the flutes" in fault and "radius 1.5 mm" in fault
+    assert fault.startswith("line 2 at X6.050")
+
+
+@pytest.mark.parametrize("change", [{"flute_length_mm": 2.1}, {"shank_radius_mm": None}, {"flute_length_mm": None}])
+def test_long_flutes_slim_shanks_and_unstated_ones_strike_nothing(change):
+    assert faults([(2, 2, -2), (5.4, 2, -2), (5.4, 8, -2)], replace(SPEC, **change)) == []
+
+
+def test_flutes_shorter_than_the_bite_are_found():
+    slim = replace(SPEC, shank_radius_mm=None)
+    (fault,) = faults([(4, 5, -2), (7, 5, -2)], slim)
+    assert "1.000 mm above" in fault
+
+
+@given(seed=st.integers(0, 10_000), reach=st.floats(0.4, 1.5), flutes=st.floats(0.1, 1.0))
+@settings(deadline=None, max_examples=25)
+def test_strikes_are_those_of_brute_force(seed, reach, flutes):
+    """The axis at many places of every move, before the move cuts: never more, and less only by the spacing."""
+    rng = np.random.default_rng(seed)
+    top = np.kron(rng.uniform(-1.0, 0.0, (10, 10)), np.ones((5, 5)))
+    stock = StockGrid(x0_mm=0, y0_mm=0, cell_mm=0.1, top_mm=top)
+    points = np.column_stack([rng.uniform(0.5, 4.5, (6, 2)), rng.uniform(-1.5, -0.3, 6)])
+    grid = RemovalGrid(stock, radius_mm=0.3, shank=(reach, flutes), shares=2)
+    batch = batch_of(points)
+    found = grid.cut(batch).tally[1:, STRIKE]
+    again, x, y = RemovalGrid(stock, radius_mm=0.3), *np.meshgrid(stock.x_mm, stock.y_mm)
+    for k in range(5):
+        over = 0.0
+        for share in np.linspace(0, 1, 120):
+            at = points[k] + share * (points[k + 1] - points[k])
+            near = np.hypot(x - at[0], y - at[1]) < reach
+            over = max(over, float((again.top_mm[near] - at[2] - flutes).max(initial=0.0)))
+        assert over - 1e-9 <= found[k] <= over + 0.12  # a cell may come near between two of the places, lower down
+        again.cut(batch_of(points[: k + 2]))
+
+
+def test_a_wall_the_flutes_have_cut_does_not_count():
+    assert shank_of(replace(SPEC, shank_radius_mm=None)) == (0.5 - RUB_MM, 1.0)
+    assert shank_of(replace(SPEC, flute_length_mm=None)) is None
+
+
+def test_before_any_work_the_lens_alone_is_asked(make_lens):
+    """A ridge 1 mm high with sides of slope 1: a thick shank strikes it, a slim one and longer flutes do not."""
+    ridge = make_lens(lambda x, y: -0.1 - np.minimum(np.abs(x - 4.0), 1.0) + 0 * y)
+    short = replace(SPEC, flute_length_mm=0.5)
+    assert lens_over_flutes_mm(ridge, short) > 0.2
+    assert lens_over_flutes_mm(ridge, replace(short, flute_length_mm=1.2)) < 0
+    assert lens_over_flutes_mm(ridge, replace(short, shank_radius_mm=None)) < lens_over_flutes_mm(ridge, short)
+    assert lens_over_flutes_mm(ridge, replace(short, flute_length_mm=None)) == -np.inf

@@ -1,0 +1,111 @@
+"""What a move bites: slots, sides and plunges on flat stock, where every figure is known."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cam.checking.engagement import Engagement, _slot_section
+from cam.checking.removal import RemovalGrid
+from cam.passes import ball_pass
+from cam.reading.gcode import MoveBatch
+from cam.surface.stock_grid import StockGrid
+
+CELL = 0.05
+SPEC = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.6)
+
+
+def batch_of(points, feed=None) -> MoveBatch:
+    points = np.asarray(points, dtype=np.float64)
+    n = len(points) - 1
+    return MoveBatch(
+        points_mm=points,
+        is_rapid=np.zeros(n, dtype=bool),
+        feed_mm_per_min=np.full(n, SPEC.feed_mm_per_min if feed is None else feed),
+        line=np.arange(1, n + 1),
+        spindle_on=np.ones(n, dtype=bool),
+        pause_s=np.full(n, -1.0),
+        lines_read=n,
+        bytes_read=0,
+        ended=True,
+    )
+
+
+def watched(*passes, feed=None) -> Engagement:
+    """Paths cut one after the other into a flat block 12 x 8 mm; only the last is watched."""
+    grid = RemovalGrid(
+        StockGrid(x0_mm=0, y0_mm=0, cell_mm=CELL, top_mm=np.zeros((160, 240))), radius_mm=SPEC.radius_mm, shares=2
+    )
+    for points in passes[:-1]:
+        grid.cut(batch_of(points))
+    engagement = Engagement(SPEC, cell_mm=CELL)
+    batch = batch_of(passes[-1], feed)
+    engagement.add(batch, grid.cut(batch))
+    return engagement
+
+
+def row(y, z=-0.5, *, backward=False):
+    points = [(x, y, z) for x in (-3.0, 5.0, 9.0)]
+    return points[::-1] if backward else points
+
+
+@given(depth=st.floats(0.05, 0.95), radius=st.sampled_from([0.5, 1.0, 3.0]))
+def test_the_section_of_a_slot_is_the_segment_of_a_circle(depth, radius):
+    half = math.sqrt(radius**2 - (radius - depth * radius) ** 2)
+    w = np.linspace(-half, half, 20_001)
+    height = np.sqrt(radius**2 - w**2) - (radius - depth * radius)
+    assert _slot_section(depth * radius, radius) == pytest.approx(np.trapezoid(height, w), rel=1e-3)
+
+
+def test_a_first_row_is_a_slot_and_the_next_is_none():
+    first, second = watched(row(4.0)), watched(row(4.0), row(4.3))
+    assert first.slot_length_mm == pytest.approx(12.0)  # whole moves
+    assert first.slot_depth_mm == pytest.approx(0.5, abs=1e-3)
+    assert second.slot_length_mm == 0
+
+
+@given(y=st.floats(3.5, 4.5), backward=st.booleans(), upward=st.booleans())
+@settings(deadline=None, max_examples=10)
+def test_a_row_climbs_with_the_stock_on_its_right(y, backward, upward):
+    beside = y + (0.3 if upward else -0.3)
+    climbs = watched(row(y), row(beside, backward=backward)).climb_share
+    assert (climbs > 0.9) is (backward is upward)
+    assert climbs > 0.9 or climbs < 0.1
+    assert watched(row(y)).climb_share == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_slot_at_full_feed_is_a_fault_and_at_half_feed_none():
+    assert watched(row(4.0), feed=0.5 * SPEC.feed_mm_per_min).faults == []
+    (fault,) = watched(row(4.0)).faults
+    assert "full width" in fault and fault.startswith("line ")
+    assert watched(row(4.0, z=-0.2)).faults == []  # counted, but shallow
+    assert watched(row(4.0, z=-0.2)).slot_length_mm > 8
+
+
+def test_a_plunge_is_named_and_a_ramp_is_none():
+    down = [(6, 4, 1), (6, 4, -0.4), (6, 4, 1)]
+    (fault,) = watched(down).faults
+    assert re.search(r"straight down 0\.(399|400) mm", fault) and fault.startswith("line 1 at X6.000 Y4.000")
+    ramp = [(4, 4, 1), (4, 4, 0.05), (8, 4, -0.15), (4, 4, -0.3), (8, 4, -0.45)]
+    assert watched(ramp, feed=SPEC.plunge_mm_per_min).faults == []
+
+
+def test_flutes_must_be_as_long_as_the_bite():
+    assert watched(row(4.0)).flute_need_mm == pytest.approx(0.5, abs=1e-3)
+    deep = watched(row(4.0, -0.4), row(4.0, -0.8), row(4.05, -1.2))
+    assert deep.flute_need_mm == pytest.approx(1.2, abs=0.05)  # along the wall up to the top
+
+
+def test_pauses_and_rapids_bite_nothing():
+    batch = batch_of(row(4.0))
+    grid = RemovalGrid(StockGrid(x0_mm=0, y0_mm=0, cell_mm=CELL, top_mm=np.zeros((160, 240))), radius_mm=1.0)
+    drops = grid.cut(batch)
+    engagement = Engagement(SPEC, cell_mm=CELL)
+    engagement.add(replace(batch, is_rapid=np.ones(2, dtype=bool)), drops)
+    assert engagement.slot_length_mm == 0

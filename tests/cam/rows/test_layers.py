@@ -1,0 +1,232 @@
+"""Layers and entries: what is left out, joined, stepped down and ramped."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cam.checking.removal import RemovalGrid
+from cam.moves import Motion
+from cam.passes import Stock, ball_pass
+from cam.posts.grbl import GRBL
+from cam.program import generate_program, pass_paths
+from cam.reading.gcode import read_program
+from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, ramp
+from cam.rows.layers import SLOT_FEED, Field, chained, plan_layers, spans
+from cam.rows.raster import Rows
+from cam.surface.stock_grid import StockGrid
+from cam.surface.stock_touch import StockTouch
+from cam.surface.tool_surface import ToolSurface
+
+STOCK = Stock(width_mm=8, height_mm=6, thickness_mm=10, margin_mm=2)
+ROUGH = ball_pass("rough", radius_mm=1.0, pitch_mm=0.3, stock_to_leave_mm=0.1, step_down_mm=0.8)
+FINISH = ball_pass("finish", radius_mm=0.5, pitch_mm=0.1, stock_to_leave_mm=0.0, step_down_mm=0.3)
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=60), st.integers(0, 3), st.integers(0, 5))
+def test_spans_cover_what_is_active_once(active, pad, gap):
+    mask = np.array(active)
+    found = spans(mask, pad=pad, gap=gap)
+    covered = np.zeros(mask.size, dtype=int)
+    for first, last in found:
+        covered[first : last + 1] += 1
+    assert (covered[mask] == 1).all()
+    assert covered.max() <= 1
+    assert all(b[0] - a[1] > gap for a, b in pairwise(found))
+    if gap == 0:
+        assert covered.sum() <= mask.sum() + 2 * pad * len(found)
+
+
+@given(st.lists(st.lists(st.booleans(), min_size=12, max_size=12), min_size=1, max_size=10), st.booleans())
+def test_every_span_is_cut_once(masks, link):
+    by_row = [spans(np.array(m), pad=0, gap=0) for m in masks]
+    wanted = sorted((row, *span) for row, row_spans in enumerate(by_row) for span in row_spans)
+    runs = list(chained(by_row, most_samples=3, link=link))
+    assert sorted((r.row, r.first, r.last) for r in runs) == wanted
+    for before, run in pairwise(runs):
+        if run.joined:
+            assert link
+            assert run.row == before.row + 1
+            assert run.upward != before.upward
+            assert abs(run.start - before.end) <= 3
+    if not link:
+        assert all(r.upward and not r.joined for r in runs)
+
+
+@pytest.mark.parametrize("radius_mm", [0.5, 2.0])
+def test_a_ball_meets_a_flat_block_at_its_top_and_rounds_its_edge(radius_mm):
+    touch = StockTouch.of(StockGrid.block(STOCK, 0.1), radius_mm)
+    assert touch.flat
+    assert touch.at(4.0, 3.0) == 0.0
+    beside = touch.at(10.0 + 0.6 * radius_mm, 3.0)  # 0.6 R beside the block: down by R (1 - 0.8)
+    assert beside == pytest.approx(-0.2 * radius_mm, abs=0.03 * radius_mm)
+    assert touch.at(10.0 + 2 * radius_mm, 3.0) < -1e3
+
+
+def test_a_ball_meets_shaped_stock(make_bumps):
+    """Against the definition: the highest of top(q) - (R - sqrt(R^2 - |q - c|^2)) over the lens, within the slack."""
+    block = StockGrid.block(STOCK, 0.1)
+    spline = make_bumps(7, relief_mm=1.5).spline_with_run_out(3.0)
+    top_mm = spline.heights_mm(block.x_mm[None, :], block.y_mm[:, None])
+    top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=0.1, top_mm=top_mm)
+    touch = StockTouch.of(top, 0.8)
+    fine = np.linspace(-0.79, 0.79, 301)
+    dx, dy = np.meshgrid(fine, fine)
+    bump = 0.8 - np.sqrt(np.maximum(0.64 - dx**2 - dy**2, 0))
+    for x, y in np.random.default_rng(7).uniform((0, 0), (8, 6), (40, 2)):
+        exact = (spline.heights_mm(x + dx, y + dy) - bump).max()
+        assert exact - touch.slack_mm <= touch.at(x, y) <= exact + touch.slack_mm
+        refined = touch.exactly(np.array([x]), np.array([y]))[0]
+        assert exact - 2 * touch.slack_mm <= refined <= exact + 1e-4
+
+
+def field(lens, spec, top) -> tuple[Field, StockTouch]:
+    surface = ToolSurface.over(lens, radius_mm=spec.radius_mm, allowance_mm=spec.stock_to_leave_mm)
+    met = StockTouch.of(top, spec.radius_mm)
+    return Field.along(Rows.over(STOCK, spec), surface, met), met
+
+
+@pytest.mark.parametrize("spec", [ROUGH, FINISH])
+def test_a_flat_block_comes_off_in_planes(make_bumps, spec):
+    """Planes one step-down apart, the last at or below the deepest target; a finish keeps a skin for exact rows."""
+    plan = plan_layers(*field(make_bumps(1, relief_mm=3.0), spec, StockGrid.block(STOCK, 0.1)), spec)
+    levels = [layer.level_mm for layer in plan.layers]
+    np.testing.assert_allclose(levels, -spec.step_down_mm * (1 + np.arange(len(levels))))
+    assert plan.exact_rows is spec.finishes
+    assert all((layer.offset_mm > 0) is spec.finishes for layer in plan.layers)
+
+
+def test_no_layers_where_one_step_does_it(make_bumps):
+    shallow = make_bumps(1, relief_mm=0.1)
+    plan = plan_layers(*field(shallow, FINISH, StockGrid.block(STOCK, 0.1)), FINISH)
+    assert plan.layers == ()
+    assert plan.exact_rows
+
+
+def test_a_shaped_block_comes_off_parallel_to_the_target(make_bumps):
+    block = StockGrid.block(STOCK, 0.1)
+    stepped = block.top_mm - 0.2 * (block.x_mm > 4)[None, :]
+    top = StockGrid(x0_mm=block.x0_mm, y0_mm=block.y0_mm, cell_mm=0.1, top_mm=stepped)
+    spread, met = field(make_bumps(1, relief_mm=1.0), FINISH, top)
+    plan = plan_layers(spread, met, FINISH)
+    deepest = (spread.stock_mm - spread.target_mm).max() + met.slack_mm
+    assert [layer.offset_mm for layer in plan.layers] == pytest.approx(
+        [0.24 * k for k in range(len(plan.layers), 0, -1)]
+    )
+    assert plan.layers[0].offset_mm + 0.24 >= deepest
+    assert plan.exact_rows
+
+
+@given(
+    z=st.lists(st.floats(-3, -0.2), min_size=2, max_size=12),
+    step_mm=st.floats(0.1, 3.0),
+    stock_mm=st.floats(-4.0, 0.0),
+)
+def test_the_tool_enters_stock_on_a_shallow_ramp(z, step_mm, stock_mm):
+    """Straight down only in air; then no steeper than 3 degrees or the path, never below it; ends where it starts."""
+    line = np.column_stack([np.arange(len(z)) * step_mm, np.zeros(len(z)), z])
+    across, down, *ramps = enter(line, stock_mm, ROUGH, safe_z_mm=5.0)
+    assert across.motion is Motion.RAPID
+    np.testing.assert_array_equal(
+        across.points_mm, [[0, 0, 5.0], [0, 0, max(stock_mm, z[0], 0.0) + RAPID_CLEARANCE_MM]]
+    )
+    reached = down.points_mm[-1, 2]
+    assert down.feed_mm_per_min == ROUGH.plunge_mm_per_min
+    if stock_mm <= z[0]:
+        assert reached == z[0]
+        assert not ramps
+        return
+    assert reached == stock_mm + CLEARANCE_MM
+    points = np.concatenate([down.points_mm[-1:], ramps[0].points_mm])
+    run, fall = np.abs(np.diff(points[:, 0])), -np.diff(points[:, 2])
+    path = np.interp(points[:, 0], line[:, 0], line[:, 2])
+    assert (fall <= np.maximum(RAMP_SLOPE * run, -np.diff(path)) + 1e-9).all()
+    assert (points[1:, 2] >= path[1:] - 1e-9).all()
+    np.testing.assert_array_equal(points[-1], line[0])
+
+
+def test_a_ramp_cuts_its_whole_stretch():
+    """When it is done nothing stands above the stretch it ran on: the last leg lies on the path."""
+    assert np.degrees(np.arctan(RAMP_SLOPE)) <= 3.0 + 1e-9
+    line = np.column_stack([np.linspace(0, 40, 81), np.zeros(81), np.full(81, -1.5)])
+    points = ramp(line, 0.1)
+    assert points[:, 0].max() <= 15.5
+    assert (points[-1] == line[0]).all()
+    assert len(points) <= 10  # a straight leg is one move
+    legs = np.flatnonzero(np.diff(np.sign(np.diff(points[:, 0]))))
+    assert points[legs[-1] + 1 :, 2].min() == pytest.approx(-1.5)
+
+
+def rest_of(spec, radius_mm: float, make_bumps):
+    """What a rough pass with one ball leaves of a small lens, and where a second rough pass cuts it."""
+    lens, top = make_bumps(3, relief_mm=1.6, spread_mm=0.7), StockGrid.block(STOCK, 0.1)
+    first = replace(spec, radius_mm=radius_mm)
+    grid = RemovalGrid(top, radius_mm=radius_mm)
+    text = generate_program(lens, first, STOCK, stock_top=top, post=GRBL)
+    for batch in read_program(text):
+        grid.cut(batch)
+    grid.rest()
+    return lens, grid.stock()
+
+
+@pytest.mark.parametrize("radius_mm", [0.8, 2.0])
+def test_a_second_rough_pass_goes_where_the_first_one_really_left_stock(make_bumps, radius_mm):
+    """Its layers and their depth come from the simulated stock: every cut of it takes off something, none too much."""
+    lens, left = rest_of(ROUGH, radius_mm, make_bumps)
+    second = replace(ROUGH, radius_mm=0.5, pitch_mm=0.2, stock_to_leave_mm=0.05, step_down_mm=0.1)
+    spread, met = field(lens, second, left)
+    plan = plan_layers(spread, met, second)
+    deepest = float((spread.stock_mm - spread.target_mm).max()) + met.slack_mm
+    assert len(plan.layers) == int(np.ceil(deepest / second.step_down_mm)) - 1
+    grid = RemovalGrid(left, radius_mm=second.radius_mm)
+    drops = [
+        grid.cut(batch).depth_mm
+        for batch in read_program(generate_program(lens, second, STOCK, stock_top=left, post=GRBL))
+    ]
+    assert max(d.max() for d in drops) <= 1.06 * second.step_down_mm + 0.05
+    in_layers = [layer.offset_mm for layer in plan.layers]
+    assert in_layers == sorted(in_layers, reverse=True)
+
+
+def test_a_ball_meets_no_wall_that_one_of_its_size_has_left(make_bumps):
+    """Deeper than its radius the wall of a pass before stands at the ball's equator: it passes by and takes off
+    nothing, so that nothing has to be taken off before.
+    """
+    lens, left = rest_of(ROUGH, 0.8, make_bumps)
+    finish = replace(FINISH, radius_mm=0.8)
+    spread, met = field(lens, finish, left)
+    assert (spread.stock_mm - spread.target_mm).max() > finish.step_down_mm  # as the lattice tells
+    plan = plan_layers(spread.refine(met, finish.step_down_mm - met.slack_mm), met, finish)
+    assert plan.layers == ()
+    grid = RemovalGrid(left, radius_mm=finish.radius_mm)
+    text = generate_program(lens, finish, STOCK, stock_top=left, post=GRBL)
+    assert max(grid.cut(batch).depth_mm.max() for batch in read_program(text)) <= finish.step_down_mm
+
+
+def test_a_bigger_first_ball_leaves_the_second_one_more_to_do(make_bumps):
+    second = replace(ROUGH, radius_mm=0.5, pitch_mm=0.2, stock_to_leave_mm=0.05, step_down_mm=0.04)
+    lengths = []
+    for radius_mm in (0.8, 2.0):
+        lens, left = rest_of(ROUGH, radius_mm, make_bumps)
+        points = np.concatenate([path.points_mm for path in pass_paths(lens, second, STOCK, stock_top=left)])
+        lengths.append(float(np.hypot(*np.diff(points[:, :2], axis=0).T).sum()))
+    assert 1.05 * lengths[0] < lengths[1]
+
+
+def test_slots_are_cut_slowly_and_only_first_rows(make_bumps):
+    """On a flat block: stock on both sides of a row happens once per stretch, on the way in."""
+    lens, top = make_bumps(1, relief_mm=0.4), StockGrid.block(STOCK, 0.1)
+    spec = replace(ROUGH, step_down_mm=0.9)
+    paths = list(pass_paths(lens, spec, STOCK, stock_top=top))
+    length = {
+        feed: sum(float(np.hypot(*np.diff(p.points_mm[:, :2], axis=0).T).sum()) for p in paths
+                  if p.feed_mm_per_min == feed)
+        for feed in (spec.feed_mm_per_min, SLOT_FEED * spec.feed_mm_per_min)
+    }  # fmt: skip
+    slots, rows = length[SLOT_FEED * spec.feed_mm_per_min], length[spec.feed_mm_per_min]
+    assert 0 < slots < 4 * (STOCK.width_mm + 2 * spec.radius_mm) < rows

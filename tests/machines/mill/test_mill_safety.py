@@ -1,0 +1,323 @@
+"""Ways in which something could move unasked, or a stop could get lost; and what a bad disk or clock does."""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from machines.driver import Home, Jog, MillState, SendBlock, SetZero
+from machines.errors import JournalError, MachineError, NotAllowedError
+from machines.journal.journal import read_journal
+from machines.mill.files import RunFolders
+from machines.mill.mill import Mill
+from machines.mill.thread import MillThread
+from machines.preflight.preflight import Preflight
+from machines.runs import RunState
+from tests.machines.shop import LINES, YES, YES_ALL, Shop
+
+LONG_MOVES = [*LINES[:5], *(f"G1 X{10 + 40 * (i % 2)} F600" for i in range(1, 40)), "G0 Z5", "M2"]
+
+
+def unplugged(shop: Shop, seconds: float) -> None:
+    """The mill goes on without us for a while; then the link is back."""
+    shop.bench.sim.unplug()
+    shop.until(RunState.INTERRUPTED)
+    shop.pass_s(seconds)
+    shop.bench.sim.replug()
+    shop.bench.until_state(MillState.IDLE)
+
+
+def replaced_owner(shop: Shop) -> None:
+    shop.bench.kill(host_power=False)
+    shop.bench.mill = shop.bench.new_mill()
+
+
+# ---------------------------------------------------------------------- a mill that went on alone
+
+
+def test_what_the_mill_did_alone_is_booked_when_it_stands(shop: Shop) -> None:
+    unplugged(shop.started(10), 30.0)
+    known = shop.mill.run(shop.id).executed_line
+    shop.pass_s(1.0)
+    booked, sent = shop.mill.run(shop.id).executed_line, shop.mill.run(shop.id).sent_line
+    assert known < booked <= sent and sent - booked <= 1
+    content = read_journal(shop.bench.folder / "runs" / shop.id)
+    assert content is not None and content.state["executed_line"] == booked and content.state["adrift"] == ""
+    assert shop.mill.plan_recovery(shop.id).recut_lines <= 1
+
+
+def test_it_is_booked_after_the_death_of_the_owner_as_well(shop: Shop) -> None:
+    shop.started(10)
+    known = shop.mill.run(shop.id).executed_line
+    replaced_owner(shop)
+    shop.bench.sim.advance(shop.bench.sim.now_s + 30.0)
+    shop.bench.until_state(MillState.IDLE)
+    shop.pass_s(1.0)
+    assert shop.mill.run(shop.id).executed_line > known
+    assert shop.mill.plan_recovery(shop.id).ready
+
+
+def test_a_plan_that_is_asked_for_at_once_waits_for_the_standstill(shop: Shop) -> None:
+    unplugged(shop.started(10), 30.0)
+    assert shop.mill.plan_recovery(shop.id).executed_line >= shop.mill.run(shop.id).sent_line - 1
+
+
+@pytest.mark.parametrize("command", [Jog((0.5, 1.0, 0.0), 500.0), SetZero("XYZ"), SendBlock("G0 X30 Y11 Z-1")])
+def test_after_the_mill_was_touched_its_place_proves_nothing(shop: Shop, command: Any) -> None:
+    unplugged(shop.started(10), 30.0)
+    known = shop.mill.run(shop.id).executed_line
+    shop.mill.command(command)
+    shop.pass_s(10.0)
+    assert shop.mill.run(shop.id).executed_line == known
+    replaced_owner(shop)
+    shop.bench.until_state(MillState.IDLE)
+    shop.pass_s(2.0)
+    assert shop.mill.run(shop.id).executed_line == known
+
+
+def test_a_restart_while_out_of_sight_proves_nothing(shop: Shop) -> None:
+    shop.started(10)
+    shop.bench.sim.unplug()
+    shop.until(RunState.INTERRUPTED)
+    known = shop.mill.run(shop.id).executed_line
+    shop.bench.sim.power_cycle()
+    shop.bench.sim.replug()
+    shop.bench.until_state(MillState.IDLE)
+    shop.pass_s(3.0)
+    assert shop.mill.run(shop.id).executed_line == known
+    assert [need.code for need in shop.mill.plan_recovery(shop.id).needs] == ["position"]
+
+
+# ---------------------------------------------------------------------- stops
+
+
+def test_abort_stops_a_jog_although_a_parked_run_waits(shop: Shop) -> None:
+    """The parked run is taken back, and the mill is stopped as well."""
+    shop.mill.command(Jog((100.0, 0.0, 0.0), 300.0))
+    shop.bench.until_state(MillState.JOG)
+    shop.mill.abort()
+    assert shop.state is RunState.ABORTED
+    shop.pass_s(2.0)
+    before = shop.bench.sim.physical_mm
+    shop.pass_s(10.0)
+    assert shop.bench.sim.physical_mm == before and before[0] < 20.0
+
+
+def test_a_cycle_start_at_the_machine_does_not_go_on_without_a_journal(shop: Shop) -> None:
+    shop.started()
+    shop.disk.room = False
+    shop.bench.until_state(MillState.HELD)
+    for _ in range(3):
+        shop.bench.sim.press("start")
+        shop.pass_s(3.0)
+        assert shop.mill.status.state is MillState.HELD
+    cuts = shop.cuts
+    shop.pass_s(20.0)
+    assert shop.cuts == cuts
+    shop.disk.room = True
+    shop.mill.resume()
+    shop.until(RunState.FINISHED)
+
+
+@pytest.mark.parametrize("orders", [("hold", "abort"), ("abort", "hold")])
+def test_of_two_latched_orders_the_abort_stays_and_resume_is_refused(
+    tmp_path: Path, kill_trial: Any, orders: tuple[str, str]
+) -> None:
+    shop = Shop(tmp_path, kill_trial, LONG_MOVES).started(2)
+    shop.bench.sim.unplug()
+    shop.until(RunState.INTERRUPTED)
+    for order in orders:
+        getattr(shop.mill, order)()
+    assert shop.mill.snapshot.latched == "abort"
+    with pytest.raises(NotAllowedError, match="abort is carried out first"):
+        shop.mill.resume()
+    shop.bench.sim.replug()
+    shop.until(RunState.ABORTED)
+    shop.mill.close()
+
+
+def test_a_link_that_refuses_its_handshake_is_tried_again(shop: Shop) -> None:
+    link, connect, tries = shop.mill._link, shop.mill._link._connect, []
+
+    def refusing() -> Any:
+        driver = connect()
+        tries.append(driver)
+
+        def refuse() -> None:
+            raise MachineError("no handshake")
+
+        if len(tries) < 3:
+            driver.connect = refuse
+        return driver
+
+    link._connect = refusing
+    shop.bench.sim.unplug()
+    shop.pass_s(1.0)
+    shop.bench.sim.replug()
+    shop.bench.until_state(MillState.IDLE)
+    assert len(tries) == 3
+
+
+def test_a_call_that_was_given_up_never_begins(shop: Shop) -> None:
+    """A start that nobody waits for any more must not come true a minute later."""
+    thread, gate, begun = MillThread(shop.mill), threading.Event(), []
+    thread.start()
+    blocker = threading.Thread(target=lambda: thread.call(lambda mill: gate.wait(10.0)))
+    blocker.start()
+    time.sleep(0.05)
+    with pytest.raises(MachineError, match="taken back"):
+        thread.call(lambda mill: begun.append("moved"), timeout_s=0.1)
+    gate.set()
+    blocker.join()
+    thread.call(lambda mill: None)
+    assert begun == []
+    thread.stop(detach=True)
+
+
+def test_a_failing_owner_holds_a_run_that_pauses_between_two_lines(shop: Shop) -> None:
+    shop.started()
+    shop.mill.note_failure(RuntimeError("a bug"))
+    shop.bench.sim.advance(shop.bench.sim.now_s + 3.0)
+    before = shop.cuts
+    shop.bench.sim.advance(shop.bench.sim.now_s + 10.0)
+    assert shop.cuts == before
+
+
+# ---------------------------------------------------------------------- disk and clock
+
+
+def test_the_reminder_to_touch_off_outlives_the_agent(shop: Shop) -> None:
+    shop.started().until(RunState.FINISHED)
+    replaced_owner(shop)
+    assert "re-probe Z" in shop.mill.snapshot.needs[0]
+    shop.bench.until_state(MillState.IDLE)
+    shop.bench.command_done(SetZero("Z"))
+    assert shop.mill.snapshot.needs == ()
+    replaced_owner(shop)
+    assert shop.mill.snapshot.needs == ()
+
+
+def test_a_clock_set_back_keeps_the_order_of_runs(shop: Shop) -> None:
+    times = iter([1.9e9, 1.9e9, 1.7e9, 1.7e9, 1.8e9])
+    made = []
+    for wall_s in times:
+        shop.mill._wall = lambda wall_s=wall_s: wall_s
+        made.append(shop.mill.park(shop.facts, shop.path, "part").id)
+    assert made == sorted(made) and len(set(made)) == 5
+    replaced_owner(shop)
+    assert [view.id for view in shop.mill.runs][::-1] == [shop.id, *made]
+
+
+def test_an_interrupted_run_is_the_one_shown_after_the_death_of_its_owner(shop: Shop) -> None:
+    shop.started()
+    other = shop.mill.park(shop.facts, shop.path, "next").id
+    replaced_owner(shop)
+    assert shop.mill.snapshot.run.id == shop.id and shop.state is RunState.INTERRUPTED
+    assert shop.mill.run(other).state is RunState.PARKED
+
+
+def test_old_finished_runs_leave_the_disk_but_no_interrupted_one(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("machines.mill.core.KEPT_RUNS", 3)
+    unplugged(shop.started(), 5.0)
+    shop.bench.until_state(MillState.IDLE)
+    for _ in range(6):
+        one = shop.mill.park(shop.facts, shop.path, "again").id
+        shop.mill.abort()
+    names = {path.name for path in RunFolders(shop.bench.folder).folder.iterdir()}
+    assert shop.id in names and one in names and len(names) == 4
+    assert {view.id for view in shop.mill.runs} == names
+    replaced_owner(shop)
+    assert shop.state is RunState.INTERRUPTED
+
+
+def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(JournalError, match="can be written"):
+        Mill(name="m", connect=lambda: None, folder=tmp_path / "file" / "mill")  # type: ignore[arg-type, return-value]
+
+
+# ---------------------------------------------------------------------- place and frame
+
+
+def homed(shop: Shop, soft_limits: bool, jog: tuple[float, float, float] = (-100.0, -100.0, -40.0)) -> None:
+    """Homing on, work zero where the jog ends."""
+    for block in ["$22=1", "$27=1", "$20=1"] if soft_limits else ["$22=1", "$27=1"]:
+        shop.bench.command_done(SendBlock(block))
+    shop.bench.command_done(Home())
+    shop.bench.command_done(Jog(jog, 2000.0))
+    shop.bench.command_done(SetZero("XYZ"))
+
+
+@pytest.mark.parametrize("soft_limits", [True, False])
+def test_a_program_that_leaves_the_travel_is_refused(shop: Shop, soft_limits: bool) -> None:
+    """The program goes 50 mm in X from a zero 11 mm from the end of the travel."""
+    shop.facts = framed(shop.facts)
+    homed(shop, soft_limits, (-10.0, -100.0, -40.0))
+    run_id = shop.mill.park(shop.facts, shop.path, "placed").id
+    with pytest.raises(NotAllowedError, match=r"X would go .*from line [0-9]+ of") as refused:
+        shop.mill.start(run_id, YES)
+    assert "set the work zero elsewhere" in str(refused.value)
+    shop.pass_s(2.0)
+    assert shop.mill.run(run_id).state is RunState.PARKED and shop.cuts == 0
+
+
+def test_without_homing_it_is_only_told(shop: Shop) -> None:
+    shop.facts = framed(shop.facts)
+    shop.bench.command_done(SendBlock("$22=1"))  # positions were never homed: Idle since before
+    run_id = shop.mill.park(shop.facts, shop.path, "placed").id
+    assert not shop.mill.status.position_trusted
+    shop.mill.start(run_id, YES)
+    assert any("X would go" in words for words in shop.mill.run(run_id).warnings)
+    shop.mill.hold()
+
+
+def abort_a_run(shop: Shop, *, zero_z_mm: float) -> None:
+    """A run that was begun within the travel of a homed mill, which stands."""
+    shop.facts = framed(shop.facts)
+    homed(shop, False, (-100.0, -100.0, zero_z_mm))
+    shop.id = shop.mill.park(shop.facts, shop.path, "placed").id
+    shop.started()
+    shop.mill.abort()
+    shop.until(RunState.ABORTED)
+    shop.bench.until_state(MillState.IDLE)
+
+
+def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
+    """The program itself stays low enough; the height at which the tool should be brought back does not."""
+    abort_a_run(shop, zero_z_mm=-6.0)
+    assert shop.mill.plan_recovery(shop.id).ready
+    shop.mill._reentry = dataclasses.replace(shop.mill._reentry, safe_z_mm=9.0)
+    plan = shop.mill.plan_recovery(shop.id)
+    assert plan.ready and "G0 Z7" in plan.blocks
+
+
+def test_where_nobody_knows_how_high_the_mill_gets_a_way_back_in_beyond_that_is_told(shop: Shop) -> None:
+    abort_a_run(shop, zero_z_mm=-6.0)
+    replaced_owner(shop)
+    shop.bench.until_state(MillState.IDLE)
+    shop.mill._reentry = dataclasses.replace(shop.mill._reentry, safe_z_mm=9.0)
+    plan = shop.mill.plan_recovery(shop.id)
+    assert plan.refusals == () and any("not certain: on the way back in Z would go" in words for words in plan.words)
+
+
+def test_a_rest_that_leaves_the_travel_is_refused(shop: Shop) -> None:
+    """The zero was set anew, by a person, 5 mm from the end of the travel."""
+    abort_a_run(shop, zero_z_mm=-40.0)
+    here_mm = shop.mill.status.machine_mm
+    assert here_mm is not None
+    shop.bench.command_done(Jog((-5.0 - here_mm[0], 0.0, 0.0), 2000.0))
+    shop.bench.command_done(SetZero("XYZ"))
+    plan = shop.mill.plan_recovery(shop.id)
+    assert not plan.needs
+    with pytest.raises(NotAllowedError, match=r"X would go .*from line [0-9]+ of .*home the mill"):
+        shop.mill.recover(shop.id, YES_ALL)
+
+
+def framed(facts: Preflight) -> Preflight:
+    assert facts.bounds_mm is not None
+    return dataclasses.replace(facts, bounds_by_frame={"G54": facts.bounds_mm})

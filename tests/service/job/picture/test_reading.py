@@ -1,0 +1,275 @@
+"""Any picture Pillow reads becomes the right linear light, upright; what cannot be used is one line, told early."""
+
+from __future__ import annotations
+
+import io
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from PIL import Image
+
+from service.errors import PictureError
+from service.job.picture.reading import Picture, read_picture
+from service.job.picture.resampling import Span, resampling_weights
+from service.job.picture.tone import linear_to_srgb, srgb_to_linear
+from service.job.spec.model import ImageSpec
+
+RED, GREEN, BLUE = 0.2126, 0.7152, 0.0722
+
+
+def linear_of(level: float) -> float:
+    """The sRGB curve written out once more, level in [0, 1]."""
+    return level / 12.92 if level <= 0.04045 else ((level + 0.055) / 1.055) ** 2.4
+
+
+def read(path: Path, *, pixels: int = 16, rows: int = 16, aspect: float = 1.0, **settings: object) -> Picture:
+    return read_picture(path, ImageSpec(pixels=pixels, **settings), rows=rows, aspect=aspect)  # type: ignore[arg-type]
+
+
+def saved(image: Image.Image, path: Path, **options: object) -> Path:
+    image.save(path, **options)  # type: ignore[arg-type]
+    return path
+
+
+@pytest.mark.parametrize(
+    ("mode", "colour", "expected"),
+    [
+        ("L", 127, linear_of(127 / 255)),
+        ("RGB", (255, 0, 0), RED),
+        ("RGB", (0, 255, 0), GREEN),
+        ("RGB", (0, 0, 255), BLUE),
+        ("RGB", (200, 100, 50), RED * linear_of(200 / 255) + GREEN * linear_of(100 / 255) + BLUE * linear_of(50 / 255)),
+        ("RGBA", (0, 0, 0, 0), 1.0),
+        ("RGBA", (0, 0, 0, 51), 0.8),
+        ("LA", (127, 255), linear_of(127 / 255)),
+        ("LA", (0, 51), 0.8),
+        ("1", 1, 1.0),
+        ("I;16", 40000, linear_of(40000 / 65535)),
+    ],
+)
+def test_one_colour_of_each_mode_has_its_known_luminance(
+    tmp_path: Path, mode: str, colour: object, expected: float
+) -> None:
+    path = saved(Image.new(mode, (16, 16), colour), tmp_path / "a.png")  # type: ignore[arg-type]
+    picture = read(path)
+    assert picture.linear.shape == (16, 16)
+    np.testing.assert_allclose(picture.linear, expected, atol=1e-12)
+    assert picture.is_one_tone
+
+
+@pytest.mark.parametrize(("level", "expected"), [(255, 1.0), (0, None), (51, 0.2)])
+def test_linear_tone_takes_values_as_light(tmp_path: Path, level: int, expected: float | None) -> None:
+    path = saved(Image.new("L", (16, 16), level), tmp_path / "a.png")
+    if expected is None:
+        with pytest.raises(PictureError, match="black everywhere"):
+            read(path, tone="linear")
+    else:
+        np.testing.assert_allclose(read(path, tone="linear").linear, expected, atol=1e-12)
+
+
+def test_cmyk_is_read_as_the_colour_it_prints(tmp_path: Path) -> None:
+    path = saved(Image.new("CMYK", (16, 16), (0, 0, 0, 128)), tmp_path / "a.tif")
+    np.testing.assert_allclose(read(path).linear, linear_of(127 / 255), atol=1e-12)
+
+
+def test_palette_with_transparency_lies_over_white(tmp_path: Path) -> None:
+    image = Image.new("P", (16, 16), 0)
+    image.putpalette([0, 0, 0, 255, 255, 255])
+    image.putpixel((0, 0), 1)
+    path = saved(image, tmp_path / "a.gif", transparency=0)
+    np.testing.assert_allclose(read(path).linear, 1.0)
+    opaque = saved(image, tmp_path / "b.png")
+    assert read(opaque).linear.sum() == pytest.approx(1.0)
+
+
+def test_sixteen_bits_are_not_cut_to_eight(tmp_path: Path) -> None:
+    values = np.arange(256, dtype=np.uint16).reshape(16, 16) + 30000  # less than two 8 bit steps
+    path = saved(Image.fromarray(values), tmp_path / "a.png")
+    np.testing.assert_allclose(read(path, tone="linear").linear, values / 65535, atol=1e-12)
+
+
+def test_floating_point_pictures_are_linear_light(tmp_path: Path) -> None:
+    values = np.linspace(0, 4, 256, dtype=np.float32).reshape(16, 16)
+    path = saved(Image.fromarray(values), tmp_path / "a.tif")
+    np.testing.assert_allclose(read(path).linear, values / 4, atol=1e-6)
+
+
+def test_a_floating_point_picture_with_nan_is_refused(tmp_path: Path) -> None:
+    path = saved(Image.fromarray(np.full((16, 16), np.nan, dtype=np.float32)), tmp_path / "a.tif")
+    with pytest.raises(PictureError, match="not finite"):
+        read(path)
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_exif_orientation_is_undone(tmp_path: Path, orientation: int) -> None:
+    """A bright quadrant at the upper left is stored turned, with the note that undoes it."""
+    upright = np.zeros((24, 32), dtype=np.uint8)
+    upright[:12, :16] = 255
+    turns = {
+        1: lambda a: a, 2: np.fliplr, 3: lambda a: np.rot90(a, 2), 4: np.flipud, 5: lambda a: a.T,
+        6: lambda a: np.rot90(a, 1), 7: lambda a: np.rot90(a, 2).T, 8: lambda a: np.rot90(a, -1),
+    }  # fmt: skip
+    image = Image.fromarray(np.ascontiguousarray(turns[orientation](upright)))
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    path = saved(image, tmp_path / "a.png", exif=exif)
+    picture = read(path, pixels=32, rows=24, aspect=32 / 24)
+    np.testing.assert_allclose(picture.linear, upright / 255)
+
+
+def test_an_animation_gives_its_first_frame(tmp_path: Path) -> None:
+    frames = [Image.new("L", (16, 16), level) for level in (255, 10, 20)]
+    frames[0].save(tmp_path / "a.gif", save_all=True, append_images=frames[1:])
+    np.testing.assert_allclose(read(tmp_path / "a.gif").linear, 1.0)
+
+
+def test_invert_is_a_negative_in_the_picture_s_tones(tmp_path: Path) -> None:
+    path = saved(Image.new("L", (16, 16), 200), tmp_path / "a.png")
+    np.testing.assert_allclose(read(path, invert=True).linear, linear_of(55 / 255), atol=1e-9)
+    np.testing.assert_allclose(read(path, invert=True, tone="linear").linear, 55 / 255, atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(16, 90), st.integers(16, 90), st.integers(0, 2**32 - 1))
+def test_shrinking_keeps_the_mean_light(width: int, height: int, seed: int) -> None:
+    """Stretched to fewer pixels, whatever the ratio, total light is exact: area averages, in linear light."""
+    values = np.random.default_rng(seed).random((height, width))
+    across, down = (resampling_weights(n, Span(0, n), 16) for n in (width, height))
+    assert (down @ values @ across.T).mean() == pytest.approx(values.mean(), rel=1e-12)
+    np.testing.assert_allclose(across.sum(axis=1), 1.0)
+
+
+@given(st.integers(8, 60), st.integers(61, 300))
+def test_enlarging_keeps_constants_and_places(size: int, count: int) -> None:
+    """Weights sum to 1, and a straight ramp stays one away from the edges (Catmull-Rom)."""
+    weights = resampling_weights(size, Span(0, size), count)
+    np.testing.assert_allclose(weights.sum(axis=1), 1.0)
+    centres = (np.arange(count) + 0.5) * size / count
+    inner = (centres > 2) & (centres < size - 2)
+    np.testing.assert_allclose((weights @ (np.arange(size) + 0.5))[inner], centres[inner], atol=1e-9)
+
+
+def test_fit_crop_pad_and_stretch(tmp_path: Path) -> None:
+    """A picture of 3 x 1 parts, black white black, on a square screen."""
+    values = np.zeros((32, 96), dtype=np.uint8)
+    values[:, 32:64] = 255
+    path = saved(Image.fromarray(values), tmp_path / "a.png")
+    np.testing.assert_allclose(read(path, fit="crop").linear, 1.0)
+    stretched = read(path, fit="stretch").linear
+    assert stretched.mean() == pytest.approx(1 / 3)
+    assert (stretched[:, 0] == 0).all()
+    padded = read(path, pixels=48, rows=48, fit="pad").linear
+    assert padded.mean() == pytest.approx(1 / 9)
+    np.testing.assert_allclose(padded[16:32, 16:32], 1.0)
+    assert padded[:16].max() == 0
+
+
+def test_light_is_averaged_not_tones(tmp_path: Path) -> None:
+    """A checkerboard of black and white shrinks to half the light, which is sRGB level 188, not 128."""
+    board = np.indices((64, 64)).sum(axis=0) % 2 * 255
+    path = saved(Image.fromarray(board.astype(np.uint8)), tmp_path / "a.png")
+    np.testing.assert_allclose(read(path).linear, 0.5, atol=1e-12)
+
+
+@given(st.floats(0, 1))
+def test_the_tone_curves_are_inverse(value: float) -> None:
+    assert float(srgb_to_linear(linear_to_srgb(np.array(value)))) == pytest.approx(value, abs=1e-6)
+
+
+def test_a_large_strip_wise_read_equals_a_whole_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = np.random.default_rng(3).integers(0, 256, (50, 70, 4), dtype=np.uint8)
+    path = saved(Image.fromarray(values), tmp_path / "a.png")
+    whole = read(path).linear
+    monkeypatch.setattr("service.job.picture.reading._STRIP_PIXELS", 70 * 7)
+    np.testing.assert_allclose(read(path).linear, whole, atol=1e-12)
+
+
+def huge_png(width: int, height: int) -> bytes:
+    """A header that promises a picture, and no picture."""
+    head = struct.pack(">IIBBBBB", width, height, 8, 0, 0, 0, 0)
+    chunks = [(b"IHDR", head), (b"IDAT", zlib.compress(b"\0")), (b"IEND", b"")]
+    parts = [struct.pack(">I", len(d)) + k + d + struct.pack(">I", zlib.crc32(k + d)) for k, d in chunks]
+    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
+
+
+def png_of(width: int, height: int) -> bytes:
+    buffer = io.BytesIO()
+    Image.new("L", (width, height), 99).save(buffer, format="PNG")
+    return buffer.getvalue()
+
+
+NOISE = np.random.default_rng(1).integers(0, 256, (64, 64), dtype=np.uint8)
+
+
+def jpeg() -> bytes:
+    buffer = io.BytesIO()
+    Image.fromarray(NOISE).save(buffer, format="JPEG")
+    return buffer.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", ["empty"]),
+        (b"not a picture at all", ["not a picture"]),
+        (png_of(64, 64)[:60], ["damaged"]),
+        (jpeg()[:2000], ["damaged"]),
+        (png_of(1, 1), ["1 x 1", "at least 8 x 8"]),
+        (png_of(300, 7), ["300 x 7", "at least 8 x 8"]),
+        (huge_png(30_000, 30_000), ["900000000", "at most 100000000"]),
+        (huge_png(10_001, 10_000), ["10001 x 10000", "at most 100000000"]),
+        (huge_png(2**31 - 1, 2**31 - 1), ["at most 100000000"]),
+        (b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 100 100\n", ["not a picture"]),
+    ],
+)
+def test_a_picture_that_cannot_be_used_is_one_line(tmp_path: Path, content: bytes, words: list[str]) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(content)
+    with pytest.raises(PictureError) as caught:
+        read(path)
+    assert "\n" not in str(caught.value)
+    assert "a.png" in str(caught.value)
+    assert all(word in str(caught.value) for word in words), str(caught.value)
+
+
+def test_missing_and_folder_are_one_line(tmp_path: Path) -> None:
+    for path in (tmp_path / "none.png", tmp_path):
+        with pytest.raises(PictureError) as caught:
+            read(path)
+        assert "\n" not in str(caught.value)
+
+
+def test_all_black_after_inversion_is_said_so(tmp_path: Path) -> None:
+    path = saved(Image.new("L", (16, 16), 255), tmp_path / "white.png")
+    with pytest.raises(PictureError, match="black everywhere after inversion"):
+        read(path, invert=True)
+
+
+def test_one_tone_is_a_flat_lens_and_said_so(tmp_path: Path) -> None:
+    picture = read(saved(Image.new("L", (16, 16), 90), tmp_path / "grey.png"))
+    assert any("flat" in sentence for sentence in picture.warnings)
+    ramp = np.tile(np.arange(256, dtype=np.uint8), (256, 1))
+    assert read(saved(Image.fromarray(ramp), tmp_path / "ramp.png")).warnings == ()
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(0, 3000), st.integers(0, 255), st.sampled_from(["PNG", "GIF", "TIFF", "BMP", "JPEG", "WEBP"]))
+def test_a_flipped_byte_never_ends_in_anything_but_a_picture_or_a_line(place: int, value: int, kind: str) -> None:
+    import tempfile
+
+    buffer = io.BytesIO()
+    Image.fromarray(NOISE[:24, :24]).save(buffer, format=kind)
+    content = bytearray(buffer.getvalue())
+    content[place % len(content)] = value
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a"
+        path.write_bytes(content)
+        try:
+            assert np.isfinite(read(path).linear).all()
+        except PictureError as error:
+            assert "\n" not in str(error)

@@ -1,0 +1,186 @@
+"""Estimates against the jobs that they are of, and against what follows from the spec alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from optics.design import design_lens
+from optics.irradiance import target_irradiance
+from service.job.picture import decoding
+from service.job.picture import reading as pictures
+from service.job.picture.limits import PictureLimits
+from service.job.picture.reading import read_picture
+from service.job.planning import estimate as estimating
+from service.job.planning.estimate import PIXELS, coarse_spec, estimate
+from service.job.planning.lens_facts import measure_lens
+from service.job.planning.planner import plan_for_picture
+from service.job.spec.lens_task import lens_settings
+from service.job.spec.loading import resolve_spec
+from service.job.spec.model import JobSpec
+from tests.service.job.stages.jobs import run_job
+
+PICTURES = Path(__file__).parents[4] / "examples"
+SMALL = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=30", "image.pixels=128")
+
+
+def estimated(spec: JobSpec, picture: str = "camera", *, exactly: bool = False) -> dict[str, Any]:
+    path = PICTURES / f"{picture}.png"
+    return estimate(spec, path, limits=PictureLimits(), name=path.name, exactly=exactly)
+
+
+def small(*values: str, preset: str = "draft") -> JobSpec:
+    return resolve_spec(preset=preset, overrides=(*SMALL, *values))
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("picture", ["camera", "astronaut", "logo"])
+def test_relief_and_slope_are_nearly_those_of_a_lens_three_times_as_fine(picture: str) -> None:
+    """The large forms make the relief; fine detail makes slopes steeper, so that these are only so good."""
+    spec = resolve_spec(preset="draft", overrides=(f"image.pixels={3 * PIXELS}", "optics.corrections=1"))
+    found = estimated(spec, picture)
+    read = read_picture(PICTURES / f"{picture}.png", spec.image, rows=3 * PIXELS, aspect=1.0)
+    target = target_irradiance(read.linear, viewed_from="lens")
+    lens = design_lens(target, lens_settings(spec, branch="direct")).heightfield
+    facts = measure_lens(lens)
+    assert found["relief_mm"] == pytest.approx(facts.relief_mm, rel=0.05)
+    assert found["max_slope_deg"] == pytest.approx(facts.max_slope_deg, rel=0.15)
+
+
+@pytest.mark.thorough
+def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
+    """By the whole picture: on a coarse one a stronger finish would do. The plan's own lens is finer than this one."""
+    values = ("image.pixels=256", "finish.process=best", "plan.hours=6")
+    spec = resolve_spec(preset="recommended", overrides=values)
+    found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
+    read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
+    planned = plan_for_picture(spec, target_irradiance(read.linear, viewed_from="lens"))
+    assert planned.finishing is not None
+    assert (found["exact"], exact["exact"]) == (False, True)
+    for one, apart_db in ((found, 0.75), (exact, 1e-9)):
+        assert one["psnr_db"] == pytest.approx(planned.chosen.psnr_db, abs=apart_db)
+        assert one["hours"] == pytest.approx(planned.chosen.hours, rel=0.1)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("picture", "preset", "values"),
+    [
+        ("astronaut", "draft", ("optics.light.kind=sun", "passes.1.pitch_mm=0.2")),
+        ("camera", "paper", ("passes.1.pitch_mm=0.1", "passes.2.pitch_mm=0.05")),
+    ],
+)
+def test_what_is_estimated_is_what_the_job_comes_to(
+    tmp_path: Path, picture: str, preset: str, values: tuple[str, ...]
+) -> None:
+    spec = small("optics.width_mm=14", "optics.height_mm=14", "image.pixels=64", *values, preset=preset)
+    found = estimated(spec, picture)
+    unasked = ("caustic", "check", "report")
+    report = run_job(tmp_path, PICTURES / f"{picture}.png", spec, without=unasked).report
+    pixel_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
+    took_h = [row["time_s"] / 3600 for row in report["passes"]]
+    assert found["relief_mm"] == pytest.approx(report["optics"]["relief_mm"], rel=0.05)
+    assert found["max_slope_deg"] == pytest.approx(report["optics"]["max_slope_deg"], rel=0.15)
+    assert found["hours"] == pytest.approx(sum(took_h), rel=0.2)
+    assert [row["hours"] for row in found["passes"]] == pytest.approx(took_h, rel=0.3)
+    assert found["blur_by"]["milling_mm"] == pytest.approx(report["as_milled"]["blur_px"] * pixel_mm, rel=0.3)
+    assert found["psnr_db"] == pytest.approx(report["as_milled"]["psnr_db"], abs=2.0)  # words change every 6 dB
+    assert (found["thickness_ok"], found["refusals"]) == (True, [])
+
+
+def test_the_light_s_own_size_is_its_angle_times_the_throw() -> None:
+    """A disc of diameter d has a standard deviation of d / 4 in each direction."""
+    found = estimated(small("optics.light.kind=sun", "optics.light.size_deg=2.0"))
+    disc_mm = math.radians(2.0) * 30.0
+    least, most = (math.radians(2.0) * way_mm / 4 * math.sqrt(2) for way_mm in (30.0, 30.1 + found["relief_mm"]))
+    assert least < found["blur_by"]["light_mm"] < most  # from somewhere between the lens's top and its bottom
+    assert found["smallest_detail_mm"] > 2.35 * disc_mm / 4
+    assert any("the light's own size" in sentence for sentence in found["warnings"])
+
+
+def test_a_first_guess_says_what_is_lost_but_not_how_much() -> None:
+    """What a coarse lens loses in valleys is decibels off: the job's own lens says how many."""
+    (sentence,) = [one for one in estimated(small())["warnings"] if "narrow valleys" in one]
+    assert sentence.endswith("keeps more of it")
+
+
+def test_the_picture_is_decoded_once_for_all_that_is_asked_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A large photograph takes longer to decode than all the rest of an estimate."""
+    seen: list[Path] = []
+
+    def counted(path: Path, limits: PictureLimits, name: str) -> Image.Image:
+        seen.append(path)
+        return decoding.decoded(path, limits, name)
+
+    for module in (estimating, pictures):
+        monkeypatch.setattr(module, "decoded", counted)
+    estimated(small())
+    assert len(seen) == 1
+
+
+def test_the_block_may_be_just_so_thin() -> None:
+    depth_mm = estimated(small())["relief_mm"] + 0.1  # and the skim
+    for more_mm, is_enough in ((0.01, True), (-0.01, False)):
+        found = estimated(small(f"stock.thickness_mm={depth_mm + 2.0 + more_mm}"))
+        assert found["thickness_ok"] is is_enough
+        assert bool(found["refusals"]) is not is_enough
+
+
+def test_half_the_pitch_takes_twice_the_time_of_the_rows() -> None:
+    hours = [estimated(small(f"passes.1.pitch_mm={pitch}"))["passes"][1]["hours"] for pitch in (0.2, 0.1, 0.05)]
+    assert hours[1] / hours[0] == pytest.approx(2.0, rel=0.15)
+    assert hours[2] / hours[1] == pytest.approx(2.0, rel=0.15)
+
+
+def test_a_slower_machine_takes_longer_and_a_wider_step_blurs_more() -> None:
+    usual, slow = (estimated(small(*values)) for values in ((), ("machine.lines_per_s=20", "machine.step_mm=0.02")))
+    assert slow["hours"] > 1.2 * usual["hours"]
+    assert slow["blur_by"]["milling_mm"] > 1.2 * usual["blur_by"]["milling_mm"]
+
+
+@pytest.mark.thorough
+def test_passes_that_are_still_to_be_planned_are_planned() -> None:
+    found = estimated(small(preset="recommended"))
+    assert found["planned"] is True
+    assert len(found["passes"]) >= 1
+    assert found["hours"] > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ("machine.travel_mm=[10, 300, 80]", "machine.travel_mm.0"),
+        ("passes.1.flute_length_mm=0.05", "flute_length_mm"),
+    ],
+)
+def test_what_will_not_fit_is_said_before(change: str, words: str) -> None:
+    found = estimated(small(change))
+    assert any(words in sentence for sentence in found["refusals"])
+    assert set(found["refusals"]) <= set(found["warnings"])
+
+
+@pytest.mark.parametrize("size", [(100, 100), (150, 50), (40, 110)])
+def test_a_coarse_picture_has_the_form_of_the_fine_one(size: tuple[int, int]) -> None:
+    spec = resolve_spec(overrides=(f"optics.width_mm={size[0]}", f"optics.height_mm={size[1]}"))
+    coarse = coarse_spec(spec)
+    assert max(coarse.image.pixels, coarse.pixel_rows) == pytest.approx(PIXELS, abs=1)
+    assert coarse.pixel_rows / coarse.image.pixels == pytest.approx(size[1] / size[0], rel=0.05)
+
+
+def test_a_small_picture_stays_as_it_is() -> None:
+    spec = small("image.pixels=64")
+    assert coarse_spec(spec) == spec
+
+
+@pytest.mark.thorough
+def test_nothing_of_the_answer_depends_on_the_pictures_place(tmp_path: Path) -> None:
+    twin: Callable[[Path], dict[str, Any]] = lambda path: estimate(  # noqa: E731
+        small(), path, limits=PictureLimits(), name="picture"
+    )
+    (tmp_path / "copy").write_bytes((PICTURES / "logo.png").read_bytes())
+    assert twin(tmp_path / "copy") == twin(PICTURES / "logo.png")

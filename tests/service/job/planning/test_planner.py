@@ -1,0 +1,240 @@
+"""A real picture planned: by the command, by the stage, and what becomes of the plan in the job."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from optics.irradiance import target_irradiance
+from service.cli.main import run
+from service.job.picture.limits import OWN_PICTURE
+from service.job.planning.estimate import estimate
+from service.job.planning.plan import Planned
+from service.job.planning.plan_report import plan_figures
+from service.job.planning.planner import mill_of, plan_for_picture
+from service.job.planning.sentences import reasons
+from service.job.spec.loading import resolve_spec
+from service.job.spec.model import JobSpec
+from service.job.spec.resolve import cam_passes_of, with_plan
+from service.job.stages.table import plan, shares, stage_key
+from tests.page import canned_job
+
+SIZE = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=60", "image.pixels=48")
+ASTRONAUT = Path(__file__).parents[4] / "examples" / "astronaut.png"
+OPTIONS = [word for text in SIZE for word in ("--set", text)]
+
+
+def grey(pixels: int = 48) -> np.ndarray:
+    """A soft hill with fine stripes along y, so that blur along x is the one that hurts."""
+    y, x = np.mgrid[0:pixels, 0:pixels] / pixels
+    return 0.4 + 0.3 * np.exp(-8 * ((x - 0.4) ** 2 + (y - 0.6) ** 2)) + 0.25 * np.sin(2 * np.pi * 12 * x)
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("in") / "stripes.png"
+    Image.fromarray(np.uint8(255 * np.clip(grey(), 0, 1))).save(path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def spec() -> JobSpec:
+    return resolve_spec(preset="recommended", overrides=SIZE)
+
+
+@pytest.fixture(scope="module")
+def planned(spec: JobSpec) -> Planned:
+    return plan_for_picture(spec, target_irradiance(grey(), viewed_from="lens"))
+
+
+def report(planned: Planned) -> dict[str, Any]:
+    return {"plan": plan_figures(planned)}
+
+
+@pytest.mark.thorough
+def test_blur_goes_where_the_picture_has_no_detail(planned: Planned) -> None:
+    """Rows along X blur along Y, where the stripes are."""
+    assert planned.chosen.finish.direction == "x"
+
+
+def test_a_plan_makes_the_spec_whole_and_only_once(spec: JobSpec, planned: Planned) -> None:
+    whole = with_plan(spec, report(planned))
+    assert spec.to_be_planned
+    assert not whole.to_be_planned
+    assert [row.radius_mm for row in whole.passes] == [one.radius_mm for one in planned.chosen.passes]
+    assert whole.optics.min_radius_mm == planned.chosen.finish.radius_mm
+    assert whole.machine.whole_steps
+    assert any("whole steps" in sentence for sentence in reasons(planned))
+    assert with_plan(whole, {"plan": {"passes": []}}) is whole
+    assert with_plan(spec, {}) is spec
+    again = resolve_spec(base=whole.plain())
+    assert again == whole
+
+
+def test_any_row_of_the_trade_submitted_as_a_spec_is_that_plan(spec: JobSpec, planned: Planned) -> None:
+    """What the operator page does: the row's spec over the job's own; the chosen row is the job itself."""
+    told = json.loads(json.dumps(plan_figures(planned)))
+    for row, one in zip(told["candidates"], planned.plan.front, strict=True):
+        laid = row["spec"]
+        posted = {
+            **spec.plain(),
+            "passes": laid["passes"],
+            **{name: {**spec.plain()[name], **laid[name]} for name in ("optics", "machine")},
+        }
+        whole = resolve_spec(base=posted)
+        assert cam_passes_of(whole) == one.passes
+        assert whole.optics.foreseen_blur_mm == planned.foreseen_blur_mm(one)
+        assert whole.lens_radius_mm == one.finish.radius_mm
+        assert row["hours"] == pytest.approx(sum(row["hours_by_pass"]))
+        assert (row["warning"] is None) == (row["blur_px"] <= 1.0)
+        if row is told["candidates"][told["chosen"]]:
+            assert whole == with_plan(spec, {"plan": told})
+
+
+def test_the_page_s_tests_are_told_of_such_a_plan(planned: Planned) -> None:
+    told, canned = plan_figures(planned), canned_job.plan()
+    assert set(told) == set(canned)
+    row, theirs = told["candidates"][0], canned["candidates"][0]
+    assert set(row) == set(theirs)
+    assert {key: set(row["spec"][key]) for key in ("optics", "machine")} == {
+        key: set(theirs["spec"][key]) for key in ("optics", "machine")
+    }
+
+
+def test_the_trade_is_a_curve(planned: Planned) -> None:
+    rows = plan_figures(planned)["candidates"]
+    for before, after in pairwise(rows):
+        assert before["hours"] < after["hours"]
+        assert before["psnr_db"] < after["psnr_db"]
+
+
+def test_a_foretold_figure_is_told_with_its_margin(planned: Planned) -> None:
+    """And where the wall is near for the ball, that there is none."""
+    told = plan_figures(planned)["hopeful_db"]
+    assert f"as milled up to {told:g} dB less" in reasons(planned)[0]
+    form = planned.light.forms[planned.chosen.finish.radius_mm]
+    assert planned.chosen.finish.radius_mm <= 0.15 * planned.light.reach_mm(form)
+
+
+def test_what_the_person_decided_stays(planned: Planned) -> None:
+    given = resolve_spec(
+        preset="recommended", overrides=[*SIZE, "optics.min_radius_mm=1", "optics.foreseen_blur_mm=[0.1, 0.2]"]
+    )
+    whole = with_plan(given, report(planned))
+    assert whole.optics.min_radius_mm == 1
+    assert whole.optics.foreseen_blur_mm == [0.1, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("given", "whole"),
+    [((), True), (("machine.whole_steps=false",), False), (("machine.step_mm=0.0001",), False)],
+)
+def test_heights_are_in_whole_steps_where_these_are_coarse(given: tuple[str, ...], whole: bool) -> None:
+    assert mill_of(resolve_spec(preset="recommended", overrides=[*SIZE, *given])).whole_steps == whole
+
+
+def test_a_planned_job_is_the_same_after_any_restart(spec: JobSpec, planned: Planned) -> None:
+    """Stages up to the plan are those of before; keys of later ones depend on what was planned."""
+    whole = with_plan(spec, report(planned))
+    upto = plan(spec).index("passes") + 1
+    assert plan(whole)[:upto] == plan(spec)[:upto]
+    assert sum(shares(spec).values()) == pytest.approx(1.0)
+    assert sum(shares(whole).values()) == pytest.approx(1.0)
+    keys = [stage_key("map", one, image_sha256="a", image_name="b", outputs={}) for one in (spec, whole)]
+    assert keys[0] != keys[1]
+
+
+def test_wishes_of_the_plan_and_the_mill_are_in_its_key(
+    spec: JobSpec, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def key(*overrides: str) -> str:
+        one = resolve_spec(preset="recommended", overrides=[*SIZE, *overrides])
+        return stage_key("passes", one, image_sha256="a", image_name="b", outputs={})
+
+    found = [key(), key("plan.hours=3"), key("machine.z_noise_mm=0"), key("stock.margin_mm=5")]
+    (tmp_path / "tools.toml").write_text(
+        '[[tool]]\nname = "a"\nradius_mm = 2\nflutes = 2\nflute_length_mm = 8\nmax_rpm = 30000\n'
+    )
+    monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path))
+    assert len({*found, key()}) == 5
+
+
+@pytest.mark.thorough
+def test_the_command_writes_a_picture_and_a_spec_that_make_takes(
+    picture: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "plan.png"
+    assert run(["plan", str(picture), *OPTIONS, "--hours", "0.5", "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "->" in said
+    assert "best picture within 0.5 h" in said
+    with Image.open(out) as drawn:
+        assert min(drawn.size) > 600
+    fragment = resolve_spec(file=out.with_suffix(".toml"))
+    assert not fragment.to_be_planned
+    assert fragment.passes[-1].stock_to_leave_mm == 0
+    assert fragment.optics.min_radius_mm == fragment.passes[-1].radius_mm
+    assert fragment.optics.width_mm == 20
+    assert fragment.machine.whole_steps
+    assert tomllib.loads(out.with_suffix(".toml").read_text())["preset"] == "recommended"
+
+
+@pytest.mark.thorough
+def test_the_command_speaks_json(picture: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["plan", str(picture), *OPTIONS, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["hours"] == pytest.approx(sum(found["hours_by_pass"]))
+    assert found["why"]
+    assert found["passes"][-1]["stock_to_leave_mm"] == 0
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--hours", "0.0001"], ["plan.hours", "0.0001", "quickest"]),
+        (["--hours", "-1"], ["plan.hours", "more than 0"]),
+        (["--hours", "1", "--blur-mm", "1"], ["plan", "one of them"]),
+        (["-o", "plan.jpg"], ["plan.jpg", ".png"]),
+        (["--tools", "/nowhere.toml"], ["/nowhere.toml"]),
+        (["--machine", "haas"], ["machine.profile", "'haas'"]),
+        (["--set", "optics.widht_mm=3"], ["optics.widht_mm", "width_mm"]),
+    ],
+)
+def test_what_cannot_be_planned_is_one_line(
+    picture: Path, capsys: pytest.CaptureFixture[str], options: list[str], words: list[str]
+) -> None:
+    assert run(["plan", str(picture), *OPTIONS, *options]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert all(word in line for word in words), line
+
+
+@pytest.mark.thorough
+def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Each with values that a command takes, and with what an estimate of them says."""
+    small = ("image.pixels=64", "optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=150")
+
+    def seen_db(*values: str) -> float:
+        spec = resolve_spec(preset="recommended", overrides=(*small, *values))
+        return float(estimate(spec, ASTRONAUT, limits=OWN_PICTURE, name="astronaut")["psnr_db"])
+
+    options = [word for text in small for word in ("--set", text)]
+    assert run(["plan", str(ASTRONAUT), *options, "-o", str(tmp_path / "plan.png")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    told = [line for line in lines[lines.index("what shows more:") + 1 :] if line.startswith("  ")]
+    assert any(line.startswith("  a lens of 30 x 30 mm: ") for line in told)
+    own_db = seen_db()
+    for line in told:
+        told_db, values = re.findall(r"\((-?[\d.]+) dB\).*\(--set (.*)\)$", line)[0]
+        assert float(told_db) >= own_db + 0.9
+        assert seen_db(*values.split(" --set ")) == pytest.approx(float(told_db), abs=0.06)

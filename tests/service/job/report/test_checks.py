@@ -1,0 +1,99 @@
+"""The setup sheet's figures of the check, and where the block may be held."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from service.job.report.checks import check_rows, flutes_in_words, order_in_words
+from service.job.report.drawing import SetUp, top_view
+from service.job.report.setup_sheet import render_report
+from service.job.spec.outline import ellipse_mm
+from tests.service.job.report.test_setup_sheet import FILES, PROGRAM, REPORT, SPEC, Page
+
+PASSED = PROGRAM | {
+    "checked": "passed", "moves": 1234, "climb_share": 0.52, "slot_length_mm": 106.0, "slot_depth_mm": 1.5,
+    "flute_need_mm": 3.21, "max_gap_mm": 0.5, "excess_um": 12.3, "pitch_mm": 0.5, "step_down_mm": 1.5,
+    "radius_mm": 3.0,
+}  # fmt: skip
+
+
+def rows_of(*passes) -> dict[str, list[str]]:
+    return {what: cells for what, _, cells in check_rows(passes)}
+
+
+def test_every_figure_of_the_check_is_told():
+    rows = rows_of(PASSED, PASSED | {"slot_length_mm": 0.1, "flute_length_mm": 12.0})
+    cells = [cell for row in rows.values() for cell in row]
+    for words in (
+        "1.5 of 1.5 mm", "0.01 µm", "52 %", "106 mm, 1.5 mm deep", "nowhere", "not stated", "0.5 at 0.5 mm", "12.3 µm",
+        "106 × 86 × 19.2 mm",
+    ):  # fmt: skip
+        assert words in cells, words
+    assert rows["Shank and end of flutes against stock that stands"] == ["not stated", "none"]
+
+
+def test_what_was_not_checked_is_not_claimed():
+    assert check_rows([{key: value for key, value in PASSED.items() if key != "checked"}]) == []
+    failed = rows_of(PASSED | {"checked": "FAILED"})
+    assert not any(cell == "none" for cells in failed.values() for cell in cells)
+    assert "Places gone over, of a rest pass" not in failed
+
+
+def test_rest_and_contour_passes_have_rows_of_their_own():
+    rest = PASSED | {"rest": {"area_mm2": 66.42, "regions": 4}}
+    contour = PASSED | {"contour": {"aligned_share": 0.981}}
+    rows = rows_of(PASSED, rest, contour)
+    assert rows["Places gone over, of a rest pass"] == ["–", "4 places, 66.4 mm²", "–"]
+    assert rows["Along the contour lines (within 15°)"] == ["–", "–", "98 %"]
+
+
+def test_tools_and_order_in_words():
+    assert flutes_in_words({}) == "–"
+    assert flutes_in_words({"flute_need_mm": 3.21}) == "3.3 mm"
+    assert flutes_in_words({"flute_need_mm": 3.21, "flute_length_mm": 12.0}) == "3.3 mm (has 12)"
+    assert order_in_words({"pitch_mm": 0.5, "direction": "y", "link": "retract"}) == "rows along Y, one way"
+    assert "contour" in order_in_words({"strategy": "contour", "pitch_mm": 0.1})
+    assert "only where" in order_in_words({"pitch_mm": 0.1, "where": "rest"})
+
+
+@pytest.mark.parametrize(("margin_mm", "words"), [(8.0, "a ring 2 mm wide"), (6.0, "hold it from below")])
+def test_clamps_go_where_no_cutter_goes(margin_mm, words):
+    """The balls' flanks reach 6 mm beyond the lens."""
+    spec = SPEC | {"stock": SPEC["stock"] | {"margin_mm": margin_mm}, "passes": [{"radius_mm": 3.0}] * 2}
+    text = Page(render_report(REPORT, spec=spec, files=FILES)).text
+    assert "X −6 to 106, Y −6 to 86 mm" in text
+    assert words in text
+
+
+@given(width_mm=st.floats(5, 200), height_mm=st.floats(5, 200), margin_mm=st.floats(0, 30))
+def test_the_top_view_draws_the_outline_inside_the_block(width_mm, height_mm, margin_mm):
+    """To scale, and the right way up: seen from above with the front of the mill at the bottom."""
+    corners = [(0, 0), (width_mm, 0), (0.5 * width_mm, height_mm)]
+    job = SetUp(
+        width_mm=width_mm,
+        height_mm=height_mm,
+        thickness_mm=10,
+        margin_mm=margin_mm,
+        throw_mm=100,
+        outline_mm=corners,
+    )
+    drawing = str(top_view(job))
+    points = [tuple(map(float, pair.split(","))) for pair in re.search(r'points="([^"]+)"', drawing)[1].split()]
+    left, top, wide, high = (
+        float(re.search(rf'<rect [^>]*?{name}="(-?[\d.]+)"', drawing)[1]) for name in ("x", "y", "width", "height")
+    )
+    scale = max(wide, high) / (max(width_mm, height_mm) + 2 * margin_mm)
+    assert all(left - 0.1 <= x <= left + wide + 0.1 and top - 0.1 <= y <= top + high + 0.1 for x, y in points)
+    assert points[1][0] - points[0][0] == pytest.approx(scale * width_mm, abs=0.2)
+    assert points[0][1] - points[2][1] == pytest.approx(scale * height_mm, abs=0.2)
+
+
+def test_a_round_lens_is_drawn_round():
+    spec = SPEC | {"optics": SPEC["optics"] | {"outline": "ellipse"}}
+    page = render_report(REPORT, spec=spec, files=FILES)
+    assert len(re.search(r'points="([^"]+)"', page)[1].split()) == len(ellipse_mm(100.0, 80.0))
+    assert "polygon" not in render_report(REPORT, spec=SPEC, files=FILES)

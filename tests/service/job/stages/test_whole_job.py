@@ -1,0 +1,105 @@
+"""A job stage by stage through the artifact store is the same job as `causticmill make`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from service.job import pipeline
+from service.job.stages.order import merge_notes, merge_reports
+from service.job.stages.table import plan
+from service.progress import QuietReporter
+from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job, tiny_spec
+
+CORRECTED = "optics.corrections=2"
+OWN_OF_A_RUN = {"timings_s", "peak_rss_mb"}  # what a run says of itself, not of the job
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
+    return staged_job(tmp_path_factory.mktemp("staged"), CORRECTED, preset="paper").run_all()
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("made")
+    picture = save_picture(folder / "blob.png")
+    pipeline.make(picture, folder / "out", tiny_spec(CORRECTED, preset="paper"), reporter=QuietReporter())
+    return folder / "out"
+
+
+def test_the_stages_are_those_of_the_contract(job: StagedJob) -> None:
+    assert plan(job.spec) == (
+        "image", "irradiance", "map", "heightfield", "caustic", "pass-1", "pass-2", "pass-3", "check",
+        "as-milled", "report",
+    )  # fmt: skip
+
+
+@pytest.mark.thorough
+def test_the_files_are_those_of_make_byte_for_byte(job: StagedJob, made: Path) -> None:
+    """But for what only the operator page draws."""
+    drawn = {"thumbnail.png", "surface.bin", "focus.bin", "pass-1.path", "pass-2.path", "pass-3.path"}
+    offered = {name for name in job.outputs if not name.startswith(".")}
+    assert offered == {path.name for path in made.iterdir()} | drawn
+    for name in offered - drawn - {"report.json", "report.html"}:
+        assert job.bytes(name) == (made / name).read_bytes(), name
+
+
+def test_the_report_is_that_of_make_but_for_the_clock(job: StagedJob, made: Path) -> None:
+    ours, theirs = json.loads(job.bytes("report.json")), json.loads((made / "report.json").read_text())
+    assert set(ours) == set(theirs)
+    assert set(ours["timings_s"]) == set(theirs["timings_s"])
+    assert _settled(ours) == _settled(theirs)
+
+
+def test_the_parts_of_the_report_add_up_to_the_file(job: StagedJob) -> None:
+    parts = [job.results[stage].report for stage in plan(job.spec)]
+    merged = {key: value for key, value in merge_reports(parts).items() if key not in OWN_OF_A_RUN}
+    assert _plain(merged) == _settled(json.loads(job.bytes("report.json")))
+
+
+def test_outputs_are_recorded_as_they_are(job: StagedJob) -> None:
+    for name, ref in job.outputs.items():
+        data = job.bytes(name)
+        assert (hashlib.sha256(data).hexdigest(), len(data)) == (ref.sha256, ref.bytes), name
+
+
+def test_each_file_comes_from_one_stage_only(job: StagedJob) -> None:
+    names = [name for result in job.results.values() for name in result.outputs]
+    assert len(names) == len(set(names))
+
+
+def test_nothing_is_left_in_scratch(job: StagedJob) -> None:
+    assert list(job.scratch.iterdir()) == []
+
+
+def test_progress_goes_from_0_to_1_and_never_back(job: StagedJob) -> None:
+    for stage, told in job.told.items():
+        assert told[0] == 0.0
+        assert told[-1] == 1.0
+        assert all(before <= after for before, after in pairwise(told)), (stage, told)
+        assert stage in ("image", "irradiance", "report", "heightfield") or len(set(told)) > 3, stage
+
+
+def test_stages_say_what_they_cost(job: StagedJob) -> None:
+    for stage, result in job.results.items():
+        assert result.seconds > 0, stage
+        assert 20 < result.peak_rss_mb < 20_000, stage
+
+
+def test_notes_keep_their_order_and_are_said_once() -> None:
+    parts: list[dict[str, list[str]]] = [{"optics": ["a", "b", "a"]}, {"passes": ["c"]}, {"optics": ["b", "d"]}]
+    assert merge_notes(parts) == {"optics": ["a", "b", "d"], "passes": ["c"]}
+
+
+def _settled(report: dict[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in report.items() if key not in OWN_OF_A_RUN}
+
+
+def _plain(report: dict[str, Any]) -> Any:
+    return json.loads(json.dumps(report))

@@ -1,0 +1,106 @@
+"""A compiled kernel is known by the code that it is made of: all of it, and nothing else."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from service.processes.kernel_locator import _definition, _names, kernel_hash
+
+_FILES = {
+    "pack/upper.py": '''"""Upper."""
+from math import sqrt
+
+from numba import njit
+
+from pack import plain
+from pack.lower import SIZE, helper
+
+UNUSED = 1
+
+
+@njit(cache=True)
+def kernel(x):
+    """Kernel."""
+    return helper(x) + sqrt(SIZE) + plain.offset(x)
+
+
+def caller(x):
+    return kernel(x)
+''',
+    "pack/lower.py": '''"""Lower."""
+from numba import njit
+
+SIZE = 3
+
+
+@njit(cache=True)
+def helper(x):
+    """Helper."""
+    return _deep(x)
+
+
+@njit(cache=True)
+def _deep(x):
+    return x + 1
+''',
+    "pack/plain.py": "def offset(x):\n    return x\n",
+}
+
+
+@pytest.fixture
+def hash_after(tmp_path):
+    def after(name: str = "", old: str = "", new: str = "") -> str:
+        for path, text in _FILES.items():
+            file = tmp_path / path
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(text.replace(old, new) if path == name else text)
+        _definition.cache_clear()
+        _names.cache_clear()
+        return kernel_hash("pack.upper", "kernel", tmp_path)
+
+    return after
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("pack/upper.py", "+ sqrt", "- sqrt"),
+        ("pack/upper.py", "from math", "from numpy"),
+        ("pack/upper.py", "njit(cache=True)", "njit(cache=True, fastmath=True)"),
+        ("pack/lower.py", "SIZE = 3", "SIZE = 4"),
+        ("pack/lower.py", "x + 1", "x + 2"),
+        ("pack/plain.py", "return x", "return -x"),
+    ],
+)
+def test_a_change_in_anything_that_it_uses_is_another_kernel(hash_after, name, old, new):
+    assert hash_after(name, old, new) != hash_after()
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("pack/upper.py", "Kernel.", "The kernel."),
+        ("pack/lower.py", '    """Helper."""\n', "    # a helper\n"),
+        ("pack/upper.py", "UNUSED = 1", "UNUSED = 2"),
+        ("pack/upper.py", "return kernel(x)", "return 2 * kernel(x)"),
+        ("pack/upper.py", "import SIZE, helper", "import SIZE, _deep, helper"),
+    ],
+)
+def test_words_and_code_beside_it_are_not(hash_after, name, old, new):
+    assert hash_after(name, old, new) == hash_after()
+
+
+def test_numba_keeps_a_kernel_under_that_name(tmp_path):
+    code = (
+        "import numpy as np\nfrom service.processes.kernel_cache import use_current_kernels\nuse_current_kernels()\n"
+        "from optics.path.anderson import _remember\n"
+        "a = np.zeros(2)\n_remember(0, 1, a, a, np.zeros((1, 2)), 0, True)\nprint(_remember.stats.cache_hits)\n"
+    )
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path), "PATH": ""}
+    runs = [subprocess.check_output([sys.executable, "-c", code], env=environment) for _ in range(2)]
+    assert [int(told.split(b"{")[-1].count(b": 1")) for told in runs] == [0, 1]
+    (folder,) = tmp_path.iterdir()
+    assert folder.name == f"optics.path.anderson._remember-{kernel_hash('optics.path.anderson', '_remember')}"

@@ -1,0 +1,128 @@
+"""Connections that want nothing, or want it slowly: they cost those that work nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import resource
+import socket
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import httpx
+import pytest
+from starlette.exceptions import HTTPException
+from starlette.types import Message, Receive, Scope, Send
+
+from service.http import uvicorn_protocol as http
+from service.server.api.intake.body import Patient
+from service.server.api.intake.disk_space import Space
+from tests.service.server.api.server import ApiServer, api_server, png, problem
+from tests.waiting import PATIENCE_S, until
+
+
+def opened(server: ApiServer) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE_S)
+
+
+def read_until(wire: socket.socket, end: bytes) -> bytes:
+    got = b""
+    while not got.endswith(end):
+        got += wire.recv(1)
+    return got
+
+
+@pytest.fixture
+def many_files() -> Iterator[None]:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = hard if hard != resource.RLIM_INFINITY else 30_000
+    resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, 30_000), hard))
+    yield
+    resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+@pytest.mark.thorough
+def test_idle_connections_make_room_for_those_that_ask(server: ApiServer, many_files: None) -> None:
+    """Ten times as many as are allowed: every request in between is answered, and few of them are still open."""
+    with contextlib.ExitStack() as stack:
+        idle = [stack.enter_context(opened(server)) for _ in range(3000)]
+        for _ in range(20):
+            assert httpx.get(f"{server.address}/livez", timeout=PATIENCE_S).status_code == 200
+            idle += [stack.enter_context(opened(server)) for _ in range(50)]
+        until(lambda: len(server.server.server_state.connections) <= 1001)
+
+
+def test_too_many_requests_at_once_are_told_so(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    job = server.submit()["id"]
+    monkeypatch.setattr(server.server.config, "limit_concurrency", 20)
+    with contextlib.ExitStack() as stack, httpx.Client(base_url=server.address, timeout=PATIENCE_S) as late:
+        for _ in range(20):
+            wire = stack.enter_context(opened(server))
+            wire.sendall(f"GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+            assert wire.recv(12) == b"HTTP/1.1 200"
+        assert "requests" in problem(late.get("/livez"), 503)["detail"]
+    until(lambda: httpx.get(f"{server.address}/livez", timeout=PATIENCE_S).status_code == 200)
+
+
+@pytest.mark.parametrize("before", [b"", b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n"])
+def test_half_a_head_is_not_waited_for(server: ApiServer, monkeypatch: pytest.MonkeyPatch, before: bytes) -> None:
+    """Neither in a new connection nor after an answer."""
+    monkeypatch.setattr(http, "_REQUEST_HEAD_S", 0.5)
+    with opened(server) as wire:
+        if before:
+            wire.sendall(before)
+            assert b"200" in read_until(wire, b"}")
+        wire.sendall(b"GET /livez HTTP/1.1\r\nHost:")
+        began = time.monotonic()
+        assert wire.recv(4096) == b"" and time.monotonic() - began < 10
+
+
+def test_a_download_under_way_is_not_taken_for_silence(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(http, "_REQUEST_HEAD_S", 0.2)
+    job = server.submit()["id"]
+    with opened(server) as wire:
+        wire.sendall(f"GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())
+        time.sleep(0.6)  # three times the patience with one that asks for nothing
+        server.client.delete(f"/v1/jobs/{job}").raise_for_status()
+        assert wire.makefile("rb").read().endswith(b"0\r\n\r\n")
+
+
+def test_a_body_that_stops_coming_and_a_reader_that_stops_reading_are_given_up() -> None:
+    async def app(scope: Scope, receive: Receive, send: Send) -> None:
+        if scope["path"] == "/body":
+            await receive()
+        else:
+            await send({"type": "http.response.start", "status": 200})
+
+    async def never(_: Message | None = None) -> Message:
+        await asyncio.sleep(60)
+        raise AssertionError
+
+    patient = Patient(app, piece_s=0.01, taken_s=0.01)
+    for path, error in (("/body", HTTPException), ("/", TimeoutError)):
+        with pytest.raises(error):
+            asyncio.run(patient({"type": "http", "path": path}, never, never))  # type: ignore[arg-type]
+
+
+def test_uploads_that_fill_the_disk_are_stopped_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Many may come at once, so the space is looked at while they come, and nothing of them stays."""
+    with api_server(tmp_path / "data", free_disk_mb=500) as server:
+        left = iter([10_000.0, 10_000.0, 1.0])
+        monkeypatch.setattr(Space, "_free_mb", lambda _: next(left, 1.0))
+        answer = server.client.post("/v1/jobs", files={"image": b"\x89PNG" + b"x" * 12_000_000})
+        problem(answer, 507)
+        assert server.files() == set()
+
+
+def test_a_job_whose_programs_the_disk_cannot_hold_is_refused_at_once(server: ApiServer) -> None:
+    """20 passes over a lens of 2 m at the finest pitch are hundreds of terabytes."""
+    finest = {"radius_mm": 0.5, "pitch_mm": 0.002, "name": "finish"}
+    passes = [finest | {"name": f"p{number}"} for number in range(20)]
+    travel = {"travel_mm": [3000, 3000, 300]}
+    spec = {"optics": {"width_mm": 2000, "height_mm": 2000}, "passes": passes, "machine": travel}
+    before = server.files()
+    answer = server.client.post("/v1/jobs", files={"image": png()}, data={"spec": json.dumps(spec)})
+    assert "MB" in problem(answer, 507, "spec.passes")["detail"]
+    assert server.files() == before

@@ -1,0 +1,568 @@
+"""Page, server, agent and mill in one process and in simulated time; between them a network, a database and people.
+
+Theory of operation. An event loop whose clock is the simulated mill's: where it would sleep, the mill's owner is
+stepped instead, so that a history of minutes takes milliseconds and is the same each time. Server and agent are the
+real ones (Orders, Stops, Controls, AgentLink; the agent's HTTP application, grants, Mill and GRBL session). Modelled
+are the page (its rule: a grant at the press, the order only if that came within 2 s) and what is between: every message
+may be late, come twice, or lose its answer. `acts` holds what came of the orders: each time something that can move the
+mill left for it, with whose word it was.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import itertools
+import selectors
+import tempfile
+from collections.abc import Awaitable, Callable, Coroutine
+from concurrent.futures import Future
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import httpx
+import sqlalchemy as sa
+
+from machines.driver import Driver, MillState, Reset, SetZero, Unlock
+from machines.errors import MachineError
+from machines.grbl.driver import GrblDriver
+from machines.journal.disk import InlineSyncer
+from machines.journal.journal import Journal
+from machines.mill.mill import Mill
+from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
+from machines.mill.run import Run
+from machines.mill.thread import MillThread
+from machines.preflight.preflight import Preflight
+from machines.profiles import load_profile
+from machines.runs import Confirmation
+from machines.simulated import GRBL_11, SimulatedMill
+from machines.simulated.memory_port import MemoryPort
+from service.http.problems import Problem
+from service.milling.agent.agent import Agent
+from service.milling.agent.app import make_app
+from service.milling.agent.event_hub import Hub
+from service.milling.agent.idempotency import ClientKeys
+from service.milling.agent.mill_access import MillAccess
+from service.milling.agent.programs import ProgramStore
+from service.milling.agent.settings import AgentSettings
+from service.server.database.connection import connect
+from service.server.database.tables import metadata, runs
+from service.server.fleet.agent_client import AgentAwayError
+from service.server.fleet.core import FleetCore
+from service.server.fleet.machine_commands import OrderContext, Orders
+from service.server.fleet.registry import KnownMachine
+from service.server.fleet.representation import Surroundings
+from service.server.fleet.run_commands import Controls, RunOrder
+from service.server.fleet.stops import Stops
+from service.settings import ServerSettings
+
+MACHINE = "m"
+ASK_S = 2.0  # the page's rule (service/page/machine/mill_link.js)
+CHECKS = frozenset({"tool", "zero", "stock", "clear"})
+_QUIET = frozenset({MillState.IDLE, MillState.HELD, MillState.ALARM})
+_SLICE_S = 0.25
+_TOKEN = "t" * 40
+
+
+@dataclass
+class Press:
+    """One order as a person gave it."""
+
+    number: int
+    what: str
+    at_s: float
+    stops_before: int  # pressed by anybody until then
+    control: str
+    seen: str = ""
+    outcome: str = "under way"
+    acts: int = 0
+
+
+@dataclass
+class Act:
+    """Something that can move the mill has left for it."""
+
+    press: int
+    what: str
+    at_s: float
+    lease: str  # digest of who has control now
+    seen: str  # digest of plan or set-up as it is now
+
+
+@dataclass
+class StopPress:
+    at_s: float
+    reached_s: float | None = None
+    written: bool = False
+
+
+@dataclass
+class Weather:
+    """What is between, for all messages that one press leads to: seconds there and back of each, from the front.
+
+    twice_after_s : by message, how much later it comes once more. lost : number of the one whose answer is lost
+    """
+
+    delays_s: list[float] = field(default_factory=list)
+    twice_after_s: dict[int, float] = field(default_factory=dict)
+    lost: int = -1
+    sent: int = 0
+
+    def next_delay_s(self) -> float:
+        return self.delays_s.pop(0) if self.delays_s else 0.002
+
+
+_WEATHER: ContextVar[Weather] = ContextVar("weather")
+
+
+@cache
+def _empty_database() -> bytes:
+    """With its tables, for all worlds: they take a tenth of a history to make."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "runs.db"
+        database = connect(f"sqlite:///{path}")
+        metadata.create_all(database)
+        database.dispose()
+        return path.read_bytes()
+
+
+class _OwnedMill(Mill):
+    """Notes what leaves, at the last moment there is."""
+
+    world: World
+    last_plan = last_setup = ""
+
+    def _planned(self, run: Run) -> Any:
+        planned = super()._planned(run)
+        self.last_plan = planned[0].digest
+        return planned
+
+    def _vouch(self, driver: Driver) -> None:
+        self.last_setup = self._setup_digest(self.status)  # before the person's word makes the position a trusted one
+        super()._vouch(driver)
+
+    def _require_permit(self) -> None:
+        super()._require_permit()
+        self.world.note_act(self)
+
+
+class _OwnedThread(MillThread):
+    """The owner without a thread: `turn` is one round of it."""
+
+    def _is_running(self) -> bool:
+        return not self._ended
+
+    def halt(self, stop: Stop, caller: Caller = NOBODY) -> tuple[bool, Future[None]]:
+        halted = super().halt(stop, caller)
+        self._mill.world.note_stop(caller, written=halted[0])  # type: ignore[attr-defined]
+        return halted
+
+    def turn(self, seconds: float) -> None:
+        self._mill.step(seconds)
+        self._carry_out_calls()
+        self._publish()
+
+
+class World:
+    def __init__(self, folder: Path, program: tuple[Preflight, Path]) -> None:
+        self.folder = folder
+        self.program = program
+        self.sim = SimulatedMill(GRBL_11.with_settings({120: 3000, 121: 3000, 122: 3000}), seed=1)
+        self.suspended_s = 0.0
+        self.database_s = 0.0
+        self.presses: list[Press] = []
+        self.stop_presses: list[StopPress] = []
+        self.acts: list[Act] = []
+        self.judged: list[str] = []
+        self.loop = _SimulatedLoop(self)
+        self.on_the_way = 0  # messages
+        self.in_vain = 0  # waits for an answer that is lost
+        self._tasks: set[asyncio.Task[Any]] = set()
+        self._numbers = itertools.count()
+        (folder / "token").write_text(_TOKEN)
+        (folder / "token").chmod(0o600)
+        database = folder / "runs.db"
+        database.write_bytes(_empty_database())
+        self.database = connect(f"sqlite:///{database}")
+        self.profile = load_profile("grbl")
+        self._make_agent()
+        self.make_server()
+        self.judged: list[str] = []
+        self.run_id = self.agent_run = ""
+
+    # ------------------------------------------------------------------ time
+
+    def now_s(self) -> float:
+        """By a clock that runs in suspend."""
+        return self.sim.now_s
+
+    def advance(self, seconds: float) -> None:
+        """For the loop: time passes, the mill's owner works."""
+        end_s = self.sim.now_s + seconds
+        while self.sim.now_s < end_s:
+            self.thread.turn(min(_SLICE_S, end_s - self.sim.now_s))
+            if self.loop.has_work:
+                return
+
+    def pass_s(self, seconds: float) -> None:
+        self.loop.run_until_complete(asyncio.sleep(seconds))
+
+    def pass_until_all_came(self, seconds: float) -> None:
+        """Until no message and nobody who presses is waited for, but for an answer that is lost; so long at most."""
+        end_s = self.sim.now_s + seconds
+        while len(self._tasks) > self.in_vain and self.sim.now_s < end_s:
+            self.pass_s(0.5)
+
+    def suspend(self, seconds: float) -> None:
+        """Server and agent sleep; the mill and the people do not."""
+        self.suspended_s += seconds
+        self.sim.advance(self.sim.now_s + seconds)
+
+    # ------------------------------------------------------------------ who is there
+
+    def _make_agent(self) -> None:
+        def open_journal(folder: Path) -> Journal:
+            return Journal(folder, syncer=InlineSyncer(self.now_s))
+
+        self.gate = OrderGate(
+            clock=self.now_s, wall_clock=lambda: 1.8e9 + self.sim.now_s, make_secret=lambda: f"s{next(self._numbers)}"
+        )
+        mill = _OwnedMill(
+            name=MACHINE,
+            connect=lambda: GrblDriver(MemoryPort(self.sim, baud=None)),
+            folder=self.folder / "mill",
+            clock=self.now_s,
+            wall_clock=lambda: 1.8e9 + self.sim.now_s,
+            open_journal=open_journal,
+            pause=lambda seconds: self.sim.advance(self.sim.now_s + seconds),
+            orders=self.gate,
+        )
+        mill.world = self
+        self.mill, self.thread = mill, _OwnedThread(mill)
+        settings = AgentSettings(
+            machine=MACHINE,
+            port_url="memory://",
+            host="127.0.0.1",
+            bind_port=0,
+            folder=self.folder / "mill",
+            token=_TOKEN,
+            token_path=None,
+            token_file=self.folder / "token",
+        )
+        agent = Agent(
+            settings=settings,
+            profile=self.profile,
+            access=MillAccess(self.thread),
+            store=ProgramStore(self.folder / "programs", max_bytes=1 << 20),
+            hub=Hub(ring=10, readers=4),
+            connector=None,  # type: ignore[arg-type]
+            keys=ClientKeys(self.folder / "keys.json"),
+            audit=None,  # type: ignore[arg-type]
+        )
+        self.agent_app = httpx.ASGITransport(app=make_app(agent), client=("127.0.0.1", 1))
+
+    def restart_agent(self) -> None:
+        self.mill.close(detach=True)
+        self._make_agent()
+
+    def make_server(self) -> None:
+        """A server that has just started: it remembers nothing."""
+        self.core = _Core(self)
+        self.orders = Orders(self.core, self.now_s)
+        self.stops = Stops(self.core)
+        self.controls = Controls(self.core, self.orders)
+
+    def restart_server(self) -> None:
+        for task in self._tasks:
+            task.cancel()
+        self.make_server()
+
+    # ------------------------------------------------------------------ what leaves
+
+    def note_act(self, mill: Mill) -> None:
+        if mill._caller.origin:
+            lease, number = self.gate.get_lease(), int(mill._caller.origin)
+            press = self.presses[number]
+            seen = self._present(press.what) if press.seen else ""
+            digest = lease.digest if lease is not None else ""
+            self.acts.append(Act(number, press.what, self.now_s(), digest, seen))
+
+    def take_acts(self) -> list[Act]:
+        """Those that were not judged yet."""
+        acts, self.acts = self.acts, []
+        self.judged += [self.presses[act.press].what for act in acts]
+        return acts
+
+    def note_stop(self, caller: Caller, *, written: bool) -> None:
+        press = self.stop_presses[int(caller.origin.split()[1])]
+        press.reached_s = press.reached_s or self.now_s()
+        press.written = press.written or written
+
+    def _present(self, what: str) -> str:
+        return self.mill.last_plan if what == "recover" else self.mill.last_setup
+
+    # ------------------------------------------------------------------ people
+
+    def press(
+        self,
+        what: str,
+        control: str,
+        weather: Weather,
+        *,
+        by_page: bool,
+        seen: str = "",
+        body: dict[str, Any] | None = None,
+    ) -> None:
+        number = len(self.presses)
+        press = Press(number, what, self.now_s(), len(self.stop_presses), control, seen)
+        self.presses.append(press)
+        give = self._press_on_page if by_page else self._press_by_curl
+        self._begin(self._note_outcome(press, weather, give(press, body or {})))
+
+    def press_stop(self, stop: Stop) -> None:
+        press = StopPress(self.now_s())
+        self.stop_presses.append(press)
+
+        async def send() -> None:
+            server = self.stops
+            await self.hop(lambda: self._stop_at(server, stop, press))
+
+        self._begin(send())
+
+    async def _stop_at(self, server: Stops, stop: Stop, press: StopPress) -> None:
+        context = OrderContext(name="p", origin=f"stop {self.stop_presses.index(press)}", arrived_s=self.now_s())
+        await server.stop_machine(MACHINE, stop, context)
+
+    async def _note_outcome(self, press: Press, weather: Weather, giving: Awaitable[object]) -> None:
+        _WEATHER.set(weather)
+        try:
+            await giving
+            press.outcome = "taken"
+        except (Problem, MachineError, AgentAwayError) as error:
+            press.outcome = str(error)
+
+    async def _press_on_page(self, press: Press, body: dict[str, Any]) -> None:
+        """As service/page/machine does it."""
+        stops_seen = self.thread.snapshot.stops
+        context = OrderContext(name="p", origin=str(press.number), control=press.control)
+
+        async def ask() -> dict[str, Any]:
+            arrived = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self.now_s())
+            return await self.orders.grant(MACHINE, arrived, stops_seen)
+
+        granted = await self.hop(ask)
+        if self.now_s() - press.at_s > ASK_S:
+            press.outcome = "not sent"
+            raise Problem(503, "not sent")
+        await self.hop(lambda: self._give(press, body, context, str(granted["grant"])))
+
+    async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
+        """Without a grant the moment is that of the arrival at the server."""
+        context = OrderContext(name="p", origin=str(press.number), control=press.control)
+
+        async def give() -> object:
+            press.at_s, press.stops_before = self.now_s(), len(self.stop_presses)
+            return await self._give(press, body, context, "")
+
+        await self.hop(give, once=True)
+
+    async def _give(self, press: Press, body: dict[str, Any], context: OrderContext, grant: str) -> object:
+        context = OrderContext(
+            name="p", origin=context.origin, control=context.control, grant=grant, arrived_s=self.now_s()
+        )
+        said = RunOrder(operator="Ada", checks=CHECKS | {"position"}, seen=press.seen)
+        match press.what:
+            case "start":
+                started = RunOrder(operator="Ada", checks=CHECKS, seen=press.seen)
+                return await self.controls.start(self.run_id, started, Surroundings(), context)
+            case "recover":
+                return await self.controls.recover(self.run_id, said, context)
+            case "resume run":
+                return await self.controls.resume(self.run_id, context)
+        return await self.orders.give(MACHINE, press.what, body, context)
+
+    def take_control(self, *, take_over: bool) -> str | None:
+        """At once, with no network between: the secret."""
+        with contextlib.suppress(MachineError):
+            return self.gate.take_lease("Ada", "p", take_over=take_over)[0]
+        return None
+
+    def make_ready(self, what: str) -> str:
+        """Bring mill and run, in calm weather, to where this order is allowed; what a person sees then.
+
+        What is still on its way from before may come in between: then once more.
+        """
+        self.database_s = 0.0
+        for _ in range(20):
+            with contextlib.suppress(MachineError):
+                return self._try_to_make_ready(what)
+            self.pass_s(3.0)
+        raise AssertionError(f"the mill could not be made ready for {what}: {self.mill.snapshot}")
+
+    def _try_to_make_ready(self, what: str) -> str:
+        mill = self.mill
+        self._until(lambda: not self.on_the_way)
+        known = self.loop.run_until_complete(self.core.renewed_link(MACHINE))
+        self.loop.run_until_complete(known.address())  # else the first press of a server would have messages of its own
+        if mill._live() is not None:
+            mill.abort()
+        self._until(lambda: mill._live() is None and mill.status.state in _QUIET)
+        if mill.status.state is not MillState.IDLE:
+            mill.command(Reset() if mill.status.state is MillState.HELD else Unlock())
+            self._until(lambda: mill.status.state is MillState.IDLE)
+        self.pass_s(0.5)
+        if what in ("start", "resume run", "resume", "recover"):
+            self.park()
+        if what in ("resume run", "resume", "recover"):
+            mill.start(self.agent_run, Confirmation("Ada", CHECKS))
+            self.pass_s(1.0)
+            (mill.abort if what == "recover" else mill.hold)()
+            wanted = MillState.IDLE if what == "recover" else MillState.HELD
+            self._until(lambda: mill.status.state is wanted)
+        self.pass_s(0.3)
+        if what == "recover":
+            return mill.plan_recovery(self.agent_run).digest
+        return self.thread.snapshot.setup if what == "start" else ""
+
+    def set_zero(self) -> None:
+        """Somebody sets the zero at the mill itself: plan and set-up are others from now on."""
+        if self.mill.status.state is MillState.IDLE:
+            with contextlib.suppress(MachineError):
+                self.mill.command(SetZero("X"))
+                self.pass_s(0.3)
+
+    def _until(self, true: Callable[[], bool]) -> None:
+        for _ in range(1500):
+            if true():
+                return
+            self.pass_s(0.1)
+        raise AssertionError(f"the mill did not come to where it should: {self.mill.snapshot}")
+
+    def park(self) -> None:
+        facts, path = self.program
+        view = self.mill.park(facts, path, "part")
+        self.run_id, self.agent_run = f"run-{next(self._numbers)}", view.id
+        row = {"id": self.run_id, "machine": MACHINE, "job_id": "j", "program": "p", "number": 1, "sha256": "0" * 64}
+        row |= {"agent_run": view.id, "state": "parked", "open": True, "view": view.as_dict(), "words": ""}
+        with self.database.begin() as connection:
+            connection.execute(sa.update(runs).values(open=False))
+            connection.execute(sa.insert(runs).values(**row, created_by="p", created_at=self.now_s()))
+
+    # ------------------------------------------------------------------ between
+
+    async def hop(self, deliver: Callable[[], Awaitable[Any]], *, once: bool = False) -> Any:
+        """A message on its way, delivered whatever becomes of the sender; it may come twice, or lose its answer."""
+        weather = _WEATHER.get(None) or Weather()
+        there_s, back_s = weather.next_delay_s(), weather.next_delay_s()
+        number, weather.sent = weather.sent, weather.sent + 1
+        again_s = None if once else weather.twice_after_s.get(number)
+
+        async def travel(delay_s: float) -> Any:
+            self.on_the_way += 1
+            try:
+                await asyncio.sleep(delay_s)
+                return await deliver()
+            finally:
+                self.on_the_way -= 1
+
+        first = self._begin(travel(there_s))
+        if again_s is not None:
+            self._begin(travel(there_s + again_s))
+        answer = await asyncio.shield(first)
+        if number != weather.lost:
+            await asyncio.sleep(back_s)
+            return answer
+        self.in_vain += 1
+        try:
+            return await asyncio.sleep(1e6)
+        finally:
+            self.in_vain -= 1
+
+    def _begin(self, work: Coroutine[Any, Any, Any]) -> asyncio.Task[Any]:
+        task = self.loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._end)
+        return task
+
+    def _end(self, task: asyncio.Task[Any]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled():
+            task.exception()
+
+    def close(self) -> None:
+        for task in asyncio.all_tasks(self.loop):
+            task.cancel()
+        self.pass_s(0.01)
+        with contextlib.suppress(Exception):
+            self.mill.close(detach=True)
+        self.loop.close()
+        self.database.dispose()
+
+
+class _Network(httpx.AsyncBaseTransport):
+    """From the server to the agent of this moment."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    async def handle_async_request(self, request: httpx.Request) -> httpx.Response:
+        content = await request.aread()
+
+        async def deliver() -> httpx.Response:
+            copy = httpx.Request(request.method, request.url, headers=request.headers, content=content)
+            answer = await self._world.agent_app.handle_async_request(copy)
+            return httpx.Response(answer.status_code, headers=answer.headers, content=await answer.aread())
+
+        answer: httpx.Response = await self._world.hop(deliver)
+        return httpx.Response(answer.status_code, headers=answer.headers, stream=httpx.ByteStream(answer.content))
+
+
+class _Core(FleetCore):
+    """The database is as slow as the weather says; nothing runs in a thread."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        super().__init__(ServerSettings(data=world.folder), world.database, None, None)  # type: ignore[arg-type]
+        self._http = httpx.AsyncClient(transport=_Network(world), base_url="http://127.0.0.1")
+
+    async def do(self, function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+        if self._world.database_s:
+            await asyncio.sleep(self._world.database_s)
+        return function(*arguments, **named)
+
+    async def machines(self) -> tuple[dict[str, KnownMachine], list[str]]:
+        token = self._world.folder / "token"
+        known = KnownMachine(name=MACHINE, profile=self._world.profile, url="http://127.0.0.1:1", token_file=token)
+        return {MACHINE: known}, []
+
+    async def renewed_link(self, machine: str) -> Any:
+        return self.link((await self.machines())[0][machine])
+
+
+class _SimulatedLoop(asyncio.SelectorEventLoop):
+    """Its clock is the simulated mill's, less what was slept away; waiting for input is letting the mill go on."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(_Waiting(world))
+        self._world = world
+
+    def time(self) -> float:
+        return self._world.sim.now_s - self._world.suspended_s
+
+    @property
+    def has_work(self) -> bool:
+        return bool(self._ready)  # type: ignore[attr-defined]
+
+
+class _Waiting(selectors.SelectSelector):
+    def __init__(self, world: World) -> None:
+        super().__init__()
+        self._world = world
+
+    def select(self, timeout: float | None = None) -> Any:
+        if timeout is None or timeout > 0:
+            self._world.advance(1.0 if timeout is None else timeout)
+        return super().select(0)
