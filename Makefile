@@ -11,7 +11,7 @@ MILL := out/demo-mill.txt
 # anew (2 of 4 CPU seconds), and so does each process of pytest with all tests (24 of 36).
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo serve test test-all lint bench soak paper format lock clean
+.PHONY: demo serve test test-all lint bench soak paper docs format lock clean
 
 # The locked environments, made anew whenever a lock or the project file changes: what the product needs, then what its
 # developers need on top. Compiled after pip, on all cores and without the packages' own tests: half of the time
@@ -73,12 +73,19 @@ LOCK := uv pip compile pyproject.toml --extra build --generate-hashes --no-heade
 lock:
 	$(LOCK) --extra dev -o requirements-dev.lock
 	$(LOCK) --constraint requirements-dev.lock -o requirements.lock
+	$(LOCK) --extra docs --constraint requirements-dev.lock -o requirements-docs.lock
 	$(LOCK) --extra soak --constraint requirements-dev.lock -o requirements-soak.lock
 	$(LOCK) --extra postgres --extra s3 --extra roland --constraint requirements-dev.lock -o docker/requirements.lock
 
 # The claims of the paper, with our pictures and figures beside them: docs/paper.md.
 paper: $(READY)
 	$(BIN)/python -m tests.paper
+
+# docs/ as a site to browse, with references of commands and REST made from the code: out/docs/index.html.
+docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements-docs.lock
+	$(BIN)/python -m docs.site out/docs-source
+	$(BIN)/mkdocs build --strict --quiet --config-file out/docs-source/mkdocs.yml
 
 # Long trials (two hours): the streamer against the simulated mill, the job server under kill -9, simulated light against
 # another renderer, programs in LinuxCNC's interpreter (apt-get install linuxcnc-uspace): out/soak.json, out/soak.md.

@@ -1,4 +1,4 @@
-"""README and ARCHITECTURE say what is: their commands run, their files exist, their spec is accepted."""
+"""README, guides and ARCHITECTURE say what is: their commands run, their files exist, their spec is accepted."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from docs import site
 from machines.profiles import load_profile
 from service.cli.main import run
 from service.job.spec.loading import resolve_spec
@@ -76,9 +77,10 @@ def begun(words: list[str], folder: Path) -> subprocess.Popen[str]:
     )
 
 
-def test_the_toml_in_the_readme_is_accepted(tmp_path: Path) -> None:
-    """The first is a job's spec, the second a machine of one's own."""
-    job, machine = re.findall(r"^```toml\n(.*?)^```", ALL, flags=re.MULTILINE | re.DOTALL)
+def test_the_toml_of_the_guides_is_accepted(tmp_path: Path) -> None:
+    """A job's spec, and a machine of one's own."""
+    texts = ((TOP / "docs" / name).read_text(encoding="utf-8") for name in ("first-lens.md", "mill.md"))
+    (job,), (machine,) = (re.findall(r"^```toml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL) for text in texts)
     (tmp_path / "job.toml").write_text(job)
     spec = resolve_spec(file=tmp_path / "job.toml")
     assert spec.optics.throw_mm == 200
@@ -89,10 +91,21 @@ def test_the_toml_in_the_readme_is_accepted(tmp_path: Path) -> None:
     assert profile.dialect == "grbl"
 
 
-@pytest.mark.parametrize("text", [README, ARCHITECTURE], ids=["README", "ARCHITECTURE"])
-def test_linked_files_exist(text: str) -> None:
-    for target in re.findall(r"\]\(([^)#:]+)\)", text):
-        assert (TOP / target).exists(), target
+@pytest.mark.parametrize("file", ["README.md", "ARCHITECTURE.md", *(f"docs/{name}.md" for name in GUIDES)])
+def test_linked_files_exist(file: str) -> None:
+    path = TOP / file
+    for target in re.findall(r"\]\(([^)#:]+)\)", path.read_text(encoding="utf-8")):
+        assert (path.parent / target).exists(), target
+
+
+def test_the_site_has_every_page_of_docs_every_command_and_every_route(tmp_path: Path) -> None:
+    """Built by `make docs`, which refuses a link that leads nowhere."""
+    site.main(tmp_path / "source")
+    pages = tmp_path / "source" / "pages"
+    assert {page.name for page in pages.glob("*.md")} == {*site.NAV.values(), "soak.md"}
+    commands, routes = ((pages / name).read_text(encoding="utf-8") for name in ("commands.md", "rest-reference.md"))
+    assert all(f"causticmill {name}" in commands for name in ("make", "stream", "service backup"))
+    assert all(route in routes for route in ("POST /v1/jobs", "GET /v1/jobs/{id}"))
 
 
 def test_the_map_names_every_folder_and_no_other() -> None:
