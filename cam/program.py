@@ -21,11 +21,11 @@ from cam.rows.layers import SLOT_FEED, Field, Layer, LayerPlan, layer_paths, lay
 from cam.rows.raster import Rows, climbs_rightward, continuous_rows, separate_rows
 from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
-from cam.rows.turned import turned_block, turned_lens, turned_paths, turned_stock
+from cam.rows.turned import turn_block, turn_lens, turn_paths, turn_stock
 from cam.rows.turns import first_row, row_cuts
 from cam.rows.vertices import VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
-from cam.surface.cutter import largest_fitting_radius_mm, reached_share
+from cam.surface.cutter import largest_fitting_radius_mm, share_reached
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
@@ -123,7 +123,7 @@ def generate_parts(
         paths = shape_heights(paths, rounding, _region(spec, stock))
     elif spec.finishes and rounding.matters:
         paths = on_raster(paths, rounding)
-    return map(_gathered, programs(paths, post, frame, limits))
+    return map(_gather_chunks, programs(paths, post, frame, limits))
 
 
 def _region(spec: PassSpec, stock: Stock) -> ShapedRegion:
@@ -134,7 +134,7 @@ def _region(spec: PassSpec, stock: Stock) -> ShapedRegion:
     )
 
 
-def _gathered(pieces: Iterable[bytes]) -> Iterator[bytes]:
+def _gather_chunks(pieces: Iterable[bytes]) -> Iterator[bytes]:
     """The same bytes in pieces of at least CHUNK_BYTES, the last one excepted."""
     held: list[bytes] = []
     size = 0
@@ -176,9 +176,9 @@ def pass_paths(
     """
     along_y = spec.direction == "y"
     if along_y:
-        heightfield, stock, stock_top = turned_lens(heightfield), turned_block(stock), turned_stock(stock_top)
+        heightfield, stock, stock_top = turn_lens(heightfield), turn_block(stock), turn_stock(stock_top)
     paths = _paths_along_x(heightfield, spec, stock, stock_top, safe_z_mm, slope_error_rad, on_progress)
-    yield from turned_paths(paths) if along_y else paths
+    yield from turn_paths(paths) if along_y else paths
 
 
 def _paths_along_x(
@@ -249,7 +249,7 @@ def _check_job(
     if safe_z_mm < needed:
         raise SafeHeightError(safe_z_mm=safe_z_mm, needed_mm=needed)
     if spec.finishes:
-        share = reached_share(heightfield, spec.radius_mm)
+        share = share_reached(heightfield, spec.radius_mm)
         if share < LEAST_REACHED:
             largest = largest_fitting_radius_mm(heightfield)
             raise CutterTooLargeError(

@@ -9,7 +9,7 @@ import numpy as np
 from PIL import Image
 
 from service.job.arrays import load_heightfield
-from service.job.report.figures.lens import raking_light
+from service.job.report.figures.lens import shade_by_raking_light
 
 SIDE = 420
 GAP = 12
@@ -17,7 +17,7 @@ GAP = 12
 
 def main(job: Path) -> None:
     lens = load_heightfield(job / "heightfield.npz")
-    relief = np.clip(raking_light(lens.x_mm, lens.y_mm, lens.z_mm), 0, 1)
+    relief = np.clip(shade_by_raking_light(lens.x_mm, lens.y_mm, lens.z_mm), 0, 1)
     tiles = [
         Image.open(job / "target.png").convert("L"),
         Image.open(job / "caustic.png").convert("L"),

@@ -90,7 +90,7 @@ def open_port(url: str, link: LinkSettings) -> Port:
     try:
         line.open()
     except (serial.SerialException, OSError, ValueError) as error:
-        raise _refused(name, error) from error
+        raise _refusal(name, error) from error
     _steady(line)
     with contextlib.suppress(Exception):
         line.set_low_latency_mode(True)  # FTDI: 1 ms instead of 16; not offered by every driver
@@ -130,7 +130,7 @@ def _steady(line: Any) -> None:
         termios.tcsetattr(line.fd, termios.TCSANOW, attributes)
 
 
-def _refused(name: str, error: Exception) -> PortError:
+def _refusal(name: str, error: Exception) -> PortError:
     number = getattr(error, "errno", None)
     text = str(error)
     if number in (errno.EBUSY, errno.EAGAIN, errno.EWOULDBLOCK) or "exclusively lock" in text:

@@ -45,7 +45,7 @@ START_CHECKS = frozenset({"tool", "zero", "stock", "clear"})
 RECOVER_CHECKS = START_CHECKS | {"position"}
 
 
-def moved(before: RunState, after: RunState) -> RunState:
+def move_state(before: RunState, after: RunState) -> RunState:
     """`after`, where the table allows the move; NotAllowedError names both states otherwise."""
     if after not in TRANSITIONS[before]:
         allowed = ", ".join(sorted(state.value for state in TRANSITIONS[before])) or "nothing"

@@ -18,7 +18,7 @@ from scipy.ndimage import uniform_filter
 from optics.advice import Advice
 from optics.bench import Bench, Branch
 from optics.errors import OpticsError
-from optics.outline import notched_share
+from optics.outline import share_notched
 from optics.path.grid_levels import box_averaged
 from optics.spline import Array
 from optics.transport import solve_transport
@@ -79,7 +79,7 @@ def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel:
         found.append(
             Advice(
                 "black will not be quite dark: a ball of half the radius or a wall twice as far away halves the light "
-                f"in it{_turning_helps(target, bench, radius_mm)}",
+                f"in it{_advise_branch(target, bench, radius_mm)}",
                 f"black covers {black:.0f} % of the picture; in valleys for a ball of radius {radius_mm:g} mm, "
                 f"Ø {2 * radius_mm:g}, about {100 * leak:.1f} % of the light ends there",
             )
@@ -101,7 +101,7 @@ def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel:
                 "larger spots or a floor of grey under the picture (a hundredth of its white) help"
             )
         )
-    if notched := notched_share(bench):
+    if notched := share_notched(bench):
         found.append(
             Advice(
                 f"the outline leaves out {100 * notched:.0f} % of its convex hull: the picture's frame gets its light "
@@ -111,13 +111,13 @@ def advice(target: Array, bench: Bench, radius_mm: float, *, vertices_per_pixel:
     return tuple(found)
 
 
-def _turning_helps(target: Array, bench: Bench, radius_mm: float) -> str:
-    if suited_branch(target, bench, radius_mm) == bench.branch:
+def _advise_branch(target: Array, bench: Bench, radius_mm: float) -> str:
+    if choose_branch(target, bench, radius_mm) == bench.branch:
         return ""
     return ", and the inverted branch avoids it"
 
 
-def suited_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:
+def choose_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: float = STEEPEST) -> Branch:
     """The inverted branch where black areas gain by it, a sketch of it converges, no steeper than that, and it fits.
 
     At a throw of three times the width (logo, 256 pixels, ball of 2 mm) 1.7 instead of 2.7 % of the light ends in
@@ -128,14 +128,14 @@ def suited_branch(target: Array, bench: Bench, radius_mm: float, *, steepest: fl
     if gain < _LEAK_WORTH_A_TURN:
         return "direct"
     try:
-        slope, relief_mm = _sketched(target, inverted)
+        slope, relief_mm = _sketch_slopes(target, inverted)
     except OpticsError:
         return "direct"
     fits = relief_mm + _SPARE_MM <= bench.thickness_mm
     return "inverted" if slope <= steepest and fits else "direct"
 
 
-def _sketched(target: Array, bench: Bench) -> tuple[float, float]:
+def _sketch_slopes(target: Array, bench: Bench) -> tuple[float, float]:
     """(steepest slope, relief in mm) of a coarse lens; infinite where none converges."""
     ny, nx = (min(n, _SKETCH_PIXELS) for n in target.shape)
     path = solve_transport(box_averaged(target, (ny, nx)), bench, skim_mm=0.0, tolerance=1e-2)

@@ -52,7 +52,7 @@ def simulate_caustic(
     beams          : into which light from a disc is divided; light without size is one
     """
     ny, nx = pixels
-    light, total, reflected = _followed(
+    light, total, reflected = _trace_light(
         heightfield, bench, cells_covered(heightfield, bench), pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams
     )
     irradiance = light * (ny * nx / total)
@@ -75,13 +75,13 @@ def share_by_way_of(
     """
     cover = cells_covered(heightfield, bench)
     own, whole = (
-        _followed(heightfield, bench, part, pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams)[0]
+        _trace_light(heightfield, bench, part, pixels=pixels, tubes_per_cell=tubes_per_cell, beams=beams)[0]
         for part in (cells * cover, cover)
     )
     return np.asarray(np.clip(np.divide(own, whole, out=np.zeros(pixels), where=whole > 0.0), 0.0, 1.0))
 
 
-def _followed(
+def _trace_light(
     heightfield: Heightfield, bench: Bench, cover: Array, *, pixels: tuple[int, int], tubes_per_cell: int, beams: int
 ) -> tuple[Array, float, float]:
     """Light (ny, nx) on the screen, and how much met the lens and how much of it was reflected; as `_add_beam` has it.

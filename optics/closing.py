@@ -38,7 +38,7 @@ def _lower_envelopes(row_lo: int, row_hi: int, f: Array, curvature: float, out: 
             out[r, i] = f[r, at[k]] + 0.5 * curvature * (i - at[k]) ** 2
 
 
-def _eroded(f: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
+def _erode(f: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     """min over y of f(y) + |x - y|^2 / (2 radius): separable in x and y."""
     for spacing in (dx_mm, dy_mm):
         f = np.ascontiguousarray(f)
@@ -48,9 +48,9 @@ def _eroded(f: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     return f
 
 
-def _closed(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
-    dilated = -_eroded(-z_mm, radius_mm, dx_mm, dy_mm)
-    return _eroded(dilated, radius_mm, dx_mm, dy_mm)
+def _close(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
+    dilated = -_erode(-z_mm, radius_mm, dx_mm, dy_mm)
+    return _erode(dilated, radius_mm, dx_mm, dy_mm)
 
 
 def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> int:
@@ -71,7 +71,7 @@ def _beyond_rim(z_mm: Array, radius_mm: float, dx_mm: float, dy_mm: float) -> in
     return min(int(steepest * radius_mm / spacing_mm) + 1, min(z_mm.shape) - 1)
 
 
-def closed_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
+def close_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: float) -> Array:
     """Heights (ny, nx) with valleys tighter than radius_mm filled: no second derivative above 1 / radius_mm.
 
     Along each axis the closing differs from z by up to dx^2 / (4 radius) from the grid alone, which would cost a
@@ -79,12 +79,12 @@ def closed_to_radius(z_mm: Array, *, radius_mm: float, dx_mm: float, dy_mm: floa
     above, and smooth (a threshold would leave a crease, the very thing to be closed). Beyond its rim the surface
     goes on with its slope: else a sloped rim (a larger screen, the inverted branch) is raised by tenths of a mm.
     """
-    closed = _closed(z_mm, radius_mm, dx_mm, dy_mm)
+    closed = _close(z_mm, radius_mm, dx_mm, dy_mm)
     beyond = _beyond_rim(z_mm, radius_mm, dx_mm, dy_mm)
     if beyond > 0:
         wider = np.pad(z_mm, beyond, mode="reflect", reflect_type="odd")
         inside = slice(beyond, -beyond)
-        closed = np.minimum(closed, _closed(wider, radius_mm, dx_mm, dy_mm)[inside, inside])
+        closed = np.minimum(closed, _close(wider, radius_mm, dx_mm, dy_mm)[inside, inside])
     band = max(dx_mm, dy_mm) ** 2 / (4 * radius_mm)
     filling = np.maximum(closed - z_mm, 0.0)
     return np.asarray(z_mm + filling**2 / (filling + band))

@@ -14,7 +14,7 @@ import numpy as np
 
 from optics.ball_fit import ball_fits, fit_ball
 from optics.caustic import Caustic, simulate_caustic
-from optics.closing import closed_to_radius
+from optics.closing import close_to_radius
 from optics.errors import NoSurfaceError
 from optics.finish import foresee_finish, surface_in_light
 from optics.heightfield import Heightfield
@@ -88,7 +88,7 @@ class Corrected:
 Progress = Callable[[str, float], None]
 
 
-def corrected(
+def correct_lens(
     target: Array,
     settings: LensSettings,
     report: Progress = lambda stage, share: None,
@@ -137,7 +137,7 @@ def _surface(path: OpticalPath, settings: LensSettings) -> Heightfield:
     return foresee_finish(replace(lens, rim_mm=settings.finish.seen_beyond_mm), settings.finish)
 
 
-def _shaped(raw: Heightfield, settings: LensSettings) -> Heightfield:
+def _fill_valleys(raw: Heightfield, settings: LensSettings) -> Heightfield:
     """The lens with its valleys filled until the ball fits; itself where it does already.
 
     Closing fills them as the ball would leave them, on the grid not quite; the fit does the rest.
@@ -146,7 +146,7 @@ def _shaped(raw: Heightfield, settings: LensSettings) -> Heightfield:
     if ball_mm <= 0 or ball_fits(raw, ball_mm):
         return raw
     radius_mm = (_CLOSING_PER_BALL if settings.finish is None else _CLOSING_UNDER_FINISH) * ball_mm
-    z = closed_to_radius(raw.z_mm, radius_mm=radius_mm, dx_mm=raw.dx_mm, dy_mm=raw.dy_mm)
+    z = close_to_radius(raw.z_mm, radius_mm=radius_mm, dx_mm=raw.dx_mm, dy_mm=raw.dy_mm)
     return fit_ball(replace(raw, z_mm=z - z.max() - settings.skim_mm), ball_mm)
 
 
@@ -161,12 +161,12 @@ def _light(lens: Heightfield, target: Array, settings: LensSettings) -> Caustic:
 
 
 def _seen(path: OpticalPath, raw: Heightfield, target: Array, settings: LensSettings) -> Pass:
-    lens = _shaped(raw, settings)
+    lens = _fill_valleys(raw, settings)
     caustic = _light(lens, target, settings)
     return Pass(path=path, lens=lens, caustic=caustic, score=score_caustic(caustic.irradiance, target))
 
 
-def closing_cost(done: Corrected, target: Array, settings: LensSettings) -> ClosingCost | None:
+def measure_closing_cost(done: Corrected, target: Array, settings: LensSettings) -> ClosingCost | None:
     """None where nothing was filled."""
     if not done.is_shaped:
         return None

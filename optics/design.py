@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from optics.advice import Advice
 from optics.ball_fit import fit_ball
 from optics.black import advice
-from optics.corrections import ClosingCost, Corrected, Pass, Progress, closing_cost, corrected
+from optics.corrections import ClosingCost, Corrected, Pass, Progress, correct_lens, measure_closing_cost
 from optics.heightfield import Heightfield
-from optics.polish import PolishRecord, polished
+from optics.polish import PolishRecord, polish_lens
 from optics.settings import LensSettings
 from optics.spline import Array
 from optics.transport import TOLERANCE, OpticalPath
@@ -80,12 +80,12 @@ def _by_the_paper(target: Array, settings: LensSettings, report: Progress) -> Le
 
 def _by_transport(target: Array, settings: LensSettings, report: Progress, passes: Corrected | None) -> LensDesign:
     started = time.perf_counter()
-    done = passes or corrected(target, settings, report)
-    cost = closing_cost(done, target, settings)
+    done = passes or correct_lens(target, settings, report)
+    cost = measure_closing_cost(done, target, settings)
     lens, polish = done.best.lens, None
     if settings.polish_steps > 0:
         report("polish", 0.0)
-        lens, polish = polished(
+        lens, polish = polish_lens(
             lens,
             target,
             settings.bench,
@@ -110,7 +110,7 @@ def _message(seen: Pass) -> str:
     last, lost = seen.path.levels[-1], seen.lost_share
     way = f"rms {last.rms:.1e} of the mean irradiance after {last.iterations} steps at full size"
     if seen.path.floor > 0:
-        way += f", aimed at {_softened(seen.path)}, as without the surface would fold"
+        way += f", aimed at {_word_softening(seen.path)}, as without the surface would fold"
     if seen.converged:
         return f"converged: {way}"
     if seen.loses_light:
@@ -121,7 +121,7 @@ def _message(seen: Pass) -> str:
     return f"stopped: {way}, wanted {TOLERANCE:g}; the lens is usable, its contrast may be lower than the picture's"
 
 
-def _softened(path: OpticalPath) -> str:
+def _word_softening(path: OpticalPath) -> str:
     aim = f"the picture with {100 * path.floor:g} % of even light"
     return f"{aim} and blurred by {path.blur_pixels:g} pixels" if path.blur_pixels > 0 else aim
 

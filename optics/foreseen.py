@@ -18,7 +18,7 @@ _STEPS = 30
 _FLOOR = 0.01  # of the mean: no place of a lens is without light
 
 
-def sharpened(target: Array, blur_px: tuple[float, float]) -> Array:
+def sharpen(target: Array, blur_px: tuple[float, float]) -> Array:
     """What blurs into the target (ny, nx), of mean 1, as far as light allows; brighter at its edges, as beyond is dark.
 
     blur_px : standard deviations along the rows and the columns of the picture: y, x

@@ -74,7 +74,7 @@ def _areas(facets: Array) -> Array:
     return np.abs((x[:, 2] - x[:, 0]) * (y[:, 3] - y[:, 1]) - (x[:, 3] - x[:, 1]) * (y[:, 2] - y[:, 0])) / 2
 
 
-def predicted_light(irradiance: Array, samples: Sequence[Array], heightfield: Heightfield, bench: Bench) -> Array:
+def predict_light(irradiance: Array, samples: Sequence[Array], heightfield: Heightfield, bench: Bench) -> Array:
     """The design's light (ny, nx) as a surface like the samples would show it: a second instead of a minute.
 
     samples : (n, 4, 5) facets each, of some squares of the milled surface. How far they throw light from where the lens

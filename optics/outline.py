@@ -78,7 +78,7 @@ def is_inside(outline_mm: Array, x_mm: Array, y_mm: Array) -> Array:
     return inside
 
 
-def lowered_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm: float) -> Array:
+def lower_outside(t: Array, bench: Bench, x_mm: Array, y_mm: Array, *, margin_mm: float) -> Array:
     """Heights (my, mx) that, outside the outline, are smooth and nowhere above the greatest inside it and around.
 
     What the map does not reach is cut away; were it the highest, the lens would lie deeper than it was designed for.
@@ -100,7 +100,7 @@ def _hull(bench: Bench) -> Array:
     return np.asarray(corners[ConvexHull(corners).vertices])
 
 
-def notched_share(bench: Bench) -> float:
+def share_notched(bench: Bench) -> float:
     """Of the outline's convex hull, what the outline leaves out: 0 of a lens that the frame fits all around."""
     if bench.outline_mm is None:
         return 0.0
@@ -113,13 +113,13 @@ def _area(corners: Array) -> float:
     return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
 
 
-def dimmed_outside(beam: Beam, bench: Bench, *, pixels: int) -> Beam:
+def dim_outside(beam: Beam, bench: Bench, *, pixels: int) -> Beam:
     """The beam with what the frame surrounds but the outline does not made dim: the finer the grid, the dimmer.
 
     Only for outlines that are not convex. Light that is as good as absent may be sent anywhere, which leaves
     the solver without a hold, so a few per cent stay; the corrections see the true outline and make up for them.
     """
-    if notched_share(bench) == 0.0:
+    if share_notched(bench) == 0.0:
         return beam
     x, y = np.linspace(0.0, bench.width_mm, _MASK), np.linspace(0.0, bench.height_mm, _MASK)
     mask = is_inside(np.asarray(bench.outline_mm), x, y).astype(np.float64)

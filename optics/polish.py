@@ -122,7 +122,7 @@ def _box_power(w: Array, width: float) -> Array:
     return np.asarray(np.where(w == 0, 1.0, left) ** 4)
 
 
-def polished(
+def polish_lens(
     lens: Heightfield,
     target: Array,
     bench: Bench,
@@ -159,7 +159,7 @@ def polished(
             point, taken = moved, taken + 1
             report(taken / steps)
     report(1.0)
-    done = _fitting(lens, point.z, ball_mm)
+    done = _fit_ball(lens, point.z, ball_mm)
     after = fine.of(done.z_mm)
     better = taken > 0 and after < before
     if not better:
@@ -173,7 +173,7 @@ def polished(
     )
 
 
-def _fitting(lens: Heightfield, z: Array, ball_mm: float) -> Heightfield:
+def _fit_ball(lens: Heightfield, z: Array, ball_mm: float) -> Heightfield:
     """The lens with heights z, its top where it was, in whose hollows the ball fits."""
     moved = replace(lens, z_mm=z - (z.max() - lens.z_mm.max()))
     return fit_ball(moved, ball_mm) if ball_mm > 0 else moved

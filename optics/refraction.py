@@ -11,7 +11,7 @@ from optics.spline import Array
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def refracted_tangent(slope_squared: float, refractive_index: float) -> float:
+def tangent_per_slope(slope_squared: float, refractive_index: float) -> float:
     """Sideways way per unit of height and per unit of slope: the ray runs along (m zx, m zy, 1). NaN: reflected.
 
     With N the unit normal, cos = N_z: d = n z + (sqrt(1 - n^2 (1 - cos^2)) - n cos) N (vector form of Snell's law),

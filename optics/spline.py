@@ -46,7 +46,7 @@ def _fit_columns(lo: int, hi: int, nodes: Array, coefs: Array) -> None:
         coefs[n + 1, k] = 6.0 * nodes[n - 1, k] - 4.0 * coefs[n, k] - coefs[n - 1, k]
 
 
-def _fitted(nodes: Array) -> Array:
+def _fit_all_columns(nodes: Array) -> Array:
     """(n + 2, m): `_fit_columns` of all columns."""
     coefs = np.empty((nodes.shape[0] + 2, nodes.shape[1]))
     over_rows(_fit_columns, nodes.shape[1], nodes, coefs)
@@ -150,8 +150,8 @@ class BicubicSpline:
         """The interpolating not-a-knot spline through nodes z_mm (ny, nx), both at least 4."""
         if min(z_mm.shape) < 4:
             raise ValueError(f"a bicubic spline needs at least 4 x 4 nodes, not {z_mm.shape[1]} x {z_mm.shape[0]}")
-        down = _fitted(np.array(z_mm, dtype=np.float64, order="C"))  # copies, all of one type: writable
-        coefs = np.ascontiguousarray(_fitted(np.ascontiguousarray(down.T)).T)
+        down = _fit_all_columns(np.array(z_mm, dtype=np.float64, order="C"))  # copies, all of one type: writable
+        coefs = np.ascontiguousarray(_fit_all_columns(np.ascontiguousarray(down.T)).T)
         coefs.setflags(write=False)
         return cls(coefs=coefs, x0_mm=x0_mm, y0_mm=y0_mm, dx_mm=dx_mm, dy_mm=dy_mm)
 
@@ -186,8 +186,8 @@ class BicubicSpline:
         it does not lift a ball that touches the rim: a dark frame makes half a valley of the rim.
         """
         pad_x, pad_y = math.ceil(by_mm / self.dx_mm), math.ceil(by_mm / self.dy_mm)
-        coefs = _continued(self.coefs, pad_y, self.dy_mm, fade_mm, droop, rim_mm)
-        coefs = np.ascontiguousarray(_continued(coefs.T, pad_x, self.dx_mm, fade_mm, droop, rim_mm).T)
+        coefs = _continue_rows(self.coefs, pad_y, self.dy_mm, fade_mm, droop, rim_mm)
+        coefs = np.ascontiguousarray(_continue_rows(coefs.T, pad_x, self.dx_mm, fade_mm, droop, rim_mm).T)
         _level_corners(coefs, pad_y, pad_x)
         coefs.setflags(write=False)
         return BicubicSpline(
@@ -199,7 +199,7 @@ class BicubicSpline:
         )
 
 
-def _continued(coefs: Array, rows: int, spacing: float, fade: float, droop: float, rim: float) -> Array:
+def _continue_rows(coefs: Array, rows: int, spacing: float, fade: float, droop: float, rim: float) -> Array:
     """`rows` more rows before the first and after the last; C2 whatever they are.
 
     The k-th new difference is s exp(-k spacing / fade) + (e - s) / 3^k, less the droop: e the outermost difference,

@@ -164,7 +164,7 @@ class _View:
         self._lens, self._target, self._report = lens, target, report
         self._bench = without_size(bench)
         self._blur_mm = blur_mm(lens, bench, source_rad(lens, bench))
-        self._aims = _blurred(target)
+        self._aims = _blur_pictures(target)
         self._done = 0
         light = in_pixels(sharp) if self._blur_mm == 0 else self._spread(sharp, self._blur_mm)
         self.middle = FocusPoint(offset_mm=0.0, psnr_db=psnr_db(light, target), irradiance=light)
@@ -238,10 +238,10 @@ class _View:
         tilt_x, tilt_y = light.tilt_rad
         tilted = replace(self._bench, light=replace(light, tilt_rad=(tilt_x + math.radians(tilt_deg), tilt_y)))
         by_x, by_y = picture_shift_mm(self._lens, self._bench, tilted)
-        _, seen = self._seen(_moved(tilted, by_x, by_y), _TUBES_COARSE)
+        _, seen = self._seen(_move_bench(tilted, by_x, by_y), _TUBES_COARSE)
         more_x, more_y = _shift_to(self._aims, seen)
         by_x, by_y = by_x + more_x * screen.width_mm / nx, by_y + more_y * screen.height_mm / ny
-        psnr, seen = self._seen(_moved(tilted, by_x, by_y), _TUBES if tilt_deg <= _NEAR_DEG else _TUBES_COARSE)
+        psnr, seen = self._seen(_move_bench(tilted, by_x, by_y), _TUBES if tilt_deg <= _NEAR_DEG else _TUBES_COARSE)
         return TiltPoint(tilt_deg=tilt_deg, shift_mm=(by_x, by_y), psnr_db=psnr, irradiance=seen)
 
     def blur_point(self, size_deg: float, sharp: Array) -> BlurPoint:
@@ -260,7 +260,7 @@ def _error(light: Array, target: Array) -> float:
     return float(np.mean((light - target) ** 2))
 
 
-def _moved(bench: Bench, by_x: float, by_y: float) -> Bench:
+def _move_bench(bench: Bench, by_x: float, by_y: float) -> Bench:
     screen = bench.screen
     return replace(
         bench, screen=replace(screen, centre_x_mm=screen.centre_x_mm + by_x, centre_y_mm=screen.centre_y_mm + by_y)
@@ -285,10 +285,10 @@ def disc_kernel(across: float, along: float, *, points: int = 1024) -> Array:
 
 def residual_shift_px(seen: Array, target: Array) -> tuple[float, float]:
     """(x, y): the picture `seen` lies that far aside of the target [px]: Gauss-Newton, blurred less and less."""
-    return _shift_to(_blurred(target), seen)
+    return _shift_to(_blur_pictures(target), seen)
 
 
-def _blurred(target: Array) -> list[Array]:
+def _blur_pictures(target: Array) -> list[Array]:
     return [gaussian_filter(target, sigma) for sigma in _BLURS]
 
 

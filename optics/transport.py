@@ -23,7 +23,7 @@ from optics.bench import Bench
 from optics.errors import NoSurfaceError
 from optics.map_inversion import screen_positions
 from optics.path.anderson import Anderson
-from optics.path.grid_levels import box_averaged, level_shapes, prolonged
+from optics.path.grid_levels import box_averaged, level_shapes, prolong
 from optics.path.optical_path import Preimages, flat_path_mm, heights_mm
 from optics.path.total_reflection import far_and_even, refuse_wide_turns
 from optics.path.transport_level import Misses, TransportLevel
@@ -135,7 +135,7 @@ def _solve_levels(
     reflected = False
     for number, shape in enumerate(shapes, start=1):
         if c.shape != shape:
-            c = prolonged(c, shape, bench)
+            c = prolong(c, shape, bench)
         most = most_iterations if number == len(shapes) else _MOST_COARSE
         c, record, met_reflection = _solve_level(box_averaged(g, shape), c, bench, skim_mm, tolerance, most)
         records.append(record)

@@ -9,7 +9,7 @@ EXIT_INPUT = 2
 EXIT_INTERRUPTED = 130
 
 
-class JobError(Exception):
+class ServiceError(Exception):
     """Base of the service's own errors: a line for each thing, which names it, its value and what is allowed."""
 
     exit_code = EXIT_FAILURE
@@ -18,7 +18,7 @@ class JobError(Exception):
         super().__init__("\n".join(map(printable, lines)))
 
 
-class InputError(JobError):
+class InputError(ServiceError):
     """Something the person gave cannot be used."""
 
     exit_code = EXIT_INPUT
@@ -36,7 +36,7 @@ class PictureError(InputError):
     """A picture that cannot be used."""
 
 
-class FailedError(JobError):
+class FailedError(ServiceError):
     """The job itself failed: a check, the disk, a method that found no lens."""
 
 

@@ -91,7 +91,7 @@ class Stopwatch:
 
 
 @contextmanager
-def reporting(quiet: bool) -> Iterator[Reporter]:
+def report_progress(quiet: bool) -> Iterator[Reporter]:
     """What suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
     if quiet:
         yield QuietReporter()

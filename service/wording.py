@@ -27,13 +27,13 @@ def duration(seconds: Any) -> str:
     """40 s, 12 min, 1 h 45 min, from a day on 2 d 3 h: as the operator page says it."""
     if seconds is None:
         return MISSING
-    if (whole_s := _rounded(float(seconds))) < 60:
+    if (whole_s := _round_half_up(float(seconds))) < 60:
         return f"{whole_s} s"
-    if (minutes := _rounded(whole_s / 60)) < 60:
+    if (minutes := _round_half_up(whole_s / 60)) < 60:
         return f"{minutes} min"
     if minutes < 24 * 60:
         return _pair(minutes // 60, "h", minutes % 60, "min")
-    hours = _rounded(minutes / 60)
+    hours = _round_half_up(minutes / 60)
     return _pair(hours // 24, "d", hours % 24, "h")
 
 
@@ -41,7 +41,7 @@ def _pair(big: int, big_unit: str, small: int, small_unit: str) -> str:
     return f"{big} {big_unit} {small} {small_unit}" if small else f"{big} {big_unit}"
 
 
-def _rounded(value: float) -> int:
+def _round_half_up(value: float) -> int:
     """Halves up."""
     return floor(value + 0.5)
 
@@ -81,7 +81,7 @@ def psnr_in_words(psnr_db: float) -> str:
     return "hard to recognise"
 
 
-def misplaced_in_words(share: float) -> str:
+def word_misplaced(share: float) -> str:
     """A share of the light that falls on the wrong place, as one part in so many."""
     if share < 1e-4:
         return "all light falls where it should"

@@ -88,7 +88,7 @@ def check_facing(
 ) -> AroundCheck:
     """Cut the programs, run one after the other, into stock_top: nothing below Z0, nothing left above the cusps."""
     reach_mm = stock.margin_mm + facing.radius_mm + BESIDE_MM
-    run = _Run(facing, stock, stock_top, mill, reach_mm=reach_mm, lowest_mm=0.0, ball=facing.shape == "ball")
+    run = _FlatRun(facing, stock, stock_top, mill, reach_mm=reach_mm, lowest_mm=0.0, ball=facing.shape == "ball")
     for batch in read_parts(parts, mill.language):
         run.add(batch)
     after = run.stock()
@@ -116,7 +116,7 @@ def check_cut_out(
     corners_mm (k, 2) : of the lens, counter-clockwise; loop_mm (n, 2): where the slot and its tabs are expected
     """
     lowest_mm = -stock.thickness_mm - cut_out.through_mm
-    run = _Run(cut_out, stock, stock_top, mill, reach_mm=stock.margin_mm, lowest_mm=lowest_mm, lens_mm=corners_mm)
+    run = _FlatRun(cut_out, stock, stock_top, mill, reach_mm=stock.margin_mm, lowest_mm=lowest_mm, lens_mm=corners_mm)
     for batch in read_parts(parts, mill.language):
         run.add(batch)
     after = run.stock()
@@ -141,7 +141,7 @@ def check_cut_out(
     )
 
 
-class _Run:
+class _FlatRun:
     """The state of one check: rules each move must keep, totals, and the stock."""
 
     def __init__(

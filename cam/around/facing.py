@@ -18,7 +18,7 @@ from cam.passes import Stock
 from cam.rows.entries import RAPID_CLEARANCE_MM, leave
 
 
-def facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
+def make_facing_paths(facing: Facing, stock: Stock, *, safe_z_mm: float) -> Iterator[Path]:
     """Moves of the tip from safe height back to safe height; the last layer lies at Z0."""
     over_mm = facing.above_mm + RAPID_CLEARANCE_MM
     if safe_z_mm < over_mm:

@@ -35,7 +35,7 @@ class Chords(NamedTuple):
     rows: int
 
 
-def sorted_chords(tracks: Sequence[Tracks], *, side_mm: float) -> Chords:
+def sort_chords(tracks: Sequence[Tracks], *, side_mm: float) -> Chords:
     tips = tracks[0].tips_mm if len(tracks) == 1 else np.concatenate([one.tips_mm for one in tracks])
     joined = tracks[0].joined if len(tracks) == 1 else np.concatenate([one.joined for one in tracks])
     group = np.repeat(np.arange(len(tracks), dtype=np.uint8), [one.joined.size for one in tracks])

@@ -18,7 +18,7 @@ _SHARES = 2
 _AT_ONCE = 20_000  # moves between two looks at how high the stock still is
 
 
-def milled_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
+def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
     """What the balls of these tracks leave of the stock, exact at the centres of its cells.
 
     before : best little above the surface: then the balls have little to go over

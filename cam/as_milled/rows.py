@@ -12,8 +12,8 @@ from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
-from cam.rows.raster import Rows, continuous_rows, ordered
-from cam.rows.turned import turned_lens
+from cam.rows.raster import Rows, continuous_rows, map_in_order
+from cam.rows.turned import turn_lens
 from cam.rows.vertices import VertexRule, finish_rule
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
@@ -34,7 +34,7 @@ def row_tracks(
     slope_error_rad: float = SLOPE_ERROR_RAD,
 ) -> Tracks:
     """Rows of one ball all over the lens, joined by turns on the surface, z rounded as a program rounds it."""
-    lens = heightfield if direction == "x" else turned_lens(heightfield)
+    lens = heightfield if direction == "x" else turn_lens(heightfield)
     stock = Stock(width_mm=lens.width_mm, height_mm=lens.height_mm, thickness_mm=1.0, margin_mm=0.0)
     spec = ball_pass("rows", radius_mm=radius_mm, pitch_mm=pitch_mm, stock_to_leave_mm=0.0, step_down_mm=radius_mm)
     surface, rule = ToolSurface.over(lens, radius_mm=radius_mm), _rule(lens, radius_mm, slope_error_rad)
@@ -55,9 +55,9 @@ def _tracks(surface: ToolSurface, rows: Rows, rule: VertexRule, direction: Direc
     return Tracks(radius_mm=surface.radius_mm, tips_mm=tips, joined=joined)
 
 
-def touched_surface(heightfield: Heightfield, radius_mm: float, direction: Direction) -> ToolSurface:
+def find_touched_surface(heightfield: Heightfield, radius_mm: float, direction: Direction) -> ToolSurface:
     """Of a ball over the lens, as rows in that direction see it: x and y exchanged for rows along y."""
-    return ToolSurface.over(heightfield if direction == "x" else turned_lens(heightfield), radius_mm=radius_mm)
+    return ToolSurface.over(heightfield if direction == "x" else turn_lens(heightfield), radius_mm=radius_mm)
 
 
 def sample_facets(
@@ -74,10 +74,10 @@ def sample_facets(
 ) -> tuple[Array, ...]:
     """(n, 4, 5) facets of four squares of the lens, of 150 rows each at most: what such rows do to its slopes.
 
-    surface : `touched_surface` of this ball, if the caller has it already
+    surface : `find_touched_surface` of this ball, if the caller has it already
     """
-    lens = heightfield if direction == "x" else turned_lens(heightfield)
-    touched = touched_surface(heightfield, radius_mm, direction) if surface is None else surface
+    lens = heightfield if direction == "x" else turn_lens(heightfield)
+    touched = find_touched_surface(heightfield, radius_mm, direction) if surface is None else surface
     rule = _rule(lens, radius_mm, slope_error_rad)
     error_mm = tip_error_mm(step_mm=step_mm, z_noise_mm=z_noise_mm, decimals=decimals)
 
@@ -89,7 +89,7 @@ def sample_facets(
         facets = np.concatenate([milled.part(k) for k in range(milled.parts)])
         return _inner(facets, 3 * milled.reach_mm + pitch_mm)
 
-    return tuple(ordered(sample, enumerate(_small_fields(lens, radius_mm, pitch_mm))))
+    return tuple(map_in_order(sample, enumerate(_small_fields(lens, radius_mm, pitch_mm))))
 
 
 def tip_error_mm(*, step_mm: float, z_noise_mm: float = 0.0, decimals: int = DECIMALS) -> float:

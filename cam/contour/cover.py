@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from cam.contour.field import REACH_PITCHES, ContourField
-from cam.contour.tracer import Tracks
+from cam.contour.tracer import ContourLines
 from cam.moves import Array
 from cam.rows.raster import THREAD_NAME, THREADS
 
@@ -65,7 +65,7 @@ def pixels_over(field: ContourField, *, width_mm: float, height_mm: float, pitch
     )
 
 
-def uncovered(tracks: Tracks, pixels: Pixels, *, pitch_mm: float) -> Array:
+def find_uncovered(tracks: ContourLines, pixels: Pixels, *, pitch_mm: float) -> Array:
     """(n, 2) centres of all blocks that count and have a pixel farther from every track than the reach."""
     reach = REACH_PITCHES * pitch_mm
     strips = math.ceil(pixels.ny / STRIP_ROWS)

@@ -92,9 +92,9 @@ class ContourField:
         ring_mm = surface.radius_mm - min(FREE_PITCHES * pitch_mm, FREE_SHARE * surface.radius_mm)
         dip_mm = min(DIP_MM, max(width_mm, height_mm) / DIPS_ACROSS)
         x, y = (np.arange(-pad, ceil(side / step) + pad + 1.0) * step for side in (width_mm, height_mm))
-        spline = _solved(heightfield, surface)
+        spline = _solve_field(heightfield, surface)
         jets = _jets(spline, x, y)
-        nodes = _wanted(surface, x, y, width_mm, height_mm, _rim_tips(heightfield, surface, step))
+        nodes = _mask_wanted(surface, x, y, width_mm, height_mm, _rim_tips(heightfield, surface, step))
         gradient = np.hypot(jets[1], jets[2])
         near = ndimage.minimum_filter(gradient, 3)
         greatest = float(np.quantile(gradient[nodes], 0.999))
@@ -108,7 +108,7 @@ class ContourField:
             level_mm=greatest * 2 * REACH_PITCHES * pitch_mm,
             wanted=nodes[:-1, :-1] & nodes[:-1, 1:] & nodes[1:, :-1] & nodes[1:, 1:],
             ring_mm=ring_mm,
-            traced=_traced(nodes, x, y, (width_mm, height_mm), ring_mm, REACH_PITCHES * pitch_mm),
+            traced=_mask_traced(nodes, x, y, (width_mm, height_mm), ring_mm, REACH_PITCHES * pitch_mm),
         )
 
 
@@ -131,7 +131,7 @@ def _rim_tips(heightfield: Heightfield, surface: ToolSurface, step: float) -> Ar
     return np.stack([rim_x - lean * hx, rim_y - lean * hy])
 
 
-def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, rim: Array) -> Mask:
+def _mask_wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm: float, rim: Array) -> Mask:
     """The aperture and, around it, the places from which the ball touches it; and the nodes beside these.
 
     So all corners of a cell are wanted that holds such a place. A corner of the lens may be so acute, seen from the
@@ -148,7 +148,9 @@ def _wanted(surface: ToolSurface, x: Array, y: Array, width_mm: float, height_mm
     return np.asarray(ndimage.binary_dilation(wanted, np.ones((3, 3))))
 
 
-def _traced(nodes: Mask, x: Array, y: Array, sides_mm: tuple[float, float], ring_mm: float, reach_mm: float) -> Mask:
+def _mask_traced(
+    nodes: Mask, x: Array, y: Array, sides_mm: tuple[float, float], ring_mm: float, reach_mm: float
+) -> Mask:
     """Cells within the reach of a wanted one, none beyond the ring on which a tool may go."""
     by = ceil(reach_mm / (x[1] - x[0]))
     near = ndimage.binary_dilation(nodes, np.ones((3, 3)), iterations=by)
@@ -173,7 +175,7 @@ def _density(needed: Array, usual: float, dip: float) -> Array:
     return np.asarray(whole + np.clip(1 + (raised - whole) / RAMP, 0.0, 1.0))
 
 
-def _solved(heightfield: Heightfield, surface: ToolSurface) -> BicubicSpline:
+def _solve_field(heightfield: Heightfield, surface: ToolSurface) -> BicubicSpline:
     """f over the aperture; around it, as far as the ball runs out, f goes on with its slope."""
     width_mm, height_mm = heightfield.width_mm, heightfield.height_mm
     spacing = max(max(width_mm, height_mm) / NODES, 0.05)

@@ -15,12 +15,12 @@ import numpy as np
 from cam.contour.chords import tips_along
 from cam.contour.field import ContourField
 from cam.contour.strokes import without_holes
-from cam.contour.tour import Room, toured, turn_radius_mm
+from cam.contour.tour import Room, tour_tracks, turn_radius_mm
 from cam.contour.tracer import trace
 from cam.moves import Array
 from cam.passes import PassSpec
 from cam.rows.entries import RAMP_STRETCH_MM
-from cam.rows.raster import on_ticks, ordered
+from cam.rows.raster import map_in_order, on_ticks
 from cam.rows.vertices import VertexRule
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
@@ -40,7 +40,7 @@ def contour_path(
 ) -> Iterator[Array]:
     """Pieces (n, 3) of one unbroken polyline of tips; the first begins with a straight along X, for the ramp down."""
     report = on_progress or (lambda done: None)
-    xy = _divided(plan_path(heightfield, surface, spec, on_progress=report), 2 * rule.probe_mm)
+    xy = _divide_chords(plan_path(heightfield, surface, spec, on_progress=report), 2 * rule.probe_mm)
     starts = range(0, len(xy) - 1, PIECE_VERTICES)
 
     def piece(first: int) -> Array:
@@ -48,7 +48,7 @@ def contour_path(
         tips = tips_along(surface.kernel, rule, chosen)
         return tips if first == 0 else tips[1:]
 
-    for done, tips in enumerate(ordered(piece, starts), start=1):
+    for done, tips in enumerate(map_in_order(piece, starts), start=1):
         yield tips
         report(JOINED + (1 - JOINED) * done / len(starts))
 
@@ -68,14 +68,14 @@ def plan_path(
     room = Room(x_from=-ring, x_to=width + ring, y_from=-ring, y_to=height + ring, radius=radius)
     straight = min(RAMP_STRETCH_MM, width / 2)
     lead_in = np.array([[width / 4, -ring / 2], [width / 4 + straight, -ring / 2]])
-    path = toured(tracks, room, (*lead_in[1], 0.0), pitch_mm=pitch)
+    path = tour_tracks(tracks, room, (*lead_in[1], 0.0), pitch_mm=pitch)
     on_progress(JOINED)
     xy = on_ticks(np.concatenate([lead_in[:1], path]))
     moved = np.any(np.diff(xy, axis=0) != 0, axis=1)
     return xy[np.concatenate([[True], moved])]
 
 
-def _divided(xy: Array, longest_mm: float) -> Array:
+def _divide_chords(xy: Array, longest_mm: float) -> Array:
     """Long chords in even parts: a transit crosses hills that its ends and its middle do not show."""
     length = np.hypot(*np.diff(xy, axis=0).T)
     parts = np.maximum(1, np.ceil(length / longest_mm)).astype(np.int64)

@@ -9,9 +9,9 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cam.contour.cover import BLOCK, PIXELS_PER_PITCH, pixels_over, uncovered
+from cam.contour.cover import BLOCK, PIXELS_PER_PITCH, find_uncovered, pixels_over
 from cam.contour.field import REACH_PITCHES, ContourField
-from cam.contour.tracer import Tracks
+from cam.contour.tracer import ContourLines
 from cam.moves import Array
 from cam.rows.raster import on_ticks
 
@@ -19,26 +19,28 @@ TILE_PITCHES = 40.0
 """Longer holes are filled piece by piece: they bend."""
 
 
-def without_holes(tracks: Tracks, field: ContourField, *, width_mm: float, height_mm: float, pitch_mm: float) -> Tracks:
+def without_holes(
+    tracks: ContourLines, field: ContourField, *, width_mm: float, height_mm: float, pitch_mm: float
+) -> ContourLines:
     """The tracks, and strokes over all places farther than half a pitch from them."""
     pixels = pixels_over(field, width_mm=width_mm, height_mm=height_mm, pitch_mm=pitch_mm)
-    bare = uncovered(tracks, pixels, pitch_mm=pitch_mm)
+    bare = find_uncovered(tracks, pixels, pitch_mm=pitch_mm)
     if not len(bare):
         return tracks
     strokes = strokes_over(bare, pitch_mm)
     ring_mm = field.ring_mm
     inside = np.clip(strokes.xy_mm, -ring_mm, (width_mm + ring_mm, height_mm + ring_mm))
-    return Tracks.joined([tracks, replace(strokes, xy_mm=on_ticks(inside))])
+    return ContourLines.joined([tracks, replace(strokes, xy_mm=on_ticks(inside))])
 
 
-def strokes_over(places_mm: Array, pitch_mm: float) -> Tracks:
+def strokes_over(places_mm: Array, pitch_mm: float) -> ContourLines:
     """Rows over every cluster of the places (n, 2), along its long axis; each place is within the reach of one."""
     label = _clusters(places_mm, pitch_mm)
     order = np.argsort(label, kind="stable")
     bounds = np.flatnonzero(np.diff(label[order], prepend=-1))
     rows = [_rows(cluster, pitch_mm) for cluster in np.split(places_mm[order], bounds[1:])]
     xy = on_ticks(np.concatenate(rows))
-    return Tracks(xy_mm=xy, start=np.arange(0, len(xy) + 1, 2))
+    return ContourLines(xy_mm=xy, start=np.arange(0, len(xy) + 1, 2))
 
 
 def _clusters(places_mm: Array, pitch_mm: float) -> np.ndarray:

@@ -16,7 +16,7 @@ SHARP = math.cos(math.radians(50.0))
 
 
 @njit(cache=True, nogil=True)
-def thinned(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
+def thin_line(points, pitch, xy, start, tracks):  # type: ignore[no-untyped-def]
     """Points kept, on the writing raster, into xy[start[tracks]:]; returns the new number of tracks.
 
     All points since the anchor lie within the sag of a chord whose direction is in a cone; it narrows with each.

@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from cam.contour.dubins import draw, shortest
-from cam.contour.tracer import Tracks
+from cam.contour.tracer import ContourLines
 from cam.moves import Array
 
 TURN_PITCHES, TIGHTEST_PITCHES = 5.5, 0.75
@@ -63,7 +63,7 @@ def turn_radius_mm(pitch_mm: float, side_mm: float) -> float:
     return min(TURN_PITCHES * pitch_mm, max(side_mm / TURNS_ACROSS, TIGHTEST_PITCHES * pitch_mm))
 
 
-def toured(tracks: Tracks, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:
+def tour_tracks(tracks: ContourLines, room: Room, begin: tuple[float, float, float], *, pitch_mm: float) -> Array:
     """(n, 2) one polyline from a pose (x, y, heading) along all tracks and out to the ring."""
     entries = _entries(tracks, room, pitch_mm)
     points = np.empty((len(tracks.xy_mm) + (MOST_JOINT_POINTS + 1) * (tracks.count + 2), 2))
@@ -71,7 +71,7 @@ def toured(tracks: Tracks, room: Room, begin: tuple[float, float, float], *, pit
     return points[:count].copy()
 
 
-def _entries(tracks: Tracks, room: Room, pitch_mm: float) -> Entries:
+def _entries(tracks: ContourLines, room: Room, pitch_mm: float) -> Entries:
     pose, track, vertex, sense = _ways_in(tracks.xy_mm, tracks.start, PLACES_PITCHES * pitch_mm)
     cell = CELL_PITCHES * pitch_mm
     nx, ny = (math.ceil(side / cell) + 1 for side in (room.x_to - room.x_from, room.y_to - room.y_from))

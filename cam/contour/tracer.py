@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cam.contour.field import REACH_PITCHES, ContourField
 from cam.contour.levels import level_tree
-from cam.contour.thinning import thinned
+from cam.contour.thinning import thin_line
 from cam.contour.triangles import bucket, corners_of, follow, other_edge
 from cam.moves import Array
 from cam.rows.raster import THREAD_NAME, THREADS
@@ -28,7 +28,7 @@ SHORTEST_PITCHES = 6.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Tracks:
+class ContourLines:
     """Polylines one after the other: track k is xy_mm[start[k] : start[k + 1]]; a closed one ends where it began."""
 
     xy_mm: Array
@@ -39,17 +39,17 @@ class Tracks:
         return self.start.size - 1
 
     @classmethod
-    def joined(cls, parts: list[Tracks]) -> Tracks:
+    def joined(cls, parts: list[ContourLines]) -> ContourLines:
         starts = [part.start[:-1] + before for part, before in zip(parts, _before(parts), strict=True)]
         xy = np.concatenate([part.xy_mm for part in parts])
         return cls(xy_mm=xy, start=np.concatenate([*starts, [len(xy)]]).astype(np.int64))
 
 
-def _before(parts: list[Tracks]) -> list[int]:
+def _before(parts: list[ContourLines]) -> list[int]:
     return [0, *np.cumsum([len(part.xy_mm) for part in parts])[:-1].tolist()]
 
 
-def trace(field: ContourField, *, pitch_mm: float) -> Tracks:
+def trace(field: ContourField, *, pitch_mm: float) -> ContourLines:
     """All level lines, as far as places are wanted beside them."""
     classes = int(np.ceil(field.density.max())) + 2
     levels = level_tree(float(field.f.min()), float(field.f.max()), field.level_mm, classes)
@@ -62,15 +62,15 @@ def trace(field: ContourField, *, pitch_mm: float) -> Tracks:
     shares = np.searchsorted(offset, np.linspace(0, offset[-1], CHUNKS + 1))
     shares[-1] = levels.birth.size
 
-    def chunk(first: int, last: int) -> Tracks:
+    def chunk(first: int, last: int) -> ContourLines:
         room = int(offset[last] - offset[first])
         xy, start = np.empty((2 * room + 4, 2)), np.empty(room + 4, np.int64)
         origin = field.x0_mm, field.y0_mm, field.step_mm
         count = _walk(*grid, *origin, field.wanted, offset, triangles, first, last, pitch_mm, xy, start)
-        return Tracks(xy_mm=xy[: start[count]].copy(), start=start[: count + 1].copy())
+        return ContourLines(xy_mm=xy[: start[count]].copy(), start=start[: count + 1].copy())
 
     with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:
-        return Tracks.joined(list(pool.map(chunk, shares[:-1].tolist(), shares[1:].tolist())))
+        return ContourLines.joined(list(pool.map(chunk, shares[:-1].tolist(), shares[1:].tolist())))
 
 
 @njit(cache=True, nogil=True)
@@ -102,14 +102,14 @@ def _walk(f, density, cells, levels, x0, y0, step, wanted, offset, triangles, fi
                 edge = other_edge(levels, line, fs, cs, edge)
                 begin, _ = follow(f, density, cells, levels, line, t, edge, stamp, raw, middle - 1, -1)
                 begin += 1
-                begin, end = _needed(raw, begin, end, wanted, reach / step)
-            if _placed(raw[begin:end], x0, y0, step) >= SHORTEST_PITCHES * pitch:
-                tracks = thinned(raw[begin:end], pitch, xy, start, tracks)
+                begin, end = _find_needed(raw, begin, end, wanted, reach / step)
+            if _place_points(raw[begin:end], x0, y0, step) >= SHORTEST_PITCHES * pitch:
+                tracks = thin_line(raw[begin:end], pitch, xy, start, tracks)
     return tracks
 
 
 @njit(cache=True, nogil=True)
-def _needed(raw, begin, end, wanted, reach):  # type: ignore[no-untyped-def]
+def _find_needed(raw, begin, end, wanted, reach):  # type: ignore[no-untyped-def]
     """(begin, end) of an open line's part beside which places are wanted, with a point more on either side."""
     first = begin
     while first + 2 < end and not _beside(raw[first + 1], raw[first + 2], wanted, reach):
@@ -134,7 +134,7 @@ def _beside(a, b, wanted, reach):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _placed(points, x0, y0, step):  # type: ignore[no-untyped-def]
+def _place_points(points, x0, y0, step):  # type: ignore[no-untyped-def]
     """Steps of the grid to mm, in place; returns the length."""
     length = 0.0
     for n in range(points.shape[0]):

@@ -15,7 +15,7 @@ from cam.contour.levels import level_at
 
 
 @njit(cache=True, nogil=True)
-def _crossing_lines(f, c, levels, out):  # type: ignore[no-untyped-def]
+def _cross_triangle(f, c, levels, out):  # type: ignore[no-untyped-def]
     """Lines that cross a triangle with corner values f (3,), c (3,), into out; returns how many."""
     c_max, c_min = max(c[0], c[1], c[2]), min(c[0], c[1], c[2])
     j = int(math.ceil(c_max))
@@ -69,7 +69,7 @@ def bucket(f, density, cells, levels, at, triangles, counting):  # type: ignore[
             for half in range(2):
                 t = 2 * (j * nx + i) + half
                 corners_of(f, density, t, fs, cs, nodes)
-                for k in range(_crossing_lines(fs, cs, levels, lines)):
+                for k in range(_cross_triangle(fs, cs, levels, lines)):
                     if not counting:
                         triangles[at[lines[k]]] = t
                     at[lines[k]] += 1

@@ -163,7 +163,7 @@ def row_grain(radius_mm: float, pitch_mm: float, off_mm: float, reach_mm: float,
     edges = np.arange(rows[0] * pitch_mm + edge, rows[-1] * pitch_mm - edge, pixel_mm)
     if edges.size < 50:
         return 0.0
-    light = np.diff(_passed(begin, edges) - _passed(end, edges))
+    light = np.diff(_sum_passed(begin, edges) - _sum_passed(end, edges))
     return float(light.std() / light.mean())
 
 
@@ -176,7 +176,7 @@ def chord_grain(slopes: RowSlopes, *, radius_mm: float, reach_mm: float, pixel_m
     return sqrt(_LOTS * aside**2 / (1.0 + aside**2) / chords)
 
 
-def _passed(places: Array, edges: Array) -> Array:
+def _sum_passed(places: Array, edges: Array) -> Array:
     """Sum over all places of how far each edge lies beyond it."""
     ordered = np.sort(places)
     before = np.searchsorted(ordered, edges)
@@ -187,7 +187,7 @@ def _histogram(low: Array, high: Array) -> tuple[Array, Array]:
     """Share of slopes of facets that are even from low to high; symmetric, as its law is."""
     most = float(max(-low.min(), high.max()))
     edges = np.linspace(-most, most, _BINS + 1)
-    share = np.diff(_passed(low, edges) - _passed(high, edges))
+    share = np.diff(_sum_passed(low, edges) - _sum_passed(high, edges))
     share = (share + share[::-1]) / 2
     return share / share.sum(), edges
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cam.moves import Array, Path, cut, rapid
 from cam.passes import PassSpec
-from cam.rows.vertices import TICKS_PER_MM, thinned
+from cam.rows.vertices import TICKS_PER_MM, thin_points
 
 RAMP_SLOPE = tan(radians(3.0))
 RAMP_STRETCH_MM = 15.0
@@ -130,7 +130,7 @@ def ramp(polyline_mm: Array, start_mm: float) -> Array:
         way, done = (path, places) if leg % 2 == 0 else (path[::-1], stretch - places[::-1])
         points = way.copy()
         points[:, 2] = np.maximum(way[:, 2], start_mm - RAMP_SLOPE * (leg * stretch + done))
-        sunk.append(thinned(points, STRAIGHT_MM, along=int(straight[0])) if straight.any() else points)
+        sunk.append(thin_points(points, STRAIGHT_MM, along=int(straight[0])) if straight.any() else points)
     sunk[-1][-1] = polyline_mm[0]
     return np.concatenate(sunk)
 

@@ -19,8 +19,8 @@ from scipy.ndimage import maximum_filter1d
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
-from cam.rows.raster import Rows, climbs_rightward, on_ticks, ordered
-from cam.rows.vertices import rough_sag_mm, thinned
+from cam.rows.raster import Rows, climbs_rightward, map_in_order, on_ticks
+from cam.rows.vertices import rough_sag_mm, thin_points
 from cam.surface.stock_touch import StockTouch
 from cam.surface.tool_surface import ToolSurface
 
@@ -76,7 +76,7 @@ class Field:
         x = on_ticks(np.linspace(left, right, count))
         target = np.empty((rows.y_mm.size, x.size))
         blocks = np.array_split(np.arange(rows.y_mm.size), max(1, rows.y_mm.size // 64))
-        heights = ordered(lambda block: surface.tip_rows_mm(x, rows.y_mm[block]), blocks)
+        heights = map_in_order(lambda block: surface.tip_rows_mm(x, rows.y_mm[block]), blocks)
         for block, part in zip(blocks, heights, strict=True):
             target[block] = part
         return cls(rows=rows, x_mm=x, target_mm=target, stock_mm=stock.over(x, rows.y_mm))
@@ -173,7 +173,7 @@ def spans(active: npt.NDArray[np.bool_], *, pad: int, gap: int) -> list[tuple[in
     return merged
 
 
-def chained(
+def chain_spans(
     by_row: list[list[tuple[int, int]]], *, most_samples: int, link: bool, first_upward: bool = True
 ) -> Iterator[Run]:
     """Every span once: up the rows from neighbour to neighbour, there and back, while the next start is near enough.
@@ -224,7 +224,7 @@ def layer_paths(
     before: Run | None = None
     place = np.empty(3)
     linked = spec.link == "u-turn"
-    runs = chained(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
+    runs = chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec))
     for done, run in enumerate(runs, start=1):
         samples = slice(run.first, run.last + 1)
         points = np.column_stack(
@@ -240,7 +240,7 @@ def layer_paths(
             if before is not None:
                 yield leave(place[0], place[1], safe_z_mm=safe_z_mm)
             height = float(left[run.row, run.start]) + stock.slack_mm + 2 * sag
-            yield from enter(thinned(points, sag), height, spec, safe_z_mm=safe_z_mm, pocket=pocket)
+            yield from enter(thin_points(points, sag), height, spec, safe_z_mm=safe_z_mm, pocket=pocket)
         yield from _cuts(points, slot, sag, spec)
         before, place = run, points[-1]
         on_progress(done / total)
@@ -271,7 +271,7 @@ def _cuts(points: Array, slot: npt.NDArray[np.bool_], sag_mm: float, spec: PassS
     edges = np.flatnonzero(np.diff(slot)) + 1
     for first, end in pairwise([0, *edges.tolist(), len(points)]):
         feed = spec.feed_mm_per_min * (SLOT_FEED if slot[first] else 1.0)
-        yield cut(thinned(points[first:end], sag_mm), feed)
+        yield cut(thin_points(points[first:end], sag_mm), feed)
 
 
 def _sag_mm(surface: ToolSurface, layer: Layer, spec: PassSpec) -> float:
@@ -334,7 +334,7 @@ def _end_walls(
         left, tips = _stock_and_tips(column, layer, above)
         sag = _sag_mm(surface, layer, spec)
         for first, last in spans(_stands_above(left, tips, stock, above)[0], pad=1, gap=y.size):
-            points = thinned(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
+            points = thin_points(np.column_stack([x, y, tips[0]])[first : last + 1], sag, along=1)
             height = float(left[0, first]) + stock.slack_mm + 2 * sag
             yield from enter(points, height, spec, safe_z_mm=safe_z_mm)
             yield cut(points, SLOT_FEED * spec.feed_mm_per_min)
@@ -361,4 +361,4 @@ def _link(field: Field, surface: ToolSurface, layer: Layer, before: Run, run: Ru
     x = on_ticks(np.clip(x0 + (x1 - x0) * angle / pi + bulge, field.x_mm[0], field.x_mm[-1]))
     y = on_ticks(y0 + (y1 - y0) * (1 - np.cos(angle)) / 2)
     points = np.column_stack([x, y, layer.tips_mm(surface.tip_heights_mm(x, y))])
-    return thinned(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points
+    return thin_points(points, tolerance_mm, along=1) if np.ptp(x) == 0 else points

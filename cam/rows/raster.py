@@ -103,7 +103,7 @@ def _chunk(surface: ToolSurface, rows: Rows, rule: VertexRule, first: int) -> Ar
 def continuous_rows(surface: ToolSurface, rows: Rows, rule: VertexRule) -> Iterator[Array]:
     """All rows there and back on one unbroken path, as pieces (n, 3) in order; a few pieces are in work at a time."""
     starts = range(0, rows.y_mm.size, ROWS_PER_CHUNK)
-    yield from ordered(lambda first: _chunk(surface, rows, rule, first), starts)
+    yield from map_in_order(lambda first: _chunk(surface, rows, rule, first), starts)
 
 
 def climbs_rightward(spec: PassSpec) -> bool:
@@ -123,10 +123,10 @@ def separate_rows(surface: ToolSurface, rows: Rows, rule: VertexRule, *, rightwa
         out = np.empty((most_vertices(rows.length_mm, rule), 3))
         return out[: march_row(surface.kernel, rule, rows.y_mm[index], start, end, out, 0)].copy()
 
-    yield from ordered(row, range(rows.y_mm.size))
+    yield from map_in_order(row, range(rows.y_mm.size))
 
 
-def ordered(work, items) -> Iterator[Array]:  # type: ignore[no-untyped-def]
+def map_in_order(work, items) -> Iterator[Array]:  # type: ignore[no-untyped-def]
     """work(item) of each item in order, THREADS at a time, at most two waiting for each."""
     waiting: deque[Future[Array]] = deque()
     with ThreadPoolExecutor(THREADS, thread_name_prefix=THREAD_NAME) as pool:

@@ -20,7 +20,7 @@ from scipy import ndimage
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import enter, leave
-from cam.rows.layers import Run, chained, spans
+from cam.rows.layers import Run, chain_spans, spans
 from cam.rows.raster import Rows, climbs_rightward, on_ticks
 from cam.rows.vertices import VertexRule, march_row, most_vertices
 from cam.surface.stock_grid import StockGrid
@@ -178,7 +178,7 @@ def _region(
     reach = max(2, round(2 * spec.radius_mm / ground.surface.kernel.node_step))
     by_row = [spans(row, pad=1, gap=reach) for row in inside]
     last = np.empty(0)
-    for local in chained(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec)):
+    for local in chain_spans(by_row, most_samples=reach, link=linked, first_upward=linked or climbs_rightward(spec)):
         run = Run(
             local.row + first_row, local.first + first_sample, local.last + first_sample, local.upward, local.joined
         )

@@ -15,18 +15,18 @@ from cam.surface.stock_grid import StockGrid
 from optics.heightfield import Heightfield
 
 
-def turned_lens(heightfield: Heightfield) -> Heightfield:
+def turn_lens(heightfield: Heightfield) -> Heightfield:
     return replace(heightfield, x_mm=heightfield.y_mm, y_mm=heightfield.x_mm, z_mm=heightfield.z_mm.T)
 
 
-def turned_block(stock: Stock) -> Stock:
+def turn_block(stock: Stock) -> Stock:
     return replace(stock, width_mm=stock.height_mm, height_mm=stock.width_mm)
 
 
-def turned_stock(stock_top: StockGrid) -> StockGrid:
+def turn_stock(stock_top: StockGrid) -> StockGrid:
     return replace(stock_top, x0_mm=stock_top.y0_mm, y0_mm=stock_top.x0_mm, top_mm=stock_top.top_mm.T)
 
 
-def turned_paths(paths: Iterable[Path]) -> Iterator[Path]:
+def turn_paths(paths: Iterable[Path]) -> Iterator[Path]:
     for path in paths:
         yield replace(path, points_mm=path.points_mm[:, [1, 0, 2]])

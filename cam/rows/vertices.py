@@ -198,7 +198,7 @@ def _thin(x, z, tolerance):  # type: ignore[no-untyped-def]
     return keep[:count]
 
 
-def thinned(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Array:
+def thin_points(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Array:
     """The fewest of the points (n, 3) of a line parallel to an axis, in order along it, within the tolerance in Z.
 
     along : 0 for a line along X, 1 for one along Y

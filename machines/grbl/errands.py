@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Unlock
 from machines.grbl import replies
 from machines.grbl.settings import ControllerSettings, Triple, read_settings
-from machines.grbl.stall import homing_time_s
+from machines.grbl.stall import longest_homing_s
 
 REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
 BLOCK_S = 60.0
@@ -81,7 +81,7 @@ def identify(banner: str) -> Errand:
     settings = read_settings(heard, banner)
     if version.failure and not banner and not settings.values and not settings.parser_state:
         raise ErrandFailedError(f"answers '?' like GRBL, but neither $I nor $$ ({version.failure})")
-    return Outcome(settings=settings, answer=described(settings))
+    return Outcome(settings=settings, answer=describe_settings(settings))
 
 
 def _told(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
@@ -104,7 +104,7 @@ def _told(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[
     raise ErrandFailedError(f"{text.decode('ascii')} is answered differently every time: the link damages bytes")
 
 
-def described(settings: ControllerSettings) -> dict[str, object]:
+def describe_settings(settings: ControllerSettings) -> dict[str, object]:
     """Settings as plain data, for CommandDone."""
     return {
         "settings": settings.to_dict(),
@@ -113,20 +113,20 @@ def described(settings: ControllerSettings) -> dict[str, object]:
     }
 
 
-def _asked(answer: Answer) -> Answer:
+def _ask(answer: Answer) -> Answer:
     if answer.failure:
         raise ErrandFailedError(answer.failure)
     return answer
 
 
 def home(settings: ControllerSettings) -> Errand:
-    _asked((yield Ask(b"$H", homing_time_s(settings))))
-    _asked((yield WaitStill(REPLY_S)))
+    _ask((yield Ask(b"$H", longest_homing_s(settings))))
+    _ask((yield WaitStill(REPLY_S)))
     return Outcome(vouched="XYZ")
 
 
 def unlock() -> Errand:
-    _asked((yield Ask(b"$X")))
+    _ask((yield Ask(b"$X")))
     return Outcome()
 
 
@@ -135,28 +135,28 @@ def jog(command: Jog, settings: ControllerSettings) -> Errand:
     if not axes:
         return Outcome()
     length_mm = sum(value * value for value in command.by_mm) ** 0.5
-    _asked((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
+    _ask((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
     slowest = min((command.feed_mm_per_min, *(settings.max_rate_mm_per_min or (500.0,))))
-    _asked((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
+    _ask((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
     return Outcome()
 
 
 def probe(command: ProbeZ, settings: ControllerSettings) -> Errand:
     """Down until contact; then the zero is set so that the *contact point*, not the place after braking, has its Z."""
-    modal = _asked((yield Ask(b"$G", expect=PARSER_TAG)))
-    restore = _restoring(modal)
+    modal = _ask((yield Ask(b"$G", expect=PARSER_TAG)))
+    restore = _words_to_restore(modal)
     seconds = 20.0 + 3.0 * command.depth_mm / command.feed_mm_per_min * 60.0
     down = f"G21G91G38.2Z{-abs(command.depth_mm):.4f}F{command.feed_mm_per_min:.1f}"
-    answer = _asked((yield Ask(down.encode(), seconds, PROBE_TAG)))
+    answer = _ask((yield Ask(down.encode(), seconds, PROBE_TAG)))
     contact = _contact(answer, settings.unit_mm)
-    still = _asked((yield WaitStill()))
+    still = _ask((yield WaitStill()))
     if still.machine_mm is None:
         raise ErrandFailedError("the probe touched, but the controller reports no machine position: zero not set")
     height_mm = command.plate_mm + still.machine_mm[2] - contact[2]
-    _asked((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
-    _asked((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
-    _asked((yield WaitStill()))
-    _asked((yield Ask(restore)))
+    _ask((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
+    _ask((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
+    _ask((yield WaitStill()))
+    _ask((yield Ask(restore)))
     offsets = yield from _told(b"$#", OFFSET_TAG)
     again = read_settings((*_as_heard(settings), *offsets))
     return Outcome(
@@ -166,7 +166,7 @@ def probe(command: ProbeZ, settings: ControllerSettings) -> Errand:
     )
 
 
-def _restoring(modal: Answer) -> bytes:
+def _words_to_restore(modal: Answer) -> bytes:
     """Words that bring back units, distance mode and motion as [GC:] told before."""
     words = {word for push in modal.heard if isinstance(push, replies.Push) for word in push.body.split()}
     return (("G20" if "G20" in words else "G21") + ("G91" if "G91" in words else "G90")).encode()
@@ -187,7 +187,7 @@ def _contact(answer: Answer, unit_mm: float) -> Triple:
 
 def set_zero(command: SetZero, settings: ControllerSettings) -> Errand:
     words = "".join(f"{axis}0" for axis in command.axes)
-    _asked((yield Ask(f"G10L20P0{words}".encode())))
+    _ask((yield Ask(f"G10L20P0{words}".encode())))
     offsets = yield from _told(b"$#", OFFSET_TAG)
     again = read_settings((*_as_heard(settings), *offsets))
     answer: dict[str, object] = {"offsets": {name: list(value) for name, value in again.offsets.items()}}
@@ -205,15 +205,15 @@ def _with_offsets(settings: ControllerSettings, again: ControllerSettings) -> Co
 
 def check_mode() -> Errand:
     """$C is a toggle; off ends in a soft reset of the controller's own, with a banner."""
-    _asked((yield Ask(b"$C")))
+    _ask((yield Ask(b"$C")))
     return Outcome()
 
 
 def send_block(command: SendBlock, settings: ControllerSettings) -> Errand:
     text = command.text.strip().encode("ascii")
-    answer = _asked((yield Ask(text, BLOCK_S)))
+    answer = _ask((yield Ask(text, BLOCK_S)))
     if not text.startswith(b"$"):
-        _asked((yield WaitStill()))
+        _ask((yield WaitStill()))
     heard = [*answer.heard]
     again = yield from identify(settings.version) if text.startswith(b"$") else _modal_again(settings)
     return Outcome(answer={"heard": [str(reply) for reply in heard]}, settings=again.settings)

@@ -270,7 +270,7 @@ class SessionHearing(SessionFollowing):
         self._steer_reports += 1
         if report.overrides is None and self._steer_reports < overrides.PATIENCE_REPORTS:
             return
-        shown = overrides.reported(command.what, self.view.overrides)
+        shown = overrides.value_in_report(command.what, self.view.overrides)
         steps = overrides.next_bytes(command.what, shown, command.percent)
         if not steps and (report.overrides is not None or self.view.override_reports):
             self._steer = None

@@ -9,7 +9,7 @@ MIST = "M"
 _TELL_MIST = frozenset({"grbl", "grblhal"})
 
 
-def missing_option(settings: ControllerSettings, *, mist_line: int) -> str:
+def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> str:
     """Why this controller would refuse a block of the program in the middle of a cut; "" if it would not.
 
     mist_line : first line with M7, 0 for none. Nothing is said where the controller does not tell its options.

@@ -21,7 +21,7 @@ def refusal(what: str, percent: int) -> str:
     return "" if 10 <= percent <= 200 else f"{what} override {percent} %: from 10 to 200"
 
 
-def reported(what: str, overrides: tuple[int, int, int]) -> int:
+def value_in_report(what: str, overrides: tuple[int, int, int]) -> int:
     """This override in a report's Ov."""
     return overrides[1] if what == "rapid" else overrides[_STEPS[what][0]]
 

@@ -19,7 +19,7 @@ from math import sqrt
 from typing import Protocol
 
 from machines.grbl.settings import ControllerSettings
-from machines.grbl.tracking import Move
+from machines.grbl.tracking import QueuedMove
 
 MARGIN_S = 2.0  # scheduling, USB adapters, networks
 SLACK = 1.5  # jerk-limited motion (grblHAL) takes up to half as long again; ceramic resonators are 0.5 % off
@@ -35,13 +35,13 @@ UNKNOWN_MM = 2000.0  # a move from or to a place the program does not tell, wher
 SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 
 
-class Waiting(Move, Protocol):
+class Waiting(QueuedMove, Protocol):
     """What is used of the step whose answer is awaited."""
 
     withholds_ok: bool
 
 
-def motion_time_s(step: Move, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:
+def motion_time_s(step: QueuedMove, settings: ControllerSettings, overrides: tuple[int, int, int]) -> float:
     """Longest time for one move: every block of it from rest to rest, at the rate and acceleration of the weakest axis.
 
     L / v + v / a where the block reaches its speed, else 2 sqrt(L / a); 0 for what does not move.
@@ -65,14 +65,14 @@ def motion_time_s(step: Move, settings: ControllerSettings, overrides: tuple[int
     return blocks * 2.0 * sqrt(each_mm / acceleration)
 
 
-def _length_mm(step: Move, settings: ControllerSettings) -> float:
+def _length_mm(step: QueuedMove, settings: ControllerSettings) -> float:
     if None not in step.start_mm and None not in step.end_mm:
         return step.length_mm
     travel = settings.travel_mm
     return step.length_mm + (sum(travel) if travel else UNKNOWN_MM)
 
 
-def _chords(step: Move, length_mm: float, tolerance_mm: float | None) -> int:
+def _chords(step: QueuedMove, length_mm: float, tolerance_mm: float | None) -> int:
     """How many blocks the firmware makes of a move ($12): one, or the chords of an arc.
 
     A chord with the sagitta e on the radius r is 2 sqrt(e (2 r - e)) long, at least 2 e: with r unknown, the shortest.
@@ -87,7 +87,7 @@ def _chords(step: Move, length_mm: float, tolerance_mm: float | None) -> int:
 
 def longest_wait_s(
     first: Waiting | None,
-    queued: Iterable[Move],
+    queued: Iterable[QueuedMove],
     settings: ControllerSettings,
     overrides: tuple[int, int, int],
     *,
@@ -117,7 +117,7 @@ def _pause_s(step: Waiting, settings: ControllerSettings) -> float:
     return max(SPINDLE_S, 2.0 * (settings.number(394) or 0.0), 2.0 * (settings.number(395) or 0.0))
 
 
-def homing_time_s(settings: ControllerSettings) -> float:
+def longest_homing_s(settings: ControllerSettings) -> float:
     """Longest time $H may take: each axis searches 1.5 times its travel at $25, then at $24 over the pull-off $27.
 
     Without these settings: five minutes.

@@ -37,7 +37,7 @@ REMEMBERED = 64  # executed steps, for naming the nearest line and the last move
 BEHIND = 4
 
 
-class Move(Protocol):
+class QueuedMove(Protocol):
     """What is used of machines.gcode.step.Step."""
 
     kind: str
@@ -112,8 +112,8 @@ class Tracker:
     ) -> None:
         """least_block_mm: a shorter move may be no step of any axis, and then no block."""
         self.executed_line = 0
-        self._steps: deque[tuple[int, Move]] = deque()  # from the first not proven executed to the last sent
-        self._recent: deque[tuple[int, Move]] = deque(maxlen=REMEMBERED)
+        self._steps: deque[tuple[int, QueuedMove]] = deque()  # from the first not proven executed to the last sent
+        self._recent: deque[tuple[int, QueuedMove]] = deque(maxlen=REMEMBERED)
         self._answered = 0  # how many of _steps, from the left, are answered
         self._by_count: deque[tuple[int, int]] = deque()  # answered blocks the buffers may hold: count of steps, line
         self._dropped = 0  # steps that are no longer in _steps
@@ -129,7 +129,7 @@ class Tracker:
         self._distrusted = False
         self._tolerance_mm = tolerance_mm
 
-    def sent(self, number: int, step: Move) -> None:
+    def sent(self, number: int, step: QueuedMove) -> None:
         self._steps.append((number, step))
 
     def answered(self) -> None:
@@ -159,7 +159,7 @@ class Tracker:
             if place > self._dropped:
                 self._drop(place - self._dropped)
 
-    def _makes_block(self, step: Move) -> bool:
+    def _makes_block(self, step: QueuedMove) -> bool:
         """Whether this move, with the too short ones before it, has brought the axes a step further for certain."""
         if step.length_mm < self._least_block_mm:
             begin = self._crept_from_mm or step.start_mm
@@ -216,7 +216,7 @@ class Tracker:
             return Sight(Place.OFF_PATH, before.line, before.distance_mm)
         return Sight(Place.OFF_PATH, nearest, nearest_mm)
 
-    def _found(self, index: int, number: int, step: Move, away_mm: float, position_mm: Triple) -> Sight:
+    def _found(self, index: int, number: int, step: QueuedMove, away_mm: float, position_mm: Triple) -> Sight:
         if index < self._answered:
             self._drop(index)
             return Sight(Place.ON_PATH, number, away_mm)
@@ -274,12 +274,12 @@ class Tracker:
         return found
 
     @property
-    def unproven(self) -> tuple[tuple[int, Move], ...]:
+    def unproven(self) -> tuple[tuple[int, QueuedMove], ...]:
         """Steps that may still have to be executed, oldest first."""
         return tuple(self._steps)
 
     @property
-    def unproven_answered(self) -> tuple[Move, ...]:
+    def unproven_answered(self) -> tuple[QueuedMove, ...]:
         return tuple(step for _, step in islice(self._steps, self._answered))
 
     def last_sent_s(self, blocks: int, feed_percent: int) -> float:
@@ -292,7 +292,7 @@ class Tracker:
         return total_s
 
     @property
-    def last_move(self) -> Move | None:
+    def last_move(self) -> QueuedMove | None:
         """The last answered step that moves, as far back as is remembered."""
         for _, step in reversed(list(islice(self._steps, self._answered))):
             if step.moves:

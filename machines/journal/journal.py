@@ -75,7 +75,7 @@ def read_journal(folder: Path) -> JournalContent | None:
             data = path.read_bytes()
         except OSError as error:
             raise JournalError(f"journal {path}: cannot be read ({os_words(error)})") from error
-        content = _folded(data)
+        content = _fold_records(data)
         whole = sum(len(encode(record)) for record in records_in(data))
         if whole < len(data) or not data:
             torn.append(
@@ -87,7 +87,7 @@ def read_journal(folder: Path) -> JournalContent | None:
     return None
 
 
-def _folded(data: bytes) -> tuple[dict[str, Any], int, int] | None:
+def _fold_records(data: bytes) -> tuple[dict[str, Any], int, int] | None:
     """State, last sequence number and number of records; None if the file does not begin with a whole state."""
     state: dict[str, Any] = {}
     sequence = count = 0

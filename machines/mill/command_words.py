@@ -34,10 +34,10 @@ _NAMES: dict[type[Command], str] = {
 
 def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:
     """A line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
-    return f"{_asked(done.command)}: {done.failure or _came_of_it(done, from_mm, at_mm)}"
+    return f"{_word_question(done.command)}: {done.failure or _came_of_it(done, from_mm, at_mm)}"
 
 
-def _asked(command: Command) -> str:
+def _word_question(command: Command) -> str:
     match command:
         case Jog():
             return f"Jog {_way(command.by_mm)}"

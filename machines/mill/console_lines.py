@@ -49,14 +49,16 @@ _WORD, _SETTING = re.compile(f"([A-Z])({_NUMBER})"), re.compile(rf"\$({_NUMBER})
 def describe_effect(text: str) -> str:
     """What the line would change, as the end of a sentence that begins with it; "" where it need not be asked for."""
     line = strip_block(text.encode("ascii", "replace")).decode()
-    parts = [_spelled_alike(line)] if line[:1] in ("$", "[", "#") else [_word(*found) for found in _WORD.findall(line)]
+    parts = (
+        [_normalize_setting(line)] if line[:1] in ("$", "[", "#") else [_word(*found) for found in _WORD.findall(line)]
+    )
     for part in parts:
         if words := next((words for pattern, words in EFFECTS if re.fullmatch(pattern, part)), ""):
             return words
     return ""
 
 
-def _spelled_alike(line: str) -> str:
+def _normalize_setting(line: str) -> str:
     """$020=0.0 is $20=0 to a controller."""
     if found := _SETTING.fullmatch(line):
         number, value = found.groups()

@@ -14,7 +14,7 @@ from machines.journal.journal import Journal
 from machines.mill.files import RunFolders, view_of
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
-from machines.runs import LIVE, RunState, RunView, moved
+from machines.runs import LIVE, RunState, RunView, move_state
 
 MARK_EVERY_S = 0.5
 _PACE_AFTER_S = 20.0
@@ -87,7 +87,7 @@ class Run:
 
     def move(self, state: RunState, words: str = "", **fields: Any) -> None:
         """Change state, by the table."""
-        after = moved(self.state, state)
+        after = move_state(self.state, state)
         self.write("run", state=after.value, words=words, **fields)
 
     def begin_stream(self) -> None:

@@ -16,7 +16,7 @@ from machines.mill.run import Run
 from machines.recovery.needs import position_doubt
 from machines.recovery.plan import Present
 from machines.recovery.planning import GRBL_DIALECTS
-from machines.recovery.standing import LINES_AFTER_LAST_MARK, executed_by_standing, standing_tolerance_mm
+from machines.recovery.standing import LINES_AFTER_LAST_MARK, count_executed_at_rest, tolerance_at_rest_mm
 
 STILL_S = 0.5  # two status reports at the same place
 
@@ -51,7 +51,7 @@ def proven_line(run: Run, reader: ProgramReader, driver: Driver, place_mm: Tripl
     last = int(record.get("sent_line") or 0)
     if record.get("adrift") == OWNER_LOST:
         last += LINES_AFTER_LAST_MARK
-    return executed_by_standing(reader, record, place_mm, last_line=last, tolerance_mm=standing_tolerance_mm(settings))
+    return count_executed_at_rest(reader, record, place_mm, last_line=last, tolerance_mm=tolerance_at_rest_mm(settings))
 
 
 def adrift(runs: Sequence[Run]) -> list[Run]:

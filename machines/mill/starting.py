@@ -13,7 +13,7 @@ from typing import Any
 from machines.driver import CommandDone, Driver, MillState, ReadSettings, TrustPosition
 from machines.errors import JournalError, MachineError, NotAllowedError, ProgramChangedError
 from machines.gcode.program import ProgramReader
-from machines.grbl.options import missing_option
+from machines.grbl.options import find_missing_option
 from machines.grbl.settings import ControllerSettings
 from machines.mill.events import MillEvents
 from machines.mill.orders import OrderRefusedError, Refusal
@@ -76,7 +76,7 @@ class MillStarting(MillEvents):
             raise OrderRefusedError(Refusal.SETUP, "start: the zero or the position has changed since it was looked at")
         _check_modes(facts, answer)
         settings = _told(driver)
-        if settings is not None and (words := missing_option(settings, mist_line=facts.mist_line)):
+        if settings is not None and (words := find_missing_option(settings, mist_line=facts.mist_line)):
             raise NotAllowedError(f"start: {words}")
         placement = program_placement(facts, reader, _told(driver), driver.status)
         if placement.certain and placement.problems:

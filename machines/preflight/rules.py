@@ -30,7 +30,7 @@ _WORDS = (
 )  # fmt: skip
 
 
-def assumed(events: Events) -> tuple[str, ...]:
+def list_assumed_modes(events: Events) -> tuple[str, ...]:
     """Modes in force at the first coordinates although the program has not said them."""
     pairs = ((tally.UNITS_ASSUMED, "G21"), (tally.DISTANCE_ASSUMED, "G90"))
     return tuple(word for slot, word in pairs if events[slot][1])

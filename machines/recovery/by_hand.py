@@ -19,14 +19,14 @@ def by_sequence_number(record: Mapping[str, Any], facts: Preflight, reader: Prog
     executed, sent = int(record.get("executed_line") or 0), int(record.get("sent_line") or 0)
     return (
         f"dialect {facts.dialect}: this link does not tell where the control stopped, so there is no recovery by "
-        f"position. It was given lines up to {_named(reader, sent)} and has executed at least those up to "
-        f"{_named(reader, executed)}. Read the sequence number on its screen, bring the tool to a safe height, check "
-        "the zero, and restart at its panel from the last tool entry at or before that number, or park a program of "
-        "the rest"
+        f"position. It was given lines up to {_name_line(reader, sent)} and has executed at least those up to "
+        f"{_name_line(reader, executed)}. Read the sequence number on its screen, bring the tool to a safe height, "
+        "check the zero, and restart at its panel from the last tool entry at or before that number, or park a program "
+        "of the rest"
     )
 
 
-def _named(reader: ProgramReader, line: int) -> str:
+def _name_line(reader: ProgramReader, line: int) -> str:
     """A line with the sequence number that holds there."""
     number = None
     try:

@@ -16,7 +16,7 @@ OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 
 
-def standing_needs(status: MillStatus) -> Iterator[Need]:
+def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
     """What keeps a mill from taking any program: at most one need."""
     state = status.state
     if state in (MillState.DISCONNECTED, MillState.CONNECTING):
@@ -35,7 +35,7 @@ def standing_needs(status: MillStatus) -> Iterator[Need]:
 
 def first_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     status = present.status
-    yield from standing_needs(status)
+    yield from needs_of_standing_mill(status)
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
         return
     if status.state is MillState.IDLE and status.work_mm is None:

@@ -24,7 +24,7 @@ _AGREE_MM = 0.0015  # offsets are reported with three decimals
 _STEP_MM = 0.01  # where the controller does not tell
 
 
-def standing_tolerance_mm(settings: ControllerSettings) -> float:
+def tolerance_at_rest_mm(settings: ControllerSettings) -> float:
     """How far a mill that stands at the end of a line may be reported from it, per axis.
 
     Half a step of the axis, and half the last digit of the position and of each of G54, G92 and tool length. Larger is
@@ -48,7 +48,7 @@ def frame_offset_mm(record: Mapping[str, Any], wcs: str) -> Triple | None:
     return x, y, z
 
 
-def executed_by_standing(
+def count_executed_at_rest(
     reader: ProgramReader, record: Mapping[str, Any], machine_mm: Triple, *, last_line: int, tolerance_mm: float
 ) -> int:
     """The last line that was executed for certain, not below the journal's and not above `last_line`.

@@ -28,7 +28,7 @@ class FeedFault(Exception):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Block:
+class ByteBlock:
     """What is under way: its line, its bytes, what it does, and the counter when the mill has all of it."""
 
     line: ProgramLine
@@ -61,7 +61,7 @@ class BlockFeed:
         self._counter = device.read_counter()
         self.origin_mm = origin_mm
         self.follower = Follower()
-        self.block: Block | None = None
+        self.block: ByteBlock | None = None
         self.ended = False  # every line has been given and counted
         self.changed_s = device.clock()  # when the counter last moved
         self.wait_s = _FIRST_WAIT_S  # until it is worth asking again
@@ -80,7 +80,7 @@ class BlockFeed:
             except (MachineError, RmlFault, OSError) as error:
                 raise FeedFault(FaultCause.PROGRAM_CHANGED, str(error), self.sent_line) from error
 
-    def _counted(self, device: Mdx40aDevice, block: Block) -> bool:
+    def _counted(self, device: Mdx40aDevice, block: ByteBlock) -> bool:
         counter, now_s = device.read_counter(), device.clock()
         if (block.counter_after - counter) % COUNTER_MODULUS > len(block.data):
             words = f"the byte counter is {counter}, at most {block.counter_after} can be right: blocks do not match"
@@ -113,7 +113,7 @@ class BlockFeed:
         self._refuse_above_the_top(line, travel)
         self._counter = device.read_counter()
         after = (self._counter + len(data)) % COUNTER_MODULUS
-        self.block = Block(line=line, data=data, travel=travel, counter_after=after)
+        self.block = ByteBlock(line=line, data=data, travel=travel, counter_after=after)
         device.write_block(data)
         self.wait_s = _FIRST_WAIT_S
         if line.number:

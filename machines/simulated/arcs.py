@@ -14,7 +14,7 @@ _SAME_ANGLE = 5e-7  # rad: a turn smaller than this is taken as a whole circle
 
 
 @dataclass(frozen=True, slots=True)
-class Arc:
+class SimulatedArc:
     """From start to end about `centre` in `plane`, both in machine mm."""
 
     start: Triple
@@ -25,7 +25,9 @@ class Arc:
     clockwise: bool
 
 
-def arc_from_radius(start: Triple, end: Triple, radius: float, plane: tuple[int, int, int], clockwise: bool) -> Arc:
+def arc_from_radius(
+    start: Triple, end: Triple, radius: float, plane: tuple[int, int, int], clockwise: bool
+) -> SimulatedArc:
     """R form: the shorter of the two arcs, the longer one for a negative radius."""
     a, b, _ = plane
     dx, dy = end[a] - start[a], end[b] - start[b]
@@ -39,12 +41,12 @@ def arc_from_radius(start: Triple, end: Triple, radius: float, plane: tuple[int,
     if clockwise == (radius > 0):
         side = -side
     centre = (start[a] + 0.5 * (dx - dy * side), start[b] + 0.5 * (dy + dx * side))
-    return Arc(start, end, centre, abs(radius), plane, clockwise)
+    return SimulatedArc(start, end, centre, abs(radius), plane, clockwise)
 
 
 def arc_from_offsets(
     start: Triple, end: Triple, offsets: tuple[float, float], plane: tuple[int, int, int], clockwise: bool
-) -> Arc:
+) -> SimulatedArc:
     """I, J, K form; the two radii may differ by 0.005 mm, or by 0.1 % if that is less than 0.5 mm."""
     a, b, _ = plane
     centre = (start[a] + offsets[0], start[b] + offsets[1])
@@ -52,10 +54,10 @@ def arc_from_offsets(
     difference = abs(hypot(end[a] - centre[0], end[b] - centre[1]) - radius)
     if difference > 0.005 and (difference > 0.5 or difference > 0.001 * radius):
         raise GcodeError(33)
-    return Arc(start, end, centre, radius, plane, clockwise)
+    return SimulatedArc(start, end, centre, radius, plane, clockwise)
 
 
-def chords(arc: Arc, tolerance_mm: float) -> Iterator[Triple]:
+def chords(arc: SimulatedArc, tolerance_mm: float) -> Iterator[Triple]:
     """End points of the chords, at most `tolerance_mm` from the arc; the last is the arc's end."""
     a, b, c = arc.plane
     first = atan2(arc.start[b] - arc.centre[1], arc.start[a] - arc.centre[0])

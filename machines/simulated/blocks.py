@@ -6,7 +6,7 @@ from machines.simulated import reports
 from machines.simulated.alarms import raise_alarm
 from machines.simulated.arcs import chords
 from machines.simulated.controller import Controller
-from machines.simulated.interpreter import ZERO, Action, Move, Triple
+from machines.simulated.interpreter import ZERO, Action, SimulatedMove, Triple
 from machines.simulated.suspending import apply_overrides
 from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
 
@@ -38,7 +38,7 @@ def carry_out_gcode(fw: Controller, code: bytes) -> Task:
     if action.move is not None:
         yield from _move(fw, action.move)
     if action.stored is not None:
-        yield from _move(fw, Move("G0", action.stored, 0.0, 0.0))
+        yield from _move(fw, SimulatedMove("G0", action.stored, 0.0, 0.0))
     yield from _flow(fw, action.words.commands.get("flow", ""), dry=dry)
 
 
@@ -113,7 +113,7 @@ def _flow(fw: Controller, command: str, *, dry: bool) -> Task:
     fw.say("[MSG:Pgm End]")
 
 
-def _move(fw: Controller, move: Move) -> Task:
+def _move(fw: Controller, move: SimulatedMove) -> Task:
     if move.motion.startswith("G38"):
         yield from _probe(fw, move)
         return
@@ -158,7 +158,7 @@ def _soft_limit(fw: Controller) -> Task:
     yield NEVER
 
 
-def _probe(fw: Controller, move: Move) -> Task:
+def _probe(fw: Controller, move: SimulatedMove) -> Task:
     """Straight probe. The contact ends the move at once (the real one overshoots by its braking distance)."""
     if fw.state == "Check":
         fw.interpreter.position = move.target

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from math import inf
 
-from machines.simulated.interpreter import ZERO, Interpreter, Triple
+from machines.simulated.interpreter import ZERO, SimulatedInterpreter, Triple
 from machines.simulated.motion import Stepper
-from machines.simulated.planner import Block
+from machines.simulated.planner import PlannedBlock
 from machines.simulated.recording import CutSegment, Recording
 from machines.simulated.traits import Traits
 from machines.simulated.waiting import EMPTY, NEVER, ROOM, Task
@@ -39,7 +39,7 @@ class Controller:
         self.on_restart = on_restart
         self.settings = traits.all_settings()
         self.startup = {0: "", 1: ""}
-        self.interpreter = Interpreter(mist=traits.mist)
+        self.interpreter = SimulatedInterpreter(mist=traits.mist)
         self.shift: Triple = ZERO  # physical position = machine position + shift
         self.probed: Triple = ZERO
         self.probe_found = False
@@ -170,7 +170,7 @@ class Controller:
         raise NotImplementedError
 
     # -- motion has got somewhere ----------------------------------------------------------------------------------
-    def _cut_piece(self, b: Block, x: float, y: float, z: float, at_s: float, whole: bool) -> None:
+    def _cut_piece(self, b: PlannedBlock, x: float, y: float, z: float, at_s: float, whole: bool) -> None:
         sx, sy, sz = self.shift
         end = (x + sx, y + sy, z + sz)
         start = (b.sx + sx, b.sy + sy, b.sz + sz)

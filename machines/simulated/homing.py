@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 Triple = tuple[float, float, float]
 
 
-def homing_moves(machine_mm: Triple, settings: Mapping[int, float]) -> Iterator[tuple[Triple, float]]:
+def plan_homing(machine_mm: Triple, settings: Mapping[int, float]) -> Iterator[tuple[Triple, float]]:
     """Points of the cycle in true machine coordinates with the seconds to get there.
 
     $23: a bit for each axis that homes to its negative end; $24 locate feed, $25 seek feed, $26 debounce,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from machines.simulated.arcs import PLANES, Arc, arc_from_offsets, arc_from_radius
+from machines.simulated.arcs import PLANES, SimulatedArc, arc_from_offsets, arc_from_radius
 from machines.simulated.words import GcodeError, Words, read_words
 
 Triple = tuple[float, float, float]
@@ -20,7 +20,7 @@ _START = {
 
 
 @dataclass(slots=True)
-class Move:
+class SimulatedMove:
     """Motion of a line. target: machine mm. speed in mm/s, or seconds for the whole move if `inverse_time`."""
 
     motion: str
@@ -28,7 +28,7 @@ class Move:
     speed: float
     feed: float
     inverse_time: bool = False
-    arc: Arc | None = None
+    arc: SimulatedArc | None = None
 
 
 @dataclass(slots=True)
@@ -41,7 +41,7 @@ class Action:
     spindle_rpm: float
     line_number: int | None = None
     tool: int | None = None
-    move: Move | None = None
+    move: SimulatedMove | None = None
     stored: Triple | None = None  # G28, G30: where to go after `move`
     offsets: Triple | None = None  # G10: new offsets of `system`; G92; G43.1 as (0, 0, z)
     system: str = ""
@@ -49,7 +49,7 @@ class Action:
 
 
 @dataclass(slots=True)
-class Interpreter:
+class SimulatedInterpreter:
     """The parser's state. position: machine mm, where the last accepted line ends."""
 
     mist: bool = True
@@ -204,14 +204,14 @@ class Interpreter:
             return
         if words.non_modal in ("G28", "G30"):
             if axes:
-                action.move = Move("G0", target, 0.0, 0.0)
+                action.move = SimulatedMove("G0", target, 0.0, 0.0)
             return
         if words.axis_command != "motion":
             return
         inverse = modal["feed-mode"] == "G93"
         if motion != "G0" and action.feed == 0.0:
             raise GcodeError(22)
-        move = Move(motion, target, action.feed / 60.0, action.feed, inverse)
+        move = SimulatedMove(motion, target, action.feed / 60.0, action.feed, inverse)
         if motion in ("G0", "G1"):
             if not axes:
                 words.axis_command = ""
@@ -225,7 +225,7 @@ class Interpreter:
                 raise GcodeError(33)
         action.move = move
 
-    def _arc(self, words: Words, modal: dict[str, str], target: Triple, scale: float, unused: set[str]) -> Arc:
+    def _arc(self, words: Words, modal: dict[str, str], target: Triple, scale: float, unused: set[str]) -> SimulatedArc:
         plane = PLANES[modal["plane"]]
         clockwise = modal["motion"] == "G2"
         if not words.axes:

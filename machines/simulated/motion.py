@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from math import inf, sqrt
 
-from machines.simulated.planner import Block, Planner
+from machines.simulated.planner import PlannedBlock, Planner
 
 _Phase = tuple[float, float, float]  # acceleration, remaining mm at its end, speed at its end
 
@@ -28,7 +28,7 @@ class Stepper:
         settings: Mapping[int, float],
         segments: int,
         segment_s: float,
-        on_piece: Callable[[Block, float, float, float, float, bool], None],
+        on_piece: Callable[[PlannedBlock, float, float, float, float, bool], None],
         on_stop: Callable[[float], None],
     ) -> None:
         self.planner = Planner(capacity, settings, self.reload)
@@ -39,8 +39,10 @@ class Stepper:
         self._segment_s = segment_s
         self._on_piece = on_piece
         self._on_stop = on_stop
-        self._queue: deque[tuple[Block, float, float, float, float]] = deque()  # block, from, to (mm left), time, speed
-        self._block: Block | None = None  # being cut into segments
+        self._queue: deque[tuple[PlannedBlock, float, float, float, float]] = (
+            deque()
+        )  # block, from, to (mm left), time, speed
+        self._block: PlannedBlock | None = None  # being cut into segments
         self._partial = False  # the oldest block is partly in the segment buffer
         self._phases: list[_Phase] = []
         self._exit = 0.0
@@ -67,7 +69,7 @@ class Stepper:
         left = end + (start - end) * min(1.0, max(0.0, share))
         return (b.tx - b.ux * left, b.ty - b.uy * left, b.tz - b.uz * left)
 
-    def executing(self) -> Block | None:
+    def executing(self) -> PlannedBlock | None:
         return self._queue[0][0] if self._queue else None
 
     def place(self, x: float, y: float, z: float) -> None:
@@ -92,7 +94,7 @@ class Stepper:
             self.holding = True
             self.prepare()
 
-    def stop_dead(self, at_s: float) -> tuple[float, float, float, Block | None]:
+    def stop_dead(self, at_s: float) -> tuple[float, float, float, PlannedBlock | None]:
         """Steppers off in the middle of a motion: where it stood, and in which block. All buffers are gone."""
         x, y, z = self.where(at_s)
         b = self.executing()
@@ -170,7 +172,7 @@ class Stepper:
                 self._block = b
             self._cut(b)
 
-    def _whole(self, b: Block, blocks: list[Block]) -> float:
+    def _whole(self, b: PlannedBlock, blocks: list[PlannedBlock]) -> float:
         """Time of the whole block if it goes into one segment, else -1; sets the exit speed."""
         exit2 = blocks[1].entry2 if len(blocks) > 1 else 0.0
         entry2, accel, nominal = b.entry2, b.accel, b.nominal
@@ -198,7 +200,7 @@ class Stepper:
         self._exit = v1
         return took
 
-    def _profile(self, b: Block, exit2: float) -> None:
+    def _profile(self, b: PlannedBlock, exit2: float) -> None:
         """Phases of a block longer than a segment: down to or up to its speed, along, and to its exit speed."""
         accel, length, entry2, nominal = b.accel, b.remaining, b.entry2, b.nominal
         nominal2, half = nominal * nominal, 0.5 / b.accel
@@ -227,7 +229,7 @@ class Stepper:
             phases.append((-accel, 0.0, self._exit))
         self._phases = phases
 
-    def _brake(self, b: Block) -> None:
+    def _brake(self, b: PlannedBlock) -> None:
         """Full braking; the stop lies in this block if its length allows."""
         left = b.remaining - b.entry2 * 0.5 / b.accel
         if left >= 0.0:
@@ -237,7 +239,7 @@ class Stepper:
             self._exit = sqrt(b.entry2 - b.gain)
             self._phases = [(-b.accel, 0.0, self._exit)]
 
-    def _cut(self, b: Block) -> None:
+    def _cut(self, b: PlannedBlock) -> None:
         """Put the next segment of the loaded block into the buffer."""
         start = left = b.remaining
         v = speed = self._speed

@@ -15,7 +15,7 @@ _HUGE = 1e30
 _NOTHING = 1e-18  # mm2; shorter than any step: no block at all
 
 
-class Block:
+class PlannedBlock:
     """One straight move in machine coordinates. `remaining` is what has not yet gone into the segment buffer."""
 
     __slots__ = (
@@ -52,7 +52,7 @@ class Planner:
 
     def __init__(self, capacity: int, settings: Mapping[int, float], tail_changed: Callable[[], None]) -> None:
         self.capacity = capacity
-        self.blocks: list[Block] = []
+        self.blocks: list[PlannedBlock] = []
         self.feed_override = 1.0
         self.rapid_override = 1.0
         self.x = self.y = self.z = 0.0  # where the last planned block ends, machine mm
@@ -73,7 +73,7 @@ class Planner:
 
     def add(
         self, x: float, y: float, z: float, speed: float, rapid: bool, *, feed: float, line: int, kind: str = "program"
-    ) -> Block | None:
+    ) -> PlannedBlock | None:
         """Plan a line to (x, y, z) at `speed` mm/s (rapids: as fast as the axes allow). None: nothing to move."""
         ux, uy, uz = x - self.x, y - self.y, z - self.z
         length2 = ux * ux + uy * uy + uz * uz
@@ -100,7 +100,7 @@ class Planner:
                 rate = limit
             if (limit := self._az / size) < accel:
                 accel = limit
-        b = Block()
+        b = PlannedBlock()
         b.sx, b.sy, b.sz, b.tx, b.ty, b.tz = self.x, self.y, self.z, x, y, z
         b.ux, b.uy, b.uz = ux, uy, uz
         b.remaining, b.accel, b.gain, b.rate_limit = length, accel, 2.0 * accel * length, rate
@@ -138,7 +138,7 @@ class Planner:
         sin_half = sqrt(0.5 * (1.0 - cos))
         return accel * self._deviation * sin_half / (1.0 - sin_half)
 
-    def _set_nominal(self, b: Block, previous_nominal: float) -> None:
+    def _set_nominal(self, b: PlannedBlock, previous_nominal: float) -> None:
         """Speed with overrides, and what it allows at the entry."""
         if b.rapid:
             nominal = b.programmed * self.rapid_override

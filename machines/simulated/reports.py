@@ -67,10 +67,10 @@ def _rare_fields(fw: Controller, offset: tuple[float, float, float]) -> list[str
 
 
 def settings_lines(fw: Controller) -> list[str]:
-    return [f"${k}={_setting(k, v)}" for k, v in sorted(fw.settings.items())]
+    return [f"${k}={_format_setting(k, v)}" for k, v in sorted(fw.settings.items())]
 
 
-def _setting(number: int, value: float) -> str:
+def _format_setting(number: int, value: float) -> str:
     return f"{value:.3f}" if number in (11, 12, 24, 25, 27) or number >= 100 else f"{value:.0f}"
 
 

@@ -7,7 +7,7 @@ from math import inf
 from machines.simulated.alarms import PROBING, cut_off, stop_spindle
 from machines.simulated.blocks import carry_out_gcode
 from machines.simulated.controller import Controller
-from machines.simulated.homing import homing_moves
+from machines.simulated.homing import plan_homing
 from machines.simulated.recording import CutSegment
 from machines.simulated.reports import status_report
 from machines.simulated.suspending import open_door
@@ -85,7 +85,7 @@ def home(fw: Controller) -> Task:
     fw.state = "Home"
     machine = tuple(p + o for p, o in zip(fw.physical(), fw.traits.power_up_machine_mm, strict=True))
     at = fw.physical()
-    for point, seconds in homing_moves((machine[0], machine[1], machine[2]), fw.settings):
+    for point, seconds in plan_homing((machine[0], machine[1], machine[2]), fw.settings):
         yield fw.now_s + seconds
         end = tuple(p - o for p, o in zip(point, fw.traits.power_up_machine_mm, strict=True))
         there = (end[0], end[1], end[2])

@@ -82,10 +82,10 @@ def _when_standing(fw: Controller, line: str) -> Task:
     elif line.startswith("$N"):
         yield from _startup_line(fw, line)
     else:
-        yield from _setting(fw, line)
+        yield from _change_setting(fw, line)
 
 
-def _setting(fw: Controller, line: str) -> Task:
+def _change_setting(fw: Controller, line: str) -> Task:
     match = _SETTING.fullmatch(line)
     if match is None:
         raise GcodeError(2 if not line[1:2].isdigit() else 3)

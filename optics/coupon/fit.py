@@ -20,8 +20,8 @@ from optics.coupon.fringes import (
     Complex,
     Finished,
     Profile,
+    fringe_coefficients,
     light_profile,
-    milled_light,
     nominal_lever_mm,
 )
 from optics.coupon.layout import Coupon, Half
@@ -124,7 +124,7 @@ class _Model:
     def harmonics(self, profile: Profile, setting: _Setting, *, finished: bool) -> Callable[[float], Complex]:
         """A strip's light c_0 ... c_m when all its heights are that many times higher."""
         if not finished:
-            return lambda scale: milled_light(profile, scale * setting.lever)
+            return lambda scale: fringe_coefficients(profile, scale * setting.lever)
         strip = Finished.of(profile, setting.finish.transfer)
         return lambda scale: strip.light(scale * setting.lever * self.nominal_mm)
 

@@ -57,7 +57,7 @@ class Profile:
     milled: Complex
 
 
-def milled_profiles(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -> tuple[Profile, ...]:
+def profiles_of_heights(coupon: Coupon, x_mm: Array, y_mm: Array, z_mm: Array) -> tuple[Profile, ...]:
     """Of all strips with a period, from heights (ny, nx) of the milled piece: those of the right half.
 
     The grid must be fine: short ripples of a coarse mill have edges, and 0.02 mm instead of 0.01 mm are a tenth of
@@ -104,7 +104,7 @@ def nominal_lever_mm(coupon: Coupon) -> float:
     return (coupon.throw_mm - coupon.flat_mm) * (coupon.refractive_index - 1)
 
 
-def milled_light(profile: Profile, lever: float) -> Complex:
+def fringe_coefficients(profile: Profile, lever: float) -> Complex:
     """(m + 1,) c_0 ... c_m as milled at that lever over the nominal one; beyond LEVERS as at their ends."""
     place = np.clip((lever - LEVERS[0]) / (LEVERS[1] - LEVERS[0]), 1.0, LEVERS.size - 2.001)
     k = int(place)

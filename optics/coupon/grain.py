@@ -39,7 +39,7 @@ class RowErrors:
     grain: float
 
 
-def measured_grain(picture: Rectified, clean: Array, half: Half) -> float:
+def measure_grain(picture: Rectified, clean: Array, half: Half) -> float:
     """Variance of the light across rows over what it would be without errors: `clean` (ny,), any unit."""
     begin, end = window_mm(half)
     columns = np.flatnonzero((picture.x_mm >= begin) & (picture.x_mm < end))

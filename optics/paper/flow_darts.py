@@ -15,7 +15,7 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, floored, rms_over, verdict_on
+from optics.paper.flow_rules import excess_on_faces, floor_note, raise_to_floor, rms_over, verdict_on
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.mesh_surgery import neighbours_of
 from optics.paper.poisson import NeumannPoisson
@@ -28,7 +28,7 @@ def flow_with_darts(
 ) -> PaperFlow:
     """solve_paper_map for remeshing = "simple"."""
     ny, nx = target.shape
-    wanted, lifted = floored(target, settings.floor)
+    wanted, lifted = raise_to_floor(target, settings.floor)
     x_mm, y_mm = pixel_vertices(nx, size_mm[0]), pixel_vertices(ny, size_mm[1])
     rest = TriangleMesh.structured(x_mm, y_mm)
     pair = MeshPair(screen=rest, lens=rest)
@@ -79,7 +79,7 @@ def flow_with_darts(
         lens_step=len(steps),
         target=wanted,
         converged=converged,
-        message=message + _remeshing_note(steps) + floor_note(lifted, settings.floor),
+        message=message + _note_remeshing(steps) + floor_note(lifted, settings.floor),
         steps=tuple(steps),
         snapshots=tuple(snapshots),
         pair=pair,
@@ -121,6 +121,6 @@ def _held(velocity: Array, pair: MeshPair, size_mm: tuple[float, float]) -> Arra
     return velocity
 
 
-def _remeshing_note(steps: list[FlowStep]) -> str:
+def _note_remeshing(steps: list[FlowStep]) -> str:
     removed, inserted = sum(step.removed for step in steps), sum(step.inserted for step in steps)
     return f" Remeshing removed {removed} vertices and threw in {inserted}."

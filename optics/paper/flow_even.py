@@ -32,7 +32,7 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, floored, held_to_the_frame, rms_over
+from optics.paper.flow_rules import excess_on_faces, floor_note, held_to_the_frame, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh, Triangles
 from optics.paper.mesh_surgery import Neighbours, neighbours_of
 from optics.paper.poisson import NeumannPoisson
@@ -82,7 +82,7 @@ class _Even:
         screen_mm[:, 0, 0], screen_mm[:, -1, 0] = 0.0, self.x_mm[-1]
         screen_mm[0, :, 1], screen_mm[-1, :, 1] = 0.0, self.y_mm[-1]
         triangles = TriangleMesh.structured(self.x_mm, self.y_mm).triangles
-        return replace(self, screen_mm=_unturned(screen_mm, triangles))
+        return replace(self, screen_mm=_turn_back(screen_mm, triangles))
 
     def on_lattice(self, values: Array, x_mm: Array, y_mm: Array) -> Array:
         """(ny, nx, k) values (my, mx, k) of the vertices at screen points (x_mm[i], y_mm[j])."""
@@ -99,7 +99,7 @@ def flow_on_even_grids(
 ) -> PaperFlow:
     """solve_paper_map for remeshing = "clean"; lens_cells (x, y) of the grid it ends on."""
     ny, nx = target.shape
-    wanted, lifted = floored(target, settings.floor)
+    wanted, lifted = raise_to_floor(target, settings.floor)
     run = _Run(wanted, size_mm, settings, on_progress)
     state = None
     for share in _COARSER:
@@ -229,7 +229,7 @@ def _read(values: Array, u: Array, v: Array, *, order: int = 1) -> Array:
     return np.stack([map_coordinates(layer, [v, u], order=order, mode="nearest") for layer in layers], axis=-1)
 
 
-def _unturned(screen_mm: Array, triangles: Triangles) -> Array:
+def _turn_back(screen_mm: Array, triangles: Triangles) -> Array:
     """Screen points (my, mx, 2) with no triangle turned over: vertices of such are averaged with their neighbours."""
     shape = screen_mm.shape
     for _ in range(_UNTURNING_ROUNDS):

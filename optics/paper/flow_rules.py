@@ -47,7 +47,7 @@ def face_intensities(target: Array, faces: Array, floor: float) -> tuple[Array, 
     return values * (faces.sum() / np.dot(values, faces)), lifted
 
 
-def floored(target: Array, floor: float) -> tuple[Array, float]:
+def raise_to_floor(target: Array, floor: float) -> tuple[Array, float]:
     """The target with mean 1 and nowhere below `floor`, and the share of its pixels that was lifted."""
     values = target / target.mean()
     lifted = float(np.mean(values < floor))

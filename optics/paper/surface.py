@@ -156,10 +156,10 @@ def _heightfield(flow: PaperFlow, h_mm: Array, vertices_x: int, vertices_y: int,
     if flow.remeshing == "simple":
         h_mm = on_lattice(flow.pair, h_mm[:, None], flow.x_mm, flow.y_mm)[..., 0]
     lattice = h_mm.reshape(flow.target.shape)
-    return resampled(flow, lattice, vertices_x=vertices_x, vertices_y=vertices_y, skim_mm=skim_mm)
+    return resample_heights(flow, lattice, vertices_x=vertices_x, vertices_y=vertices_y, skim_mm=skim_mm)
 
 
-def resampled(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
+def resample_heights(flow: PaperFlow, h_mm: Array, *, vertices_x: int, vertices_y: int, skim_mm: float) -> Heightfield:
     """Heights from the moved mesh on the lens's regular grid: h(q) as a spline over the screen, read at q(p).
 
     Read in the flat triangles instead, the lens would have facets a pixel wide, and the picture would show them.

@@ -26,7 +26,7 @@ def reach(c: float, sx: float, sy: float, throw: float, index: float) -> tuple[f
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def bordered(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
+def add_border(c: Array, r: int, k: int, rim_x: Array, rim_y: Array, dx: float, dy: float) -> float:
     """c with one ghost row and column outside, which continue it by the slope on the frame."""
     ny, nx = c.shape
     value = 0.0
@@ -77,12 +77,12 @@ def preimage_areas(
                 mid = 0.5 * (c[r, k] + c[r, k - 1])
             else:
                 sy = (
-                    bordered(c, r + 1, k, rim_x, rim_y, dx, dy)
-                    + bordered(c, r + 1, k - 1, rim_x, rim_y, dx, dy)
-                    - bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
-                    - bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
+                    add_border(c, r + 1, k, rim_x, rim_y, dx, dy)
+                    + add_border(c, r + 1, k - 1, rim_x, rim_y, dx, dy)
+                    - add_border(c, r - 1, k, rim_x, rim_y, dx, dy)
+                    - add_border(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
                 ) / (4.0 * dy)
-                mid = 0.5 * (bordered(c, r, k, rim_x, rim_y, dx, dy) + bordered(c, r, k - 1, rim_x, rim_y, dx, dy))
+                mid = 0.5 * (add_border(c, r, k, rim_x, rim_y, dx, dy) + add_border(c, r, k - 1, rim_x, rim_y, dx, dy))
             ray, sz = reach(mid, sx, sy, throw, index)
             highest = max(highest, throw - ray * sz)
             px = left + k * dx - ray * sx
@@ -111,12 +111,14 @@ def preimage_areas(
                     mid = 0.5 * (c[e, k] + c[e - 1, k])
                 else:
                     sx = (
-                        bordered(c, e, k + 1, rim_x, rim_y, dx, dy)
-                        + bordered(c, e - 1, k + 1, rim_x, rim_y, dx, dy)
-                        - bordered(c, e, k - 1, rim_x, rim_y, dx, dy)
-                        - bordered(c, e - 1, k - 1, rim_x, rim_y, dx, dy)
+                        add_border(c, e, k + 1, rim_x, rim_y, dx, dy)
+                        + add_border(c, e - 1, k + 1, rim_x, rim_y, dx, dy)
+                        - add_border(c, e, k - 1, rim_x, rim_y, dx, dy)
+                        - add_border(c, e - 1, k - 1, rim_x, rim_y, dx, dy)
                     ) / (4.0 * dx)
-                    mid = 0.5 * (bordered(c, e, k, rim_x, rim_y, dx, dy) + bordered(c, e - 1, k, rim_x, rim_y, dx, dy))
+                    mid = 0.5 * (
+                        add_border(c, e, k, rim_x, rim_y, dx, dy) + add_border(c, e - 1, k, rim_x, rim_y, dx, dy)
+                    )
                 ray, sz = reach(mid, sx, sy, throw, index)
                 px = qx - ray * sx
                 py = bottom + e * dy - ray * sy
@@ -142,10 +144,10 @@ def preimages_of_corners(
     ny, nx = c.shape
     for r in range(row_lo, row_hi):
         for k in range(nx + 1):
-            sw = bordered(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
-            se = bordered(c, r - 1, k, rim_x, rim_y, dx, dy)
-            nw = bordered(c, r, k - 1, rim_x, rim_y, dx, dy)
-            ne = bordered(c, r, k, rim_x, rim_y, dx, dy)
+            sw = add_border(c, r - 1, k - 1, rim_x, rim_y, dx, dy)
+            se = add_border(c, r - 1, k, rim_x, rim_y, dx, dy)
+            nw = add_border(c, r, k - 1, rim_x, rim_y, dx, dy)
+            ne = add_border(c, r, k, rim_x, rim_y, dx, dy)
             sx = (se + ne - sw - nw) / (2.0 * dx)
             sy = (nw + ne - sw - se) / (2.0 * dy)
             ray, _ = reach(0.25 * (sw + se + nw + ne), sx, sy, throw, index)

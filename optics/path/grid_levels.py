@@ -34,7 +34,7 @@ def box_averaged(values: Array, shape: tuple[int, int]) -> Array:
     return values
 
 
-def prolonged(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
+def prolong(c: Array, shape: tuple[int, int], bench: Bench) -> Array:
     """c on a finer grid: base exactly, the rest by cubic interpolation with mirror images beyond the frame."""
     qx, qy = bench.pixel_centres_mm(c.shape[1], c.shape[0])
     delta = c - bench.base_path_mm(qx[None, :], qy[:, None])

@@ -21,7 +21,7 @@ import numpy as np
 from optics.bench import Bench
 from optics.errors import NoSurfaceError
 from optics.light import Beam, meet
-from optics.outline import dimmed_outside, lowered_outside, rim_curves
+from optics.outline import dim_outside, lower_outside, rim_curves
 from optics.path.beam_path import corner_points, face_areas, heights_on_beam, trace_back
 from optics.path.even_light import preimage_areas, preimages_of_corners, rim_slopes
 from optics.path.rims import Rims, corner_rays, solve_rims
@@ -51,7 +51,7 @@ class Preimages:
         self.reach_mm, self.path_per_height = _about_the_centre(bench, self._beam)
         self._arguments = bench.kernel_arguments(nx, ny)
         if not self.even:
-            self._beam = dimmed_outside(self._beam, bench, pixels=max(ny, nx))
+            self._beam = dim_outside(self._beam, bench, pixels=max(ny, nx))
             self._curves = rim_curves(bench)
             throw, _, left, bottom, dx, dy, *_ = self._arguments
             self._frame = (throw, left, bottom, dx, dy)
@@ -210,4 +210,4 @@ def heights_mm(c: Array, u: Array, v: Array, x_mm: Array, y_mm: Array, bench: Be
         t[rows] = part
     if not np.isfinite(t).all():
         raise NoSurfaceError(lost_share=float(np.mean(~np.isfinite(t))))
-    return lowered_outside(t, bench, x_mm, y_mm, margin_mm=bench.width_mm / nx)
+    return lower_outside(t, bench, x_mm, y_mm, margin_mm=bench.width_mm / nx)

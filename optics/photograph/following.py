@@ -42,7 +42,7 @@ def promise_of(photograph: Photograph, view: View, fit: Fit) -> float:
     light, clipped, inside = view.seen(photograph, fit.homography)
     share = float(clipped[view.inner].mean())
     picture = np.minimum(view.picture, np.quantile(view.picture[view.inner], min(max(1 - share, 0.05), 0.98)))
-    return _correlated(np.where(inside, light, 0.0), picture)
+    return _correlate(np.where(inside, light, 0.0), picture)
 
 
 def correlation_of(photograph: Photograph, view: View, fit: Fit) -> float:
@@ -70,10 +70,10 @@ def _alike(photograph: Photograph, view: View, fit: Fit) -> tuple[float, float]:
     seen = np.where(known, off[inner] + model, model)
     fine, coarse = (share * max(model.shape) for share in _DETAILS)
     details = [gaussian_filter(one, fine) - gaussian_filter(one, coarse) for one in (seen, model)]
-    return _correlated(seen[known], model[known]), _correlated(details[0][known], details[1][known])
+    return _correlate(seen[known], model[known]), _correlate(details[0][known], details[1][known])
 
 
-def _correlated(a: Array, b: Array) -> float:
+def _correlate(a: Array, b: Array) -> float:
     a, b = a - a.mean(), b - b.mean()
     both = float(np.sqrt((a * a).sum() * (b * b).sum()))
     return float((a * b).sum()) / both if both > 0 else 0.0
@@ -84,13 +84,13 @@ def smooth(picture: Array) -> Array:
     return gaussian_filter(picture, _SMOOTH)
 
 
-def blurred(picture: Array, fit: Fit) -> Array:
+def blur(picture: Array, fit: Fit) -> Array:
     return gaussian_filter(picture, np.sqrt(fit.spread_px2)) if fit.spread_px2 > 1e-3 else picture
 
 
-def modelled(picture: Array, fit: Fit) -> tuple[Array, Array]:
+def model_photograph(picture: Array, fit: Fit) -> tuple[Array, Array]:
     """What the photograph should show, smoothed, and where that is not clipped (a share)."""
-    raw = fit.gain * np.clip(blurred(picture, fit), 0.0, None) ** fit.tone + fit.offset
+    raw = fit.gain * np.clip(blur(picture, fit), 0.0, None) ** fit.tone + fit.offset
     return smooth(np.minimum(raw, 1.0)), smooth((raw < 1.0).astype(np.float64))
 
 
@@ -98,7 +98,7 @@ def residual_of(photograph: Photograph, view: View, fit: Fit) -> tuple[Array, Ar
     """Photograph less model (NaN where they are not compared), the model, its open share, the clipped share."""
     light, clipped, inside = view.seen(photograph, fit.homography)
     inside &= view.compared
-    model, is_open = modelled(view.picture, fit)
+    model, is_open = model_photograph(view.picture, fit)
     light = gaussian_filter(light, np.sqrt(_SMOOTH**2 + max(-fit.spread_px2, 0.0)))
     return np.where(inside, light - model, np.nan), model, is_open, clipped
 
@@ -119,8 +119,8 @@ def follow(photograph: Photograph, view: View, fit: Fit, *, fit_tone: bool = Fal
     fit = replace(fit, cost=cost, settled=False)
     for _ in range(_STEPS):
         columns = columns_of(view, fit, now[1], now[2], along, fit_tone, fit_blur)
-        step = _solved(now[0], columns, scale, damping, fit, fit_tone)
-        trial = stepped(fit, step, fit_tone, fit_blur)
+        step = _solve_step(now[0], columns, scale, damping, fit, fit_tone)
+        trial = take_step(fit, step, fit_tone, fit_blur)
         then = residual_of(photograph, view, trial)
         worse = np.isfinite(then[0]).mean() < 0.3 or not (_cost(then[0], scale) < cost)
         moved = float(np.abs(step[:PARAMETERS]).max()) / max(view.step)
@@ -160,7 +160,7 @@ def columns_of(
     """(k, ...) by how much the residual falls for each parameter; the place first, then gain, offset, tone, blur."""
     down, across = np.gradient(model)
     place = -(along[0] * (across / view.step[1]) + along[1] * (down / view.step[0]))
-    lit = np.maximum(blurred(view.picture, fit), 1e-6)
+    lit = np.maximum(blur(view.picture, fit), 1e-6)
     powered = gaussian_filter(lit**fit.tone, _SMOOTH)
     columns = [*place, is_open * powered, is_open]
     if fit_tone:
@@ -170,7 +170,7 @@ def columns_of(
     return np.stack(columns)
 
 
-def _solved(residual: Array, columns: Array, scale: float, damping: float, fit: Fit, fit_tone: bool) -> Array:
+def _solve_step(residual: Array, columns: Array, scale: float, damping: float, fit: Fit, fit_tone: bool) -> Array:
     """The damped step of all parameters that are fitted."""
     valid = np.isfinite(residual)
     r, jacobian = residual[valid], columns[:, valid]
@@ -185,7 +185,7 @@ def _solved(residual: Array, columns: Array, scale: float, damping: float, fit: 
     return np.asarray(np.linalg.solve(normal + np.diag(damping * diagonal + 1e-12), right))
 
 
-def stepped(fit: Fit, step: Array, fit_tone: bool, fit_blur: bool) -> Fit:
+def take_step(fit: Fit, step: Array, fit_tone: bool, fit_blur: bool) -> Fit:
     place = np.clip(step[:PARAMETERS], -0.25, 0.25)
     rest = list(step[PARAMETERS:])
     gain, offset = fit.gain + rest[0], fit.offset + rest[1]

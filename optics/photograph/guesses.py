@@ -10,7 +10,7 @@ import numpy as np
 from scipy.ndimage import binary_closing, gaussian_filter, label
 from scipy.spatial import ConvexHull, QhullError
 
-from optics.photograph.homography import enclosing_quadrilateral, homography_of_points
+from optics.photograph.homography import enclose_quadrilateral, homography_of_points
 from optics.photograph.views import Mask
 from optics.spline import Array
 
@@ -86,7 +86,7 @@ def _corners(lit: Mask) -> Array | None:
         hull = ConvexHull(points)
     except (QhullError, ValueError):
         return None
-    around = enclosing_quadrilateral(points[hull.vertices])  # scipy's order: counter-clockwise where y points up
+    around = enclose_quadrilateral(points[hull.vertices])  # scipy's order: counter-clockwise where y points up
     if len(around) < 4:
         return None
     return np.asarray(np.roll(around, -int(np.argmin(around.sum(axis=1))), axis=0), dtype=np.float64)

@@ -78,7 +78,7 @@ def rotation_rad(homography: Array, middle: tuple[float, float]) -> float:
     return math.atan2(-down[0], down[1])
 
 
-def enclosing_quadrilateral(hull: Array) -> Array:
+def enclose_quadrilateral(hull: Array) -> Array:
     """(4, 2) corners of a small quadrilateral around a convex polygon (n, 2), n >= 4, in the polygon's order.
 
     Edges are left out one after the other, each time that whose neighbours, made longer until they meet, add least.
@@ -88,7 +88,7 @@ def enclosing_quadrilateral(hull: Array) -> Array:
         best: tuple[float, int, Array] | None = None
         for k in range(len(corners)):
             a, b, c, d = (corners[(k + i - 1) % len(corners)] for i in range(4))
-            found = _meeting(a, b, d, c)
+            found = _find_meeting(a, b, d, c)
             if found is not None and (best is None or found[0] < best[0]):
                 best = found[0], k, found[1]
         if best is None:
@@ -99,7 +99,7 @@ def enclosing_quadrilateral(hull: Array) -> Array:
     return np.array(corners[:4])
 
 
-def _meeting(a: Array, b: Array, d: Array, c: Array) -> tuple[float, Array] | None:
+def _find_meeting(a: Array, b: Array, d: Array, c: Array) -> tuple[float, Array] | None:
     """Where a -> b and d -> c go on to meet, and the triangle's area that this adds to the edge b c; None: nowhere."""
     along, back, between = b - a, c - d, c - b
     cross = along[0] * back[1] - along[1] * back[0]

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame, picture_from_irradiance
-from optics.photograph.following import Fit, blurred, correlation_of, follow, likeness_of, promise_of
+from optics.photograph.following import Fit, blur, correlation_of, follow, likeness_of, promise_of
 from optics.photograph.guesses import first_guesses
 from optics.photograph.homography import jacobian_at, normalise_homography, rotation_rad
 from optics.photograph.views import Mask, Photograph, View, pixel_noise
@@ -151,7 +151,7 @@ def _registration(
     light, clipped, inside = whole.seen(photograph, fit.homography)
     finer = max(picture.shape) / max(view.picture[view.inner].shape)
     spread = (fit.spread_px2 - photograph.sampling_blur_px2(fit.homography, view.step)) * finer**2
-    fitted = blurred(picture, replace(fit, spread_px2=spread))
+    fitted = blur(picture, replace(fit, spread_px2=spread))
     rectified = np.clip((light - fit.offset) / fit.gain, 0.0, None) ** (1 / fit.tone)
     usable = inside & (clipped < 0.02)
     off = (rectified - fitted)[usable]

@@ -27,7 +27,7 @@ from scipy.ndimage import gaussian_filter, laplace
 from optics.bench import Bench
 from optics.heightfield import Heightfield
 from optics.irradiance import ViewedFrom, flip_between_picture_and_work_frame
-from optics.photograph.following import Fit, blurred, columns_of, residual_of, robust_scale, smooth, stepped
+from optics.photograph.following import Fit, blur, columns_of, residual_of, robust_scale, smooth, take_step
 from optics.photograph.homography import PARAMETERS, normalise_homography
 from optics.photograph.rays import ORDERS, SETTINGS, WallRays, surface_mode
 from optics.photograph.registering import Registration
@@ -202,16 +202,16 @@ class _Scene:
         """(k, ...): place, gain, offset, tone, blur; the shades; the settings, by differences over `steps`."""
         fit = state.fit
         along = self.view.fields()
-        lit = np.maximum(blurred(view.picture, fit), 1e-6)
+        lit = np.maximum(blur(view.picture, fit), 1e-6)
         by_light = is_open * fit.gain * fit.tone * lit ** (fit.tone - 1.0)
         light = self.light(state.setting)
         shading = view.picture / np.maximum(light, 1e-9)
-        shades = [smooth(by_light * blurred(light * one, fit)) for one in self._shades]
+        shades = [smooth(by_light * blur(light * one, fit)) for one in self._shades]
 
         def change(number: int) -> Array:
             moved = state.setting.copy()
             moved[number] += steps[number]
-            return smooth(by_light * blurred((self.light(moved) - light) * shading, fit)) / steps[number]
+            return smooth(by_light * blur((self.light(moved) - light) * shading, fit)) / steps[number]
 
         with ThreadPoolExecutor(max_workers=thread_count()) as pool:
             settings = list(pool.map(change, range(SETTINGS)))
@@ -292,7 +292,7 @@ class _WallFit:
         spread, root = (float(model[counts > 0].std()) if counts.any() else 1.0), np.sqrt(counts)
         scale = max(robust_scale(np.where(counts > 0, off * root, np.nan)), _UNFORESEEN * spread)
         weight = counts * np.minimum(1.0, _HUBER * scale / np.maximum(np.abs(off * root), 1e-12))
-        alike = _correlated_area(off * np.sqrt(weight), (counts > 0).astype(np.float64))
+        alike = _area_of_correlation(off * np.sqrt(weight), (counts > 0).astype(np.float64))
         certainty = 1.0 / (_CAUTION * scale**2 * max(alike, _UNFORESEEN_PX2))
         columns = scene.columns(state, view, model, is_open, self._steps).reshape(-1, off.size)
         normal = certainty * ((columns * weight.ravel()) @ columns.T)
@@ -353,7 +353,7 @@ class _WallFit:
         own, odd, shade, setting = np.split(step, np.cumsum([PARAMETERS + 4, _ODD.size, SHADES]))
         most = 2.0 * self._expected
         return _State(
-            fit=stepped(state.fit, own, fit_tone=True, fit_blur=True),
+            fit=take_step(state.fit, own, fit_tone=True, fit_blur=True),
             setting=state.setting + np.clip(setting, -most, most),
             shade=state.shade + shade,
             odd_blur=state.odd_blur + odd,
@@ -367,7 +367,7 @@ class _WallFit:
         view, fit = scene.lit(state), state.fit
         pixel_mm = self._bench.screen.width_mm / view.picture[view.inner].shape[1]
         foretold_px = math.sqrt((scene.softness_px[0] ** 2 + scene.softness_px[1] ** 2) / 2)
-        fitted = blurred(scene.light(state.setting), fit)[view.inner]
+        fitted = blur(scene.light(state.setting), fit)[view.inner]
         return WallFit(
             throw_mm=found[0],
             wall_tilt_rad=(found[1], found[2]),
@@ -397,7 +397,7 @@ def _odd_blurs(view: View, fit: Fit) -> Array:
 
     A camera that looks from aside and is out of focus does the first four; no blur is quite a Gaussian.
     """
-    light = fit.gain * np.maximum(blurred(view.picture, fit), 1e-6) ** fit.tone
+    light = fit.gain * np.maximum(blur(view.picture, fit), 1e-6) ** fit.tone
     across, down, aslant = (gaussian_filter(light, 0.8, order=order) for order in ((0, 2), (2, 0), (1, 1)))
     all_round = (across + down) / 2
     return np.stack([(across - down) / 2, aslant, view.x * all_round, view.y * all_round, laplace(all_round) / 4])
@@ -418,7 +418,7 @@ def _softness(sharp: Array, foretold: Array, known: Mask) -> tuple[float, float]
     return down, min(tried, key=lambda sigma: loss(down, sigma))
 
 
-def _correlated_area(off: Array, counts: Array) -> float:
+def _area_of_correlation(off: Array, counts: Array) -> float:
     """How many pixels share one error: the area under the residuals' autocorrelation."""
     spectrum = np.abs(np.fft.rfft2(off, [2 * n for n in off.shape])) ** 2
     pairs = np.abs(np.fft.rfft2(counts, [2 * n for n in off.shape])) ** 2

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from optics.light import Beam, leave, meet, strength_on_face
-from optics.refraction import refracted_tangent
+from optics.refraction import tangent_per_slope
 from optics.spline import Array, slope_weights, spline_weights
 from optics.tubes.spread import close_off, densities, edges_of_row, pixels_of, triangle_area
 
@@ -66,7 +66,7 @@ def _follow_vertical(jet: Array, x0: float, step: float, y: float, index: float,
     """hit (2, columns + 1): where even, vertical light through a lattice row arrives [pixels]; NaN: reflected."""
     for c in range(jet.shape[1]):
         z, zx, zy = jet[0, c], jet[1, c], jet[2, c]
-        reach = (aim.throw - z) * refracted_tangent(zx * zx + zy * zy, index)
+        reach = (aim.throw - z) * tangent_per_slope(zx * zx + zy * zy, index)
         hit[0, c] = (x0 + c * step + reach * zx - aim.left) * aim.per_mm_x
         hit[1, c] = (y + reach * zy - aim.bottom) * aim.per_mm_y
 

@@ -17,9 +17,9 @@ from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
 from service.job import files as job_files
 from service.job.arrays import load_heightfield
-from service.job.spec.loading import resolve_spec, stored_spec
+from service.job.spec.loading import load_stored_spec, resolve_spec
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_of, machine_of
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_task_of, machine_of
 from service.job.stages import around
 from service.job.stages.programs import first_stock, simulate
 from service.progress import Reporter, Stopwatch
@@ -75,7 +75,7 @@ def check_programs(
     heightfield = load_heightfield(heightfield_path)
     folder = programs[0].parent
     if not settings.says_anything and job_files.is_job_folder(folder):
-        job = stored_spec(folder)
+        job = load_stored_spec(folder)
         tasks, stock, machine = _of_the_job(programs, folder, job)
     else:
         job = None
@@ -135,7 +135,7 @@ def _of_the_job(programs: Sequence[Path], folder: Path, spec: JobSpec) -> tuple[
     last = max(of_file[path.name] for path in programs)
     given = {path.name: path for path in programs}
     paths = [[given.get(name, folder / name) for name in names] for names in files[: last + 1]]
-    all_specs = (facing_of(spec), *cam_passes_of(spec), cut_out_of(spec))
+    all_specs = (facing_task_of(spec), *cam_passes_of(spec), cut_out_of(spec))
     specs = [one for one in all_specs if one is not None]
     tasks: list[Task] = list(zip(paths, specs, strict=False))
     return tasks, cam_stock_of(spec), machine_of(spec)

@@ -41,7 +41,7 @@ def coupon(
 ) -> None:
     """A test piece that measures your mill and your finish: its programs, or, with --photo, what a photograph says."""
     from service.errors import InputError
-    from service.progress import reporting
+    from service.progress import report_progress
 
     if photo is not None:
         given = {"--machine": machine, "--throw-mm": throw_mm, "--finish": finish, "--spec": spec, "--set": set_}
@@ -49,10 +49,10 @@ def coupon(
             raise InputError(f"{wrong[0]}: the test piece is made already; allowed with --photo: -o DIR, --quiet")
         from service.job.coupon import findings, measuring, piece
 
-        with reporting(quiet) as reporter:
+        with report_progress(quiet) as reporter:
             result = measuring.measure_coupon(photo, output, reporter=reporter)
         if not quiet:
-            for line in findings.finding_lines(result):
+            for line in findings.print_findings(result):
                 print(line)
             print(f"figures for a job's spec: {output / piece.FIT_SNIPPET}; the curve: {output / piece.FIT_PICTURE}")
         return
@@ -64,7 +64,7 @@ def coupon(
         overrides = list(set_ or ())
         overrides += [] if finish is None else [f"finish.process={finish}"]
         resolved = piece.coupon_spec(machine=machine, throw_mm=throw_mm, file=spec, overrides=overrides)
-        with reporting(quiet) as reporter:
+        with report_progress(quiet) as reporter:
             report = programs.make_coupon(output, resolved, reporter=reporter, force=force)
     if not quiet:
         for line in piece.summary_lines(output, report):

@@ -59,7 +59,7 @@ def submit(
 
     text = spec_text(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
     order = Submission(picture=picture, spec=text, priority=priority)
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         if output is not None:
             from service.client.download import require_folder
 
@@ -67,7 +67,7 @@ def submit(
         job_id = str(submitted(link, order)["id"])
         print(job_id, flush=True)
         if follow or output is not None:
-            _followed(link, job_id, quiet=quiet, fetched=output is not None)
+            _follow(link, job_id, quiet=quiet, fetched=output is not None)
         if output is not None:
             _got(link, job_id, output, (), quiet)
 
@@ -81,7 +81,7 @@ def get(
     quiet: QuietOption = False,
 ) -> None:
     """Download the files of a job. Goes on where an earlier try was cut off; every file is checked by its hash."""
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         _got(link, job, output, tuple(only or ()), quiet)
 
 
@@ -97,10 +97,10 @@ def jobs_list(
     state: StateOption = None, limit: LimitOption = 20, server: ServerOption = None, token_file: TokenOption = None
 ) -> None:
     """The latest jobs."""
-    from service.client.jobs import job_table, listed
+    from service.client.jobs import job_table, list_jobs
 
-    with _connected(server, token_file) as link:
-        _print(job_table(list(listed(link, states=tuple(state or ()), limit=limit))))
+    with _connect(server, token_file) as link:
+        _print(job_table(list(list_jobs(link, states=tuple(state or ()), limit=limit))))
 
 
 @jobs_app.command("show")
@@ -108,7 +108,7 @@ def jobs_show(job: JobArgument, server: ServerOption = None, token_file: TokenOp
     """One job: state, stages, programs."""
     from service.client.jobs import job_lines
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         _print(job_lines(link.get(f"/v1/jobs/{job}")))
 
 
@@ -117,9 +117,9 @@ def jobs_follow(
     job: JobArgument, server: ServerOption = None, token_file: TokenOption = None, quiet: QuietOption = False
 ) -> None:
     """Watch a job until it has ended; exit code 1 if it did not succeed."""
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         link.get(f"/v1/jobs/{job}")  # a server that is not there, or a job that is none, is said at once
-        _followed(link, job, quiet=quiet)
+        _follow(link, job, quiet=quiet)
 
 
 @jobs_app.command("cancel")
@@ -137,7 +137,7 @@ def jobs_retry(job: JobArgument, server: ServerOption = None, token_file: TokenO
 @jobs_app.command("delete")
 def jobs_delete(job: JobArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Forget a job that has ended, and its files."""
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         link.delete(f"/v1/jobs/{job}")
     print(f"{job} deleted")
 
@@ -145,12 +145,12 @@ def jobs_delete(job: JobArgument, server: ServerOption = None, token_file: Token
 def _told(job: str, verb: str, server: str | None, token_file: Path | None) -> None:
     from service.client.jobs import state_words
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         answer = link.post(f"/v1/jobs/{job}:{verb}")
     print(f"{job} {state_words(answer)}")
 
 
-def _followed(link: Any, job_id: str, *, quiet: bool, fetched: bool = False) -> None:
+def _follow(link: Any, job_id: str, *, quiet: bool, fetched: bool = False) -> None:
     from service.client.follow import follow, job_screen, require_success
     from service.client.jobs import program_lines
 
@@ -168,11 +168,11 @@ def _got(link: Any, job_id: str, folder: Path, only: tuple[str, ...], quiet: boo
     get_files(link, job_id, folder, only=only, quiet=quiet)
 
 
-def _connected(server: str | None, token_file: Path | None) -> Any:
+def _connect(server: str | None, token_file: Path | None) -> Any:
     from service.client.address import target_of
-    from service.client.server import Server
+    from service.client.server import ServerClient
 
-    return Server(target_of(server=server, token_file=token_file))
+    return ServerClient(target_of(server=server, token_file=token_file))
 
 
 def _print(lines: list[str]) -> None:

@@ -30,12 +30,12 @@ def look(
 ) -> None:
     """What the wall tells: compare a photograph with what was foretold, and say what is off and what to do."""
     from service.job import files as job_files
-    from service.job.photo.looking import LOOK_FIGURES, LOOK_PICTURE, looked_at
-    from service.progress import reporting
+    from service.job.photo.looking import LOOK_FIGURES, LOOK_PICTURE, look_at_photo
+    from service.progress import report_progress
 
     folder = out or Path()
-    with reporting(quiet) as reporter:
-        found = looked_at(photo, job, picture_width_mm=width_mm, reporter=reporter)
+    with report_progress(quiet) as reporter:
+        found = look_at_photo(photo, job, picture_width_mm=width_mm, reporter=reporter)
         picture = found.png()
     folder.mkdir(parents=True, exist_ok=True)
     job_files.write_bytes(folder / LOOK_PICTURE, picture)

@@ -120,10 +120,10 @@ def _port_problems(profile: MachineProfile) -> list[str]:
     port = profile.link.port
     if port is None or "://" in port or profile.link.driver in _NOT_SERIAL or Path(port).exists():
         return []
-    return [f"{profile.name}: port {port}: not there; {_existing_ports()}"]
+    return [f"{profile.name}: port {port}: not there; {_list_ports()}"]
 
 
-def _existing_ports() -> str:
+def _list_ports() -> str:
     from machines.port import port_names
 
     names = port_names()

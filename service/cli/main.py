@@ -14,7 +14,7 @@ import sys
 from collections.abc import Iterator, Sequence
 from types import FrameType
 
-from service.errors import EXIT_FAILURE, EXIT_INPUT, EXIT_INTERRUPTED, JobError, printable, sentence_of_os_error
+from service.errors import EXIT_FAILURE, EXIT_INPUT, EXIT_INTERRUPTED, ServiceError, printable, sentence_of_os_error
 from service.job.files import STOPPING_SIGNALS
 from service.processes.kernel_cache import use_current_kernels
 
@@ -49,7 +49,7 @@ def run(arguments: Sequence[str]) -> int:
         except KeyboardInterrupt:
             interrupted = True
         signals.over = True  # from here on nothing is raised: the last words are not cut short
-        if isinstance(error, JobError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
+        if isinstance(error, ServiceError) and error.exit_code == EXIT_INTERRUPTED:  # it says itself what is left
             return _told(error)
         if interrupted or code == EXIT_INTERRUPTED or (error is not None and signals.came):
             # whatever an import or a library made of it; typer catches Ctrl-C itself, too, and says nothing
@@ -68,7 +68,7 @@ def _command(arguments: Sequence[str]) -> int:
 def _told(error: Exception) -> int:
     """What ended a command as a line on stderr, and its exit code. An error of the program itself is raised again."""
     match error:
-        case JobError():
+        case ServiceError():
             return _fail(str(error), error.exit_code)
         case MemoryError():
             return _fail("out of memory; a smaller image.pixels needs less", EXIT_FAILURE)

@@ -125,7 +125,7 @@ def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
     from service.job import pipeline
     from service.job.spec import loading as spec_files
 
-    stored = spec_files.stored_spec(folder)
+    stored = spec_files.load_stored_spec(folder)
     with _reporter(quiet) as reporter:
         report = pipeline.caustic(folder, stored, reporter=reporter)
     _summary(folder, report, quiet)
@@ -184,9 +184,9 @@ def version() -> None:
 
 @contextlib.contextmanager
 def _reporter(quiet: bool) -> Iterator[Reporter]:
-    from service.progress import reporting
+    from service.progress import report_progress
 
-    with reporting(quiet) as reporter:
+    with report_progress(quiet) as reporter:
         yield reporter
 
 

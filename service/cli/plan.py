@@ -19,7 +19,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
-from service.job.spec.loading import read_spec_file, resolve_spec, stored_spec
+from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_spec
 from service.job.spec.model import JobSpec
 from service.wording import RECOGNISABLE_DB, duration, psnr_in_words
 
@@ -42,7 +42,7 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     if request.output is not None and request.output.suffix.lower() != ".png":
         raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
     with in_the_services_words():
-        planned, spec = _planned(request)
+        planned, spec = _make_plan(request)
     fragment = spec_fragment(planned, spec)
     written = []
     if request.output is not None:
@@ -81,9 +81,9 @@ def _what_shows_more(spec: JobSpec, picture: Path) -> Iterator[str]:
         )
 
 
-def _planned(request: PlanRequest) -> tuple[Planned, JobSpec]:
+def _make_plan(request: PlanRequest) -> tuple[Planned, JobSpec]:
     if request.source.is_dir():
-        base: dict[str, Any] = {**stored_spec(request.source).plain(), "preset": "recommended"}
+        base: dict[str, Any] = {**load_stored_spec(request.source).plain(), "preset": "recommended"}
         base.pop("passes", None)
         spec = _spec(request, base)
         lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)

@@ -43,7 +43,7 @@ def runs_list(
     """The latest runs."""
     from service.client.runs import run_table
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         _print(run_table(link.get("/v1/runs", **({"machine": machine} if machine else {}))["runs"]))
 
 
@@ -52,7 +52,7 @@ def runs_show(run: RunArgument, server: ServerOption = None, token_file: TokenOp
     """One run: state, tool, stock, zero."""
     from service.client.runs import run_lines
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         _print(run_lines(link.get(f"/v1/runs/{run}")))
 
 
@@ -71,7 +71,7 @@ def runs_park(
 
     from service.client.runs import run_lines
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         body = {"job": job} | ({"program": program} if program is not None else {})
         run = link.post_once(f"/v1/machines/{quote(machine, safe='')}/runs", body)
     _print(run_lines(run))
@@ -106,7 +106,7 @@ def runs_recover(
 @runs_app.command("hold")
 def runs_hold(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Let the mill stand still. Not an emergency stop."""
-    _stopped(run, "hold", server, token_file)
+    _stop(run, "hold", server, token_file)
 
 
 @runs_app.command("resume")
@@ -114,7 +114,7 @@ def runs_resume(run: RunArgument, server: ServerOption = None, token_file: Token
     """Go on after a hold."""
     from service.client.runs import state_line
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         machine = link.get(f"/v1/runs/{run}")["machine"]
         print(state_line(link.order(machine, f"/v1/runs/{run}:resume")))
 
@@ -122,15 +122,15 @@ def runs_resume(run: RunArgument, server: ServerOption = None, token_file: Token
 @runs_app.command("abort")
 def runs_abort(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """End a run."""
-    _stopped(run, "abort", server, token_file)
+    _stop(run, "abort", server, token_file)
 
 
 @runs_app.command("follow")
 def runs_follow(run: RunArgument, server: ServerOption = None, token_file: TokenOption = None) -> None:
     """Watch a run until it has ended; exit code 1 if it was not finished."""
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         link.get(f"/v1/runs/{run}")
-        _followed(link, run)
+        _follow(link, run)
 
 
 def _by_a_person(
@@ -144,10 +144,10 @@ def _by_a_person(
 ) -> None:
     from urllib.parse import quote
 
-    from service.client.runs import confirmed, run_lines, state_line
+    from service.client.runs import confirm_checks, run_lines, state_line
     from service.milling.terminal.confirm import operator_name
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         seen = link.get(f"/v1/runs/{run}")
         _print(run_lines(seen))
         if verb == "recover":
@@ -157,10 +157,10 @@ def _by_a_person(
         else:
             mill = link.get(f"/v1/machines/{quote(seen['machine'], safe='')}").get("mill") or {}
             rests_on = {"setup": str(mill.get("setup", ""))}
-        body = {"operator": operator or operator_name(), "checks": confirmed(seen, confirm or ())} | rests_on
+        body = {"operator": operator or operator_name(), "checks": confirm_checks(seen, confirm or ())} | rests_on
         print(state_line(link.order(seen["machine"], f"/v1/runs/{run}:{verb}", body)), flush=True)
         if follow:
-            _followed(link, run)
+            _follow(link, run)
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
@@ -174,7 +174,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
     _print([shown(words) for words in plan.get("words", ())])
 
 
-def _stopped(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
+def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
     """As `_told`; where the order may not have reached the mill, the person is sent to its own stop."""
     from service.client.server import GoneError, RefusedError
     from service.errors import FailedError
@@ -191,11 +191,11 @@ def _stopped(run: str, verb: str, server: str | None, token_file: Path | None) -
 def _told(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
     from service.client.runs import state_line
 
-    with _connected(server, token_file) as link:
+    with _connect(server, token_file) as link:
         print(state_line(link.post(f"/v1/runs/{run}:{verb}")))
 
 
-def _followed(link: Any, run_id: str) -> None:
+def _follow(link: Any, run_id: str) -> None:
     from service.client.runs import follow_run, require_finished, setup_lines
 
     run = follow_run(link, run_id)
@@ -203,11 +203,11 @@ def _followed(link: Any, run_id: str) -> None:
     require_finished(run)
 
 
-def _connected(server: str | None, token_file: Path | None) -> Any:
+def _connect(server: str | None, token_file: Path | None) -> Any:
     from service.client.address import target_of
-    from service.client.server import Server
+    from service.client.server import ServerClient
 
-    return Server(target_of(server=server, token_file=token_file))
+    return ServerClient(target_of(server=server, token_file=token_file))
 
 
 def _print(lines: list[str]) -> None:

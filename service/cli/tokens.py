@@ -80,7 +80,7 @@ def list_(data: DataOption = None) -> None:
     for token in found:
         print(
             f"{token.id}  {token.name}  {','.join(sorted(token.scopes))}  made {_date(token.created_at)}, "
-            f"{_until(token)}, {_used(token)}{', by a page' if token.paired else ''}"
+            f"{_until(token)}, {_word_last_use(token)}{', by a page' if token.paired else ''}"
         )
 
 
@@ -142,5 +142,5 @@ def _until(token: Token) -> str:
     return f"expire{'s' if token.live(time.time()) else 'd'} {_date(token.expires_at)}"
 
 
-def _used(token: Token) -> str:
+def _word_last_use(token: Token) -> str:
     return "never used" if token.last_used_at is None else f"last used {_date(token.last_used_at)}"

@@ -19,8 +19,8 @@ from typing import Any, Protocol
 
 import httpx
 
-from service.client.follow import leaving
-from service.client.server import GoneError, Server, shown
+from service.client.follow import explain_interrupt
+from service.client.server import GoneError, ServerClient, shown
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.files import is_drawing
 
@@ -54,7 +54,7 @@ class RemoteFile:
         return file
 
 
-def files_of(server: Server, job_id: str, only: Sequence[str] = ()) -> list[RemoteFile]:
+def files_of(server: ServerClient, job_id: str, only: Sequence[str] = ()) -> list[RemoteFile]:
     """What the job offers but for what only the operator page draws; or those that were asked for by name."""
     listing = server.get(f"/v1/jobs/{job_id}/artifacts")
     files = [RemoteFile.of(item) for item in listing["artifacts"]]
@@ -65,7 +65,7 @@ def files_of(server: Server, job_id: str, only: Sequence[str] = ()) -> list[Remo
     return [file for file in files if (file.name in only if only else not is_drawing(file.name))]
 
 
-def download(server: Server, file: RemoteFile, folder: Path, on_bytes: OnBytes) -> bool:
+def download(server: ServerClient, file: RemoteFile, folder: Path, on_bytes: OnBytes) -> bool:
     """The file in the folder, whole; False if it was there already. `on_bytes` is told how many there are so far."""
     target = folder / file.name
     try:
@@ -84,7 +84,7 @@ def download(server: Server, file: RemoteFile, folder: Path, on_bytes: OnBytes) 
     raise FailedError(f"{file.name}: what came is not what the server's list names (SHA-256); nothing was kept")
 
 
-def _fetch(server: Server, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
+def _fetch(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
     """All bytes into `part`, going on after lost connections as long as something comes."""
     heard_s, size = time.monotonic(), -1
     while True:
@@ -100,7 +100,7 @@ def _fetch(server: Server, file: RemoteFile, part: Path, on_bytes: OnBytes) -> N
             time.sleep(_AGAIN_S)
 
 
-def _go_on(server: Server, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
+def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes) -> None:
     """One request, from where the part ends."""
     have = part.stat().st_size if part.exists() else 0
     if have > file.bytes:
@@ -157,14 +157,16 @@ class _Bars(Protocol):
     def end(self, file: RemoteFile, *, came: bool) -> None: ...
 
 
-def get_files(server: Server, job_id: str, folder: Path, *, only: Sequence[str] = (), quiet: bool = False) -> None:
+def get_files(
+    server: ServerClient, job_id: str, folder: Path, *, only: Sequence[str] = (), quiet: bool = False
+) -> None:
     """The files in `folder`. FailedError where the job has none yet."""
     files = files_of(server, job_id, only)
     if not files:
         raise FailedError(f"job {job_id} has no files yet; `causticmill jobs follow {job_id}` waits for them")
     require_folder(folder)
     again = f"what is whole is in {folder}; run the command again to go on"
-    with leaving(again), _bars(quiet) as bars:
+    with explain_interrupt(again), _bars(quiet) as bars:
         for file in files:
             came = download(server, file, folder, bars.begin(file))
             bars.end(file, came=came)

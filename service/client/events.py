@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from service.client.server import GoneError, RefusedError, Server
+from service.client.server import GoneError, RefusedError, ServerClient
 
 _SILENCE_S = 45.0  # the server sends a comment every 15 s
 _AGAIN_S = (0.1, 0.3, 1.0, 2.0, 3.0)
@@ -16,7 +16,7 @@ _PASSING = {429, 502, 503, 504}
 
 
 @dataclass(frozen=True, slots=True)
-class Event:
+class ServerEvent:
     """One message; `id` is empty where it cannot be resumed from."""
 
     kind: str
@@ -24,7 +24,7 @@ class Event:
     id: str = ""
 
 
-def parsed(lines: Iterable[str]) -> Iterator[Event]:
+def parse_events(lines: Iterable[str]) -> Iterator[ServerEvent]:
     """The messages in the lines of an event stream; one whose data is no JSON object is passed over."""
     fields: dict[str, str] = {}
     for line in lines:
@@ -36,13 +36,18 @@ def parsed(lines: Iterable[str]) -> Iterator[Event]:
             fields[name] = f"{fields[name]}\n{value}" if name == "data" and "data" in fields else value
             continue
         if "data" in fields and (data := _object(fields["data"])) is not None:
-            yield Event(fields.get("event", "message"), data, fields.get("id", ""))
+            yield ServerEvent(fields.get("event", "message"), data, fields.get("id", ""))
         fields = {}
 
 
-def lasting(
-    server: Server, path: str, *, on_lost: Callable[[str], None], on_back: Callable[[], None], patience_s: float = 600.0
-) -> Iterator[Event | None]:
+def stream_events(
+    server: ServerClient,
+    path: str,
+    *,
+    on_lost: Callable[[str], None],
+    on_back: Callable[[], None],
+    patience_s: float = 600.0,
+) -> Iterator[ServerEvent | None]:
     """Messages until the server has no more (204). None: the connection is new, ask for the present state.
 
     `on_lost` is told once for each time the connection is lost; GoneError when it stays away for `patience_s`.
@@ -59,7 +64,7 @@ def lasting(
                 yield None
                 if answer.status_code == 204:
                     return
-                for event in parsed(answer.iter_lines()):
+                for event in parse_events(answer.iter_lines()):
                     tries, last_id = 0, event.id or last_id
                     yield event
             words = ""

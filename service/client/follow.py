@@ -8,25 +8,25 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from service.client.events import lasting
+from service.client.events import stream_events
 from service.client.jobs import state_words
-from service.client.server import Server, shown
-from service.errors import EXIT_INTERRUPTED, FailedError, JobError, printable
+from service.client.server import ServerClient, shown
+from service.errors import EXIT_INTERRUPTED, FailedError, ServiceError, printable
 from service.progress import PlainReporter, QuietReporter, Reporter, TerminalReporter
 
 ENDED = ("succeeded", "failed", "cancelled")
 
 
-class LeftError(JobError):
+class LeftError(ServiceError):
     """Ctrl-C: this command ends, what it watched goes on."""
 
     exit_code = EXIT_INTERRUPTED
 
 
-def follow(server: Server, job_id: str, screen: JobScreen) -> dict[str, Any]:
+def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, Any]:
     """The job as it is at its end."""
-    with leaving(f"the job goes on; `causticmill jobs follow {job_id}` shows it, `jobs cancel` ends it"):
-        events = lasting(
+    with explain_interrupt(f"the job goes on; `causticmill jobs follow {job_id}` shows it, `jobs cancel` ends it"):
+        events = stream_events(
             server,
             f"/v1/jobs/{job_id}/events",
             on_lost=lambda words: screen.say(f"{words}; trying again, the job goes on"),
@@ -57,7 +57,7 @@ def require_success(job: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def leaving(words: str) -> Iterator[None]:
+def explain_interrupt(words: str) -> Iterator[None]:
     """Ctrl-C inside says what becomes of the thing watched."""
     try:
         yield

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from service.client.server import Server, shown
+from service.client.server import ServerClient, shown
 
 _PAGE = 100
 
 
-def listed(server: Server, *, states: Sequence[str] = (), limit: int = 20) -> Iterator[dict[str, Any]]:
+def list_jobs(server: ServerClient, *, states: Sequence[str] = (), limit: int = 20) -> Iterator[dict[str, Any]]:
     """Jobs, newest first, page by page."""
     asked: dict[str, Any] = {"limit": min(limit, _PAGE)} | ({"state": list(states)} if states else {})
     address, left = "/v1/jobs", limit

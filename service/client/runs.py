@@ -6,10 +6,10 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-from service.client.events import lasting
-from service.client.follow import leaving
+from service.client.events import stream_events
+from service.client.follow import explain_interrupt
 from service.client.jobs import table, when
-from service.client.server import Server, shown
+from service.client.server import ServerClient, shown
 from service.errors import FailedError, InputError
 
 QUESTIONS = {
@@ -82,7 +82,7 @@ def setup_lines(run: dict[str, Any]) -> list[str]:
     return lines
 
 
-def confirmed(run: dict[str, Any], given: Sequence[str]) -> list[str]:
+def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
     """The checks that the run needs: those given on the command line, else a person is asked for each."""
     needed = [str(check) for check in run.get("required_checks") or ()]
     if not needed:
@@ -96,17 +96,17 @@ def confirmed(run: dict[str, Any], given: Sequence[str]) -> list[str]:
         return needed
     if not sys.stdin.isatty():
         raise InputError(f"a person has to confirm this: run it on a terminal, or give --confirm {','.join(needed)}")
-    from service.milling.terminal.confirm import confirmed_by_person
+    from service.milling.terminal.confirm import ask_person
 
-    confirmed_by_person({check: QUESTIONS.get(check, shown(check)) for check in needed})
+    ask_person({check: QUESTIONS.get(check, shown(check)) for check in needed})
     return needed
 
 
-def follow_run(server: Server, run_id: str) -> dict[str, Any]:
+def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
     """The run at its end, a line for each change on the way."""
     told, state, reached = "", "", 0.0
-    with leaving(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
-        for event in lasting(
+    with explain_interrupt(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
+        for event in stream_events(
             server,
             f"/v1/runs/{run_id}/events",
             on_lost=lambda words: print(f"{words}; trying again, the run goes on", flush=True),

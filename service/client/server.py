@@ -14,7 +14,7 @@ import httpx
 
 from machines.mill.orders import suspend_aware_clock_s
 from service.client.address import Target
-from service.errors import EXIT_FAILURE, EXIT_INPUT, FailedError, JobError, printable
+from service.errors import EXIT_FAILURE, EXIT_INPUT, FailedError, ServiceError, printable
 from service.http.hosts import is_loopback
 from service.milling.agent.callers import GRANT
 
@@ -33,7 +33,7 @@ class GoneError(FailedError):
         self.begun = begun
 
 
-class RefusedError(JobError):
+class RefusedError(ServiceError):
     """The server said no: `status`, and the `field` of the request it is about (empty if none)."""
 
     def __init__(self, status: int, *lines: str, field: str = "", wait_s: float | None = None) -> None:
@@ -44,7 +44,7 @@ class RefusedError(JobError):
         self.exit_code = EXIT_FAILURE if status >= 500 or status == 429 else EXIT_INPUT
 
 
-class Server:
+class ServerClient:
     """`with Server(target) as server: server.get("/v1/jobs")`."""
 
     def __init__(self, target: Target) -> None:
@@ -196,7 +196,7 @@ def own_version() -> str:
     return metadata.version("causticmill")
 
 
-def misunderstood(server: Server, answer: httpx.Response) -> RefusedError:
+def misunderstood(server: ServerClient, answer: httpx.Response) -> RefusedError:
     """The error for an answer that lacks what this version needs."""
     return RefusedError(500, server._foreign(answer))
 

@@ -18,7 +18,7 @@ async def sent(send: Send, body: bytes, *, more: bool = True) -> None:
 
 async def while_connected(receive: Receive, writing: Coroutine[None, None, None]) -> None:
     """Write until all is written or the other side is gone; both tasks have ended when this returns."""
-    tasks = (asyncio.ensure_future(_disconnected(receive)), asyncio.ensure_future(writing))
+    tasks = (asyncio.ensure_future(_await_disconnect(receive)), asyncio.ensure_future(writing))
     try:
         await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
     finally:
@@ -28,6 +28,6 @@ async def while_connected(receive: Receive, writing: Coroutine[None, None, None]
                 await task
 
 
-async def _disconnected(receive: Receive) -> None:
+async def _await_disconnect(receive: Receive) -> None:
     while (await receive())["type"] != "http.disconnect":
         pass

@@ -137,7 +137,7 @@ def require_usable_output(folder: Path, *, force: bool) -> None:
             raise InputError(f"--output: {path} is a link to a place that does not exist; allowed: an existing folder")
     if not folder.exists() or force or is_job_folder(folder) or _is_cut_short(folder):
         return
-    if set(folder.absolute().iterdir()) - _staging_folders(folder):
+    if set(folder.absolute().iterdir()) - _find_staging_folders(folder):
         raise InputError(
             f"--output: {folder} holds other files; allowed: a new or empty folder, an earlier job's, or --force"
         )
@@ -145,7 +145,7 @@ def require_usable_output(folder: Path, *, force: bool) -> None:
 
 def _is_cut_short(folder: Path) -> bool:
     """True where a job was killed while it was put in place: its files and no other, without the report."""
-    names = {path.name for path in set(folder.absolute().iterdir()) - _staging_folders(folder)}
+    names = {path.name for path in set(folder.absolute().iterdir()) - _find_staging_folders(folder)}
     return SPEC in names and REPORT not in names and all(map(is_known, names))
 
 
@@ -227,7 +227,7 @@ def _is_report(report: object) -> bool:
 
 
 @contextlib.contextmanager
-def staging_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
+def stage_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
     """A hidden folder to work in, put in place of `output` when the block ends well.
 
     keep : names of files of `output` that the job goes on from; they appear in the hidden folder (as links).
@@ -240,16 +240,16 @@ def staging_folder(output: Path, *, keep: Iterable[str] = ()) -> Iterator[Path]:
     staging = home / f".{output.name}.{secrets.token_hex(4)}{_STAGING}"
     try:
         staging.mkdir()
-        with _locked(staging):
+        with _lock_folder(staging):
             _clear_abandoned(output, mine=staging)
             for name in set(keep):
                 if (output / name).is_file():
                     _link(output / name, staging / name)
             yield staging
-            with _uninterrupted():
+            with _defer_signals():
                 _put_in_place(staging, output)
     except BaseException:
-        with _uninterrupted():
+        with _defer_signals():
             shutil.rmtree(staging, ignore_errors=True)
             for folder in reversed(made):
                 with contextlib.suppress(OSError):
@@ -288,7 +288,7 @@ def _link(source: Path, target: Path) -> None:
 
 
 @contextlib.contextmanager
-def _locked(folder: Path) -> Iterator[None]:
+def _lock_folder(folder: Path) -> Iterator[None]:
     """Holds a lock on the folder for as long as this process works in it."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
@@ -304,7 +304,7 @@ def _clear_abandoned(output: Path, *, mine: Path) -> None:
 
     InputError where another process does.
     """
-    for folder in _staging_folders(output) - {mine}:
+    for folder in _find_staging_folders(output) - {mine}:
         with contextlib.suppress(OSError):
             descriptor = os.open(folder, os.O_RDONLY)
             try:
@@ -318,7 +318,7 @@ def _clear_abandoned(output: Path, *, mine: Path) -> None:
                 os.close(descriptor)
 
 
-def _staging_folders(output: Path) -> set[Path]:
+def _find_staging_folders(output: Path) -> set[Path]:
     """Hidden folders of jobs for this output, running or killed: beside it and in it."""
     output = output.absolute()
     name = re.compile(rf"\.{re.escape(output.name)}\.[0-9a-f]{{8}}{re.escape(_STAGING)}")
@@ -327,7 +327,7 @@ def _staging_folders(output: Path) -> set[Path]:
 
 
 @contextlib.contextmanager
-def _uninterrupted() -> Iterator[None]:
+def _defer_signals() -> Iterator[None]:
     """What stops a command does nothing in this short block, which ends the job anyway (main thread only)."""
     if threading.current_thread() is not threading.main_thread():
         yield

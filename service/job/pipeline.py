@@ -29,7 +29,7 @@ _LENS = ("image", "irradiance", "passes", "map", "heightfield", "caustic")
 
 
 @dataclass
-class Job:
+class FolderJob:
     """A running command: the stages' common folder and desk, and what they have said so far."""
 
     spec: JobSpec
@@ -132,18 +132,18 @@ def _note_shortage(shop: Workshop) -> None:
 @contextmanager
 def _job(
     output: Path, spec: JobSpec, reporter: Reporter, *, picture: Path = Path(), keep: Iterable[str] = ()
-) -> Iterator[Job]:
+) -> Iterator[FolderJob]:
     """A job in a staging folder."""
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
-    with job_files.staging_folder(output, keep=kept) as folder, PictureQueue() as picture_queue:
-        job = Job(spec=spec, folder=folder, reporter=reporter, picture_queue=picture_queue, picture=picture)
+    with job_files.stage_folder(output, keep=kept) as folder, PictureQueue() as picture_queue:
+        job = FolderJob(spec=spec, folder=folder, reporter=reporter, picture_queue=picture_queue, picture=picture)
         if kept:
             _take_over(job, earlier, programs=any(job_files.is_program(name) for name in kept))
         yield job
 
 
-def _take_over(job: Job, earlier: dict[str, Any], *, programs: bool) -> None:
+def _take_over(job: FolderJob, earlier: dict[str, Any], *, programs: bool) -> None:
     """What an earlier report says of the parts that this command does not make anew."""
     keys = ("source", "image", "optics", "timings_s", *(("passes", "around", "as_milled") if programs else ()))
     job.report = {key: earlier[key] for key in keys if key in earlier}

@@ -66,11 +66,11 @@ def preflight(
             raise PreflightError(f"{path}: not a file")
         quick = folder / f"quick-{_digest([stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns])}.txt"
         held_against = _digest([limits.to_dict(), _sources()])
-        found = _remembered(folder, held_against, _noted(quick))
+        found = _recall(folder, held_against, _read_note(quick))
         if found is None and list(folder.glob(f"{held_against}-{stat.st_size}-*.json")):
-            found = _remembered(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
+            found = _recall(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
         if found is None:
-            found = _computed(path, limits, folder, held_against, on_progress)
+            found = _compute(path, limits, folder, held_against, on_progress)
             _forget_oldest(folder)
         _note(quick, f"{found.bytes}-{found.sha256}")
     except OSError as error:
@@ -79,7 +79,7 @@ def preflight(
     return replace(found, warnings=(*found.warnings, *(f"{AT_PRESENT_ZERO} {words}" for words in problems)))
 
 
-def _computed(
+def _compute(
     path: Path, limits: MillLimits, folder: Path, held_against: str, on_progress: Callable[[float], None] | None
 ) -> Preflight:
     """Run the child; its result gets the name of its content."""
@@ -133,7 +133,7 @@ def _conversation(
     return answer
 
 
-def _remembered(folder: Path, held_against: str, content: str | None) -> Preflight | None:
+def _recall(folder: Path, held_against: str, content: str | None) -> Preflight | None:
     """The kept result for this content, if it is there and whole."""
     if content is None:
         return None
@@ -147,7 +147,7 @@ def _remembered(folder: Path, held_against: str, content: str | None) -> Preflig
     return found
 
 
-def _noted(quick: Path) -> str | None:
+def _read_note(quick: Path) -> str | None:
     try:
         return quick.read_text(encoding="ascii")
     except (OSError, UnicodeDecodeError):

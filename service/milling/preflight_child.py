@@ -104,7 +104,7 @@ def _read_gcode(path: Path, limits: MillLimits, on_share: Callable[[float], None
         time_s=model.seconds,
         ends=ends,
         mist_line=events[tally.MIST][0] if events[tally.MIST][1] else 0,
-        assumed=rules.assumed(events),
+        assumed=rules.list_assumed_modes(events),
         warnings=tuple(warnings),
         index=scan.index,
     )

@@ -35,7 +35,7 @@ def begin() -> None:
     threading.Thread(target=_beat, args=(descriptor,), name="lifeline", daemon=True).start()
 
 
-def inherited_socket() -> socket.socket | None:
+def inherit_socket() -> socket.socket | None:
     """The address the supervisor has bound; None: this process was not started by it, or is not to serve."""
     descriptor = _taken(LISTEN_FD)
     return None if descriptor is None else socket.socket(fileno=descriptor)

@@ -10,7 +10,7 @@ import sys
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from service.errors import FailedError, JobError, PictureError
+from service.errors import FailedError, PictureError, ServiceError
 from service.processes.linux import address_space_bytes, die_with_parent, name_process
 from service.processes.priority import give_way
 
@@ -53,7 +53,7 @@ def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return {"refused": str(error).split("\n"), "kind": "picture"}
     except (FailedError, OSError) as error:
         return {"refused": str(error).split("\n"), "kind": "failed"}
-    except JobError as error:
+    except ServiceError as error:
         return {"refused": str(error).split("\n"), "kind": "input"}
     except Exception as error:  # the process that asked says so and goes on
         return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}

@@ -65,7 +65,7 @@ def signal_stage(leader: int, number: int) -> None:
             os.kill(leader, number)
 
 
-def living_members(group: int) -> list[int]:
+def list_living_members(group: int) -> list[int]:
     """Processes of a group that still run; a dead one that nobody has waited for does not."""
     found = ((pid, _state_and_group(pid)) for pid in _all_processes())
     return [pid for pid, (state, its_group) in found if its_group == group and state not in "ZX"]

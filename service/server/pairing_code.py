@@ -40,10 +40,10 @@ _FINE, _PLAIN = tuple("┌─┐│└┘"), tuple("+-+|++")
 def code_lines(stream: TextIO, url: str, code: str) -> str:
     """Where the page is, and the code for running mills from it. For a terminal only."""
     rows = (f"Open  {url}  in a browser.", f"Code  {code}   (the page asks for it before it runs a mill)")
-    return framed(rows, fine=(stream.encoding or "").lower().replace("-", "") == "utf8")
+    return frame_rows(rows, fine=(stream.encoding or "").lower().replace("-", "") == "utf8")
 
 
-def framed(rows: tuple[str, ...], *, fine: bool) -> str:
+def frame_rows(rows: tuple[str, ...], *, fine: bool) -> str:
     """Rows in a box with an empty line before and after it."""
     left_top, across, right_top, down, left, right = _FINE if fine else _PLAIN
     width = max(map(len, rows)) + 4

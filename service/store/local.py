@@ -135,7 +135,7 @@ class LocalStore:
         """False where this file system does not link."""
         target = self._ready_place(sha256)
         with self._locked(fcntl.LOCK_SH):
-            if not _renewed(target, size):
+            if not _renew(target, size):
                 try:
                     os.link(path, target)
                 except FileExistsError:  # stored by another process just now
@@ -151,7 +151,7 @@ class LocalStore:
     def _rename(self, part: Path, sha256: str, size: int) -> None:
         target = self._ready_place(sha256)
         with self._locked(fcntl.LOCK_SH):
-            if not _renewed(target, size):
+            if not _renew(target, size):
                 part.rename(target)
         _sync_folder(target.parent)
 
@@ -223,7 +223,7 @@ def _pieces(file: IO[bytes], start: int, end: int | None) -> Iterator[bytes]:
             yield piece
 
 
-def _renewed(target: Path, size: int) -> bool:
+def _renew(target: Path, size: int) -> bool:
     """True where the object is there already; its time is now. One of another size (a damaged disk) is taken away."""
     with contextlib.suppress(FileNotFoundError):
         if target.stat().st_size == size:

@@ -46,7 +46,7 @@ class S3Store:
 
     def __init__(self, *, bucket: str, prefix: str) -> None:
         self._name = f"s3://{bucket}/{prefix}".rstrip("/")
-        self._bucket = _opened(bucket, prefix)
+        self._bucket = _open_bucket(bucket, prefix)
 
     def put_file(self, path: Path) -> StoredObject:
         """Upload a file unless it is there already. FailedError, one line, where the network or the bucket refuses."""
@@ -170,7 +170,7 @@ def _key(sha256: str) -> str:
     return f"{sha256[:2]}/{sha256}"
 
 
-def _opened(bucket: str, prefix: str) -> Bucket:
+def _open_bucket(bucket: str, prefix: str) -> Bucket:
     try:
         from obstore import exceptions
         from obstore.store import S3Store as Bucket

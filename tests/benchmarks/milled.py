@@ -24,7 +24,7 @@ from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, target_bytes
 from service.job.files import HEIGHTFIELD, MAP, SPEC
 from service.job.spec.lens_task import branch_of, lens_settings
-from service.job.spec.loading import resolve_spec, validated
+from service.job.spec.loading import resolve_spec, validate_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.stages.as_milled import as_milled
@@ -104,7 +104,7 @@ def _run_apart(folder: Path) -> dict[str, Any]:
 
 def run(folder: Path) -> dict[str, Any]:
     """The stage on what is in the folder: seconds, memory, and what it says of the picture."""
-    spec, watch = validated(json.loads((folder / SPEC).read_text())), Stopwatch(QuietReporter())
+    spec, watch = validate_spec(json.loads((folder / SPEC).read_text())), Stopwatch(QuietReporter())
     rows = [{"file": PROGRAM} for _ in spec.passes]
     started, cpu = time.perf_counter(), time.process_time()
     with PictureQueue() as picture_queue:

@@ -26,7 +26,7 @@ from cam.rows.vertices import finish_rule
 from cam.surface.tool_surface import ToolSurface
 from machines.profiles import MachineProfile
 from optics.design import design_lens
-from optics.foreseen import sharpened
+from optics.foreseen import sharpen
 from optics.heightfield import Heightfield
 from optics.metrics import CausticScore, score_caustic
 from optics.milled import simulate_milled
@@ -75,7 +75,7 @@ def _lens(goal: np.ndarray, ball_mm: float, planned: Planned | None) -> Heightfi
     aim = goal
     if planned is not None:
         x_mm, y_mm = planned.foreseen_blur_mm()
-        aim = sharpened(goal, (y_mm / planned.light.pixel_mm[0], x_mm / planned.light.pixel_mm[1]))
+        aim = sharpen(goal, (y_mm / planned.light.pixel_mm[0], x_mm / planned.light.pixel_mm[1]))
     return design_lens(aim, replace(PAPER_SETTING, min_radius_mm=ball_mm)).heightfield
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from machines.errors import NotAllowedError
-from machines.runs import LIVE, RECOVER_CHECKS, START_CHECKS, TRANSITIONS, Confirmation, RunState, RunView, moved
+from machines.runs import LIVE, RECOVER_CHECKS, START_CHECKS, TRANSITIONS, Confirmation, RunState, RunView, move_state
 
 
 def test_every_state_is_in_the_table_and_reachable_from_parked() -> None:
@@ -34,10 +34,10 @@ def test_every_live_state_can_be_interrupted() -> None:
 @pytest.mark.parametrize("after", RunState)
 def test_moves_follow_the_table(before: RunState, after: RunState) -> None:
     if after in TRANSITIONS[before]:
-        assert moved(before, after) is after
+        assert move_state(before, after) is after
     else:
         with pytest.raises(NotAllowedError, match=f"{before.value}.*{after.value}"):
-            moved(before, after)
+            move_state(before, after)
 
 
 @pytest.mark.parametrize("missing", sorted(RECOVER_CHECKS))

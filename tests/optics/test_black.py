@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optics.bench import Bench
-from optics.black import advice, dark_leak_estimate, fine_detail, suited_branch
+from optics.black import advice, choose_branch, dark_leak_estimate, fine_detail
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield
@@ -112,12 +112,12 @@ def test_a_notched_outline_gets_its_words_and_a_convex_one_none() -> None:
 
 def test_branch_is_inverted_only_where_it_gains_and_fits() -> None:
     far = replace(BENCH, throw_mm=300.0)
-    assert suited_branch(ring(), far, 4.0) == "inverted"
-    assert suited_branch(ring(), BENCH, 4.0) == "direct"  # slopes close to total reflection, or beyond
-    assert suited_branch(ring(), far, 0.1) == "direct"  # valleys are dark enough
-    assert suited_branch(ring() * 0.5 + 0.5, far, 4.0) == "direct"  # nothing black
-    assert suited_branch(ring(), replace(far, thickness_mm=15.0), 4.0) == "direct"  # relief 25 mm
-    assert suited_branch(ring(), far, 4.0, steepest=0.3) == "direct"
+    assert choose_branch(ring(), far, 4.0) == "inverted"
+    assert choose_branch(ring(), BENCH, 4.0) == "direct"  # slopes close to total reflection, or beyond
+    assert choose_branch(ring(), far, 0.1) == "direct"  # valleys are dark enough
+    assert choose_branch(ring() * 0.5 + 0.5, far, 4.0) == "direct"  # nothing black
+    assert choose_branch(ring(), replace(far, thickness_mm=15.0), 4.0) == "direct"  # relief 25 mm
+    assert choose_branch(ring(), far, 4.0, steepest=0.3) == "direct"
 
 
 def test_the_inverted_branch_does_gain_where_it_is_chosen() -> None:

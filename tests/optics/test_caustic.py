@@ -13,7 +13,7 @@ from scipy.interpolate import RectBivariateSpline
 from optics.bench import Bench
 from optics.caustic import share_by_way_of, simulate_caustic
 from optics.heightfield import Heightfield
-from optics.refraction import refracted_tangent
+from optics.refraction import tangent_per_slope
 from optics.screen import Screen
 from optics.tubes.edges import add_edge
 
@@ -41,7 +41,7 @@ def test_flat_lens_shows_nothing(screen: Screen) -> None:
 @pytest.mark.parametrize("slope", [-0.3, 0.1, 0.45])
 def test_prism_shifts_and_stretches_by_exact_snell(slope: float) -> None:
     """On z = -12 + s x the ray from x lands at x + (H - z) m s: an even patch of width W (1 - m s^2), shifted."""
-    throw, m = 40.0, refracted_tangent(slope**2, N)
+    throw, m = 40.0, tangent_per_slope(slope**2, N)
     prism = lens_of(lambda x, y: -12 + slope * x)
     wide = Screen(width_mm=80.0, height_mm=20.0, centre_x_mm=10.0, centre_y_mm=10.0)
     light = simulate_caustic(prism, facing(wide, throw_mm=throw), pixels=(20, 800)).irradiance[10]

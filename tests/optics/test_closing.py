@@ -7,13 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optics.closing import closed_to_radius
+from optics.closing import close_to_radius
 
 D = 0.1
 
 
 def closed(z: np.ndarray, radius: float) -> np.ndarray:
-    return closed_to_radius(z, radius_mm=radius, dx_mm=D, dy_mm=D)
+    return close_to_radius(z, radius_mm=radius, dx_mm=D, dy_mm=D)
 
 
 @given(seed=st.integers(0, 2**32 - 1), radius=st.floats(0.3, 3.0))
@@ -55,7 +55,7 @@ def test_spacing_differs_along_x_and_y(axis: int) -> None:
     spacing = (0.1, 0.04)[axis]  # dy, dx
     line = np.abs(np.arange(-60, 61)) * spacing
     v = np.tile(line, (9, 1)) if axis else np.tile(line[:, None], (1, 9))
-    filled = closed_to_radius(v, radius_mm=1.0, dx_mm=0.04, dy_mm=0.1)
+    filled = close_to_radius(v, radius_mm=1.0, dx_mm=0.04, dy_mm=0.1)
     middle = filled[4, 60] if axis else filled[60, 4]
     assert middle == pytest.approx(0.5, abs=0.02)
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.corrections import corrected
+from optics.corrections import correct_lens
 from optics.finish import Finish, finish_surface, foresee_finish
 from optics.heightfield import Heightfield
 from optics.metrics import psnr_db, smallest_detail_mm
@@ -112,7 +112,7 @@ def test_a_lens_that_foresees_its_finish_shows_more_behind_it() -> None:
     finish = Finish(k0_rad_per_mm=3.5, order=1.0)
     plain = LensSettings(bench=bench, skim_mm=0.1, min_radius_mm=0.5)
     seen = [
-        simulate_caustic(finish_surface(corrected(target, task).best.lens, finish), bench, pixels=target.shape)
+        simulate_caustic(finish_surface(correct_lens(target, task).best.lens, finish), bench, pixels=target.shape)
         for task in (plain, replace(plain, finish=finish))
     ]
     without, foreseen = (psnr_db(one.irradiance, target) for one in seen)

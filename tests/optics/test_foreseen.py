@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.ndimage import uniform_filter1d
 
-from optics.foreseen import sharpened, spread_evenly
+from optics.foreseen import sharpen, spread_evenly
 
 SIDE = 64
 
@@ -40,7 +40,7 @@ def test_a_box_of_whole_pixels_is_the_moving_average_with_darkness_beyond_the_ed
 
 
 def test_without_blur_the_picture_is_what_the_lens_aims_at() -> None:
-    assert np.array_equal(sharpened(picture(), (0.0, 0.0)), picture())
+    assert np.array_equal(sharpen(picture(), (0.0, 0.0)), picture())
 
 
 @settings(max_examples=20, deadline=None)
@@ -48,7 +48,7 @@ def test_without_blur_the_picture_is_what_the_lens_aims_at() -> None:
 def test_what_is_aimed_at_blurs_into_the_picture_better_than_the_picture_does(sigma: float) -> None:
     """Half of the error at least, away from the edges, of waves longer than the box: 11 pixels over 7."""
     goal, inner = picture(), (slice(16, -16), slice(16, -16))
-    aim = sharpened(goal, (sigma, 0.0))
+    aim = sharpen(goal, (sigma, 0.0))
     assert aim.min() > 0
     assert aim.mean() == pytest.approx(1.0)
     lost, left = (np.abs(spread_evenly(one, (sigma, 0.0)) - goal)[inner].mean() for one in (goal, aim))
@@ -58,5 +58,5 @@ def test_what_is_aimed_at_blurs_into_the_picture_better_than_the_picture_does(si
 def test_only_the_axis_that_is_blurred_is_sharpened() -> None:
     y, x = np.mgrid[0:SIDE, 0:SIDE] / SIDE
     stripes = 1.0 + 0.3 * np.sin(2 * np.pi * 8 * x) + 0 * y
-    aim = sharpened(stripes, (3.0, 0.0))
+    aim = sharpen(stripes, (3.0, 0.0))
     assert aim / aim.mean(axis=1, keepdims=True) == pytest.approx(stripes, abs=1e-9)

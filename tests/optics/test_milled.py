@@ -13,7 +13,7 @@ from optics.heightfield import Heightfield
 from optics.light import Light
 from optics.metrics import psnr_db
 from optics.milled import simulate_milled
-from optics.milled_blur import deviations, predicted_light
+from optics.milled_blur import deviations, predict_light
 
 SIDE_MM = 10.0
 PIXELS = (32, 32)
@@ -105,5 +105,5 @@ def test_predicted_light_is_near_the_whole_simulation():
     facets = facets_of(over, groove_mrad=60.0)
     whole = light_of(facets).irradiance
     inner = ((facets[:, :, :2].mean(axis=1) > 2) & (facets[:, :, :2].mean(axis=1) < 8)).all(axis=1)
-    quick = predicted_light(designed, [facets[inner]], over, BENCH)
+    quick = predict_light(designed, [facets[inner]], over, BENCH)
     assert psnr_db(quick, designed) == pytest.approx(psnr_db(whole, designed), abs=1.5)

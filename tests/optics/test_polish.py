@@ -15,9 +15,9 @@ from optics.heightfield import Heightfield
 from optics.irradiance import target_irradiance
 from optics.light import Light
 from optics.metrics import score_caustic
-from optics.polish import polished
+from optics.polish import polish_lens
 from optics.settings import LensSettings
-from optics.spline import _fitted
+from optics.spline import _fit_all_columns
 from optics.tubes.picture import TubePicture
 from optics.tubes.rays import fit_transposed
 
@@ -52,7 +52,7 @@ def test_transposed_fit_is_the_transpose(nodes: int) -> None:
     """<F z, g> = <z, F^T g> for any z and g."""
     rng = np.random.default_rng(nodes)
     z, g = rng.random((nodes, nodes + 3)), rng.random((nodes + 2, nodes + 5))
-    coefs = _fitted(np.ascontiguousarray(_fitted(z).T)).T
+    coefs = _fit_all_columns(np.ascontiguousarray(_fit_all_columns(z).T)).T
     assert (coefs * g).sum() == pytest.approx((z * fit_transposed(g)).sum(), rel=1e-12)
 
 
@@ -102,7 +102,7 @@ def test_polish_makes_no_fold_and_leaves_the_ball_its_room(
     target = target_irradiance(soft_picture, viewed_from="lens")
     bench = settings.bench
     lens = design_lens(target, replace(settings, corrections=1, min_radius_mm=ball_mm)).heightfield
-    done, record = polished(lens, target, bench, steps=10, ball_mm=ball_mm)
+    done, record = polish_lens(lens, target, bench, steps=10, ball_mm=ball_mm)
     assert record.steps > 0
     for surface in (lens, done):
         assert turned_tubes(surface, bench, target.shape) == 0

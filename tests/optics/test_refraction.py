@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from optics.refraction import critical_slope, refracted_tangent, slope_for_shift
+from optics.refraction import critical_slope, slope_for_shift, tangent_per_slope
 
 SLOPES = st.floats(-0.6, 0.6)
 
@@ -17,7 +17,7 @@ SLOPES = st.floats(-0.6, 0.6)
 @given(zx=SLOPES, zy=SLOPES, index=st.floats(1.3, 1.55))
 def test_tangential_components_agree_across_the_surface(zx: float, zy: float, index: float) -> None:
     """eta d x N = t x N with unit directions."""
-    m = refracted_tangent(zx * zx + zy * zy, index)
+    m = tangent_per_slope(zx * zx + zy * zy, index)
     refracted = np.array([m * zx, m * zy, 1.0])
     refracted /= np.linalg.norm(refracted)
     normal = np.array([-zx, -zy, 1.0]) / math.sqrt(1 + zx * zx + zy * zy)
@@ -27,7 +27,7 @@ def test_tangential_components_agree_across_the_surface(zx: float, zy: float, in
 
 @given(zx=SLOPES, zy=SLOPES, drop=st.floats(1.0, 500.0))
 def test_equations_8_and_9_undo_the_refraction(zx: float, zy: float, drop: float) -> None:
-    m = refracted_tangent(zx * zx + zy * zy, 1.49)
+    m = tangent_per_slope(zx * zx + zy * zy, 1.49)
     shift = np.array([[m * zx, m * zy]]) * drop
     back = slope_for_shift(shift, np.array([drop]), refractive_index=1.49)
     np.testing.assert_allclose(back, [[zx, zy]], atol=1e-9)
@@ -36,6 +36,6 @@ def test_equations_8_and_9_undo_the_refraction(zx: float, zy: float, drop: float
 def test_beyond_the_critical_slope_all_light_is_reflected() -> None:
     steepest = critical_slope(1.49)
     assert steepest == pytest.approx(0.905, abs=5e-4)
-    assert math.isfinite(refracted_tangent((0.999 * steepest) ** 2, 1.49))
-    assert math.isnan(refracted_tangent((1.001 * steepest) ** 2, 1.49))
-    assert math.isnan(refracted_tangent(1.0, 1.49))  # the 45 degree prism
+    assert math.isfinite(tangent_per_slope((0.999 * steepest) ** 2, 1.49))
+    assert math.isnan(tangent_per_slope((1.001 * steepest) ** 2, 1.49))
+    assert math.isnan(tangent_per_slope(1.0, 1.49))  # the 45 degree prism

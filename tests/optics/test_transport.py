@@ -18,7 +18,7 @@ from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
 from optics.path.even_light import rim_slopes
 from optics.path.grid_levels import box_averaged, level_shapes
-from optics.refraction import refracted_tangent
+from optics.refraction import tangent_per_slope
 from optics.settings import LensSettings
 from optics.transport import solve_transport
 
@@ -141,7 +141,7 @@ def test_light_from_p_lands_on_q(
     design = design_lens(target_irradiance(soft_picture, viewed_from="lens"), task)
     p, q = design.transport_map.lens_mm[1:-1, 1:-1], design.transport_map.screen_mm[1:-1, 1:-1]
     z, zx, zy, *_ = design.heightfield.spline().jets(p[..., 0], p[..., 1])
-    way_mm = (task.bench.throw_mm - z) * np.vectorize(refracted_tangent)(zx**2 + zy**2, task.bench.refractive_index)
+    way_mm = (task.bench.throw_mm - z) * np.vectorize(tangent_per_slope)(zx**2 + zy**2, task.bench.refractive_index)
     landed = p + np.stack([way_mm * zx, way_mm * zy], axis=-1)
     assert np.linalg.norm(q - p, axis=-1).max() > 2
     np.testing.assert_allclose(landed, q, atol=0.02 * min(screen_mm) / 48)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Locator, Page, expect
 
-from service.job.page_data.header import parted
+from service.job.page_data.header import split_header
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import usual_seconds
 from service.wording import duration, psnr_in_words
@@ -234,7 +234,7 @@ def test_programs_of_a_job_that_failed_or_is_given_up_can_be_saved_but_not_sent(
 def test_the_wall_moves_through_the_pictures_of_the_file(at_job: Page) -> None:
     """What the canvas shows is the frame of that distance, and the words give the distance."""
     data = canned_job.files()["focus.bin"]
-    head, start = parted(data)
+    head, start = split_header(data)
     size = head["nx"] * head["ny"]
     slider, canvas = at_job.get_by_role("slider", name="Distance of the wall"), at_job.locator(".focus-picture")
     slider.scroll_into_view_if_needed()
@@ -252,7 +252,7 @@ def test_the_wall_moves_through_the_pictures_of_the_file(at_job: Page) -> None:
 @pytest.mark.thorough
 def test_the_map_of_heights_reads_off_the_surface(at_job: Page) -> None:
     data = canned_job.files()["surface.bin"]
-    head, start = parted(data)
+    head, start = split_header(data)
     steps = np.frombuffer(data, "<u2", offset=start).reshape(head["ny"], head["nx"])
     chart = at_job.locator(".height-map")
     chart.scroll_into_view_if_needed()

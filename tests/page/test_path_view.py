@@ -11,7 +11,7 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from service.job.page_data.header import parted
+from service.job.page_data.header import split_header
 from tests.page.conftest import Opened
 from tests.page.drawn import Drawn, drawn
 from tests.page.paths import FEED_MM_PER_S, SIDE_MM, Thinned, write_huge_path, write_path
@@ -65,7 +65,7 @@ def test_a_closer_look_fetches_what_it_shows_and_shows_every_move(view: Drawn) -
         view.zoom(2)
         view.at_rest()
     expect(view.page.locator(".path-note")).to_have_text("Every move is drawn.")
-    whole = parted(view.served.path.read_bytes())[0]["levels"][-1]
+    whole = split_header(view.served.path.read_bytes())[0]["levels"][-1]
     taken = sum(max(0, end - max(start, whole["offset_bytes"])) for start, end in view.served.fetched[1:])
     assert 0 < taken < 0.3 * 8 * whole["points"]
     view.page.get_by_role("button", name="Whole lens").click()

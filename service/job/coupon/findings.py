@@ -12,14 +12,14 @@ import numpy as np
 
 from optics.coupon.fit import K0_RANGE, FinishFit, fit_finish, misfit_as_milled
 from optics.coupon.fringes import nominal_lever_mm
-from optics.coupon.grain import RowErrors, fit_row_errors, measured_grain
+from optics.coupon.grain import RowErrors, fit_row_errors, measure_grain
 from optics.coupon.layout import Half
 from optics.coupon.reading import Fold, fold_all
 from optics.finish import Finish
 from service.errors import PictureError
 from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, ForetoldPiece
 from service.job.spec.finish import NONE
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of
@@ -62,7 +62,7 @@ SENTENCES = {
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class CouponFinding:
     """A code of SENTENCES and the values in its sentence."""
 
     code: str
@@ -75,7 +75,7 @@ class Finding:
 class PhotoRefused(PictureError):
     """A photograph that says nothing, and why."""
 
-    def __init__(self, name: str, finding: Finding) -> None:
+    def __init__(self, name: str, finding: CouponFinding) -> None:
         super().__init__(f"{name}: {finding.sentence()}")
         self.finding = finding
 
@@ -88,7 +88,7 @@ class CouponResult:
     rows: RowErrors
     finished: Half
     placed: Placed
-    notes: tuple[Finding, ...]
+    notes: tuple[CouponFinding, ...]
 
     def values(self) -> dict[str, Any]:
         """What it means for a job's spec, by dotted key."""
@@ -131,14 +131,19 @@ class CouponResult:
 
 
 def measure_photo(
-    name: str, photo: Photo, foretold: Foretold, spec: JobSpec, *, on_progress: Callable[[float], None] | None = None
+    name: str,
+    photo: Photo,
+    foretold: ForetoldPiece,
+    spec: JobSpec,
+    *,
+    on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
     """What the photograph says of that test piece. PhotoRefused where it says nothing."""
     reached = on_progress or (lambda share: None)
     coupon, template = coupon_of(spec), 0
     placed = _place(name, photo, foretold, template, spec)
     reached(0.4)
-    finished, folds = _finished_half(name, placed, foretold, spec)
+    finished, folds = _choose_finished_half(name, placed, foretold, spec)
     fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
     reached(0.6)
     if finished == "left" and (nearest := _nearest_template(fit)) != template:
@@ -147,32 +152,34 @@ def measure_photo(
         fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
     reached(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
-        raise PhotoRefused(name, Finding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
+        raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
-        raise PhotoRefused(name, Finding("not_finished", {}))
+        raise PhotoRefused(name, CouponFinding("not_finished", {}))
     rows = _row_errors(placed, foretold, spec, fit, finished)
     reached(1.0)
     notes = tuple(_notes(fit, placed, finished, spec))
     return CouponResult(fit=fit, rows=rows, finished=finished, placed=placed, notes=notes)
 
 
-def _place(name: str, photo: Photo, foretold: Foretold, template: int, spec: JobSpec) -> Placed:
+def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, spec: JobSpec) -> Placed:
     try:
         placed = place_photo(photo, foretold.templates[template], viewed_from=spec.optics.viewed_from)
     except ValueError:  # no light in it
-        raise PhotoRefused(name, Finding("not_a_coupon", {"confidence": 0.0})) from None
+        raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
     found = placed.registration
     if found.confidence < _SURE:
-        raise PhotoRefused(name, Finding("not_a_coupon", {"confidence": found.confidence}))
+        raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": found.confidence}))
     if placed.pixels_per_mm < _LEAST_PIXELS_PER_MM:
         values = {"pixels_per_mm": placed.pixels_per_mm, "least": _LEAST_PIXELS_PER_MM}
-        raise PhotoRefused(name, Finding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
+        raise PhotoRefused(name, CouponFinding("too_small", {**values, "across": 40 * _LEAST_PIXELS_PER_MM}))
     if placed.level < _LEAST_LEVEL:
-        raise PhotoRefused(name, Finding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
+        raise PhotoRefused(name, CouponFinding("too_dark", {"level": placed.level, "least": _LEAST_LEVEL}))
     return placed
 
 
-def _finished_half(name: str, placed: Placed, foretold: Foretold, spec: JobSpec) -> tuple[Half, tuple[Fold, ...]]:
+def _choose_finished_half(
+    name: str, placed: Placed, foretold: ForetoldPiece, spec: JobSpec
+) -> tuple[Half, tuple[Fold, ...]]:
     """Which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
     coupon = coupon_of(spec)
     folds = fold_all(placed.picture, coupon)
@@ -181,11 +188,11 @@ def _finished_half(name: str, placed: Placed, foretold: Foretold, spec: JobSpec)
         ripples = sum(fold.is_usable for fold in own)
         if ripples < _LEAST_RIPPLES:
             share = float(np.mean([fold.clipped for fold in own]))
-            raise PhotoRefused(name, Finding("clipped", {"share": share, "ripples": ripples}))
+            raise PhotoRefused(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
     misfits = {half: misfit_as_milled(coupon, foretold.profiles, folds, half) for half in HALVES}
     if min(misfits.values()) > _AS_MILLED:
         values = {"misfit": min(misfits.values()), "throw_mm": spec.optics.throw_mm}
-        raise PhotoRefused(name, Finding("no_fringes", values))
+        raise PhotoRefused(name, CouponFinding("no_fringes", values))
     if max(misfits.values()) > _WORSE * min(misfits.values()):
         return max(HALVES, key=lambda half: misfits[half]), folds
     fringes = {half: sum(fold.fringe for fold in folds if fold.half == half and fold.is_usable) for half in HALVES}
@@ -198,12 +205,12 @@ def _nearest_template(fit: FinishFit) -> int:
     return min(range(len(TEMPLATES_RAD_PER_MM)), key=lambda n: abs(math.log(TEMPLATES_RAD_PER_MM[n] / half)))
 
 
-def _row_errors(placed: Placed, foretold: Foretold, spec: JobSpec, fit: FinishFit, finished: Half) -> RowErrors:
+def _row_errors(placed: Placed, foretold: ForetoldPiece, spec: JobSpec, fit: FinishFit, finished: Half) -> RowErrors:
     y, across = foretold.across
     clean = np.interp(placed.picture.y_mm, y, across)
     passed, coupon = cam_passes_of(spec)[-1], coupon_of(spec)
     return fit_row_errors(
-        measured_grain(placed.picture, clean, "right" if finished == "left" else "left"),
+        measure_grain(placed.picture, clean, "right" if finished == "left" else "left"),
         radius_mm=passed.radius_mm,
         pitch_mm=passed.pitch_mm,
         lever_mm=nominal_lever_mm(coupon) * fit.throw_mm / coupon.throw_mm,
@@ -211,25 +218,25 @@ def _row_errors(placed: Placed, foretold: Foretold, spec: JobSpec, fit: FinishFi
     )
 
 
-def _notes(fit: FinishFit, placed: Placed, finished: Half, spec: JobSpec) -> Iterator[Finding]:
+def _notes(fit: FinishFit, placed: Placed, finished: Half, spec: JobSpec) -> Iterator[CouponFinding]:
     if finished == "right":
-        yield Finding("right_finished", {})
+        yield CouponFinding("right_finished", {})
     if placed.registration.mirrored:
-        yield Finding("mirrored", {})
+        yield CouponFinding("mirrored", {})
     nominal = spec.optics.throw_mm
     off = fit.throw_mm - nominal
     if abs(off) > max(_WALL_OFF * nominal, 2 * fit.throw_error_mm):
-        yield Finding("wall_off", {"off_mm": off, "throw_mm": fit.throw_mm, "nominal_mm": nominal})
+        yield CouponFinding("wall_off", {"off_mm": off, "throw_mm": fit.throw_mm, "nominal_mm": nominal})
     finish = Finish(k0_rad_per_mm=fit.k0_rad_per_mm, order=fit.order)
     waves = [one.k_rad_per_mm for one in fit.ripples]
     if float(finish.transfer(np.array(max(waves)))) > 0.7 or fit.k0_rad_per_mm > 0.9 * K0_RANGE[1]:
-        yield Finding("too_light", {"least": 2 * max(waves)})
+        yield CouponFinding("too_light", {"least": 2 * max(waves)})
     if float(finish.transfer(np.array(min(waves)))) < 0.3:
-        yield Finding("too_strong", {"most": min(waves)})
+        yield CouponFinding("too_strong", {"most": min(waves)})
     if lost := 8 - len(fit.ripples):
-        yield Finding("short_lost", {"count": lost})
+        yield CouponFinding("short_lost", {"count": lost})
     if fit.misfit > 2.5:
-        yield Finding("poor_fit", {"misfit": fit.misfit})
+        yield CouponFinding("poor_fit", {"misfit": fit.misfit})
 
 
 def snippet(result: CouponResult) -> str:
@@ -242,7 +249,7 @@ def snippet(result: CouponResult) -> str:
     return "\n".join(lines) + "\n"
 
 
-def finding_lines(result: CouponResult) -> Iterator[str]:
+def print_findings(result: CouponResult) -> Iterator[str]:
     """What the command prints."""
     fit, rows = result.fit, result.rows
     yield (

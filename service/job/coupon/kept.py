@@ -13,7 +13,7 @@ from service.job import files as job_files
 from service.job.coupon.piece import coupon_of, coupon_spec
 from service.job.coupon.programs import make_coupon
 from service.job.spec.resolve import machine_of
-from service.progress import reporting
+from service.progress import report_progress
 
 _NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}
 
@@ -29,7 +29,7 @@ def keep_coupon(folder: Path, machine: str) -> Path:
     piece = folder / machine / hashlib.sha256(facts.encode()).hexdigest()[:16]
     if not (piece / job_files.COUPON_ARCHIVE).is_file():
         piece.parent.mkdir(parents=True, exist_ok=True)
-        with reporting(quiet=True) as reporter:
+        with report_progress(quiet=True) as reporter:
             make_coupon(piece, spec, reporter=reporter)
         job_files.write_bytes(piece / job_files.COUPON_ARCHIVE, _pack(piece))
         for older in piece.parent.glob("[!.]*"):  # a hidden one is being made

@@ -14,7 +14,7 @@ from service.job.coupon.photograph import Photo, read_photo
 from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
 from service.job.coupon.programs import load_foretold
 from service.job.finite_json import plain
-from service.job.spec.loading import stored_spec
+from service.job.spec.loading import load_stored_spec
 from service.progress import Reporter, Stopwatch
 
 
@@ -38,7 +38,7 @@ def fit_photo(
     name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
 ) -> CouponResult:
     """What a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
-    spec = stored_spec(folder)
+    spec = load_stored_spec(folder)
     foretold = load_foretold(folder / PROFILES, coupon_of(spec))
     return measure_photo(name, shot, foretold, spec, on_progress=on_progress)
 

@@ -18,7 +18,7 @@ from optics.irradiance import ViewedFrom
 from optics.photograph import Registration, register
 from optics.photograph.homography import apply_homography
 from service.errors import PictureError
-from service.job.picture.decoding import decoded, one_line
+from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.picture.tone import linear_strip, value_scale
 
@@ -63,7 +63,7 @@ def _pixel_sizes_mm(u: Array, v: Array) -> tuple[float, float]:
 def read_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: str | None = None) -> Photo:
     """A photograph from a file; PictureError where it cannot be read, which calls it by `name`, by default its path."""
     name = name or str(path)
-    image = decoded(path, limits, name)
+    image = decode_picture(path, limits, name)
     try:
         light = linear_strip(image, image.info, tone="srgb", scale=value_scale(image))
         colours = np.asarray(image.convert("RGB"))

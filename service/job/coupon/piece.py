@@ -12,7 +12,7 @@ from cam.posts.dialects import POSTS
 from optics.coupon.layout import HALF_MM, HEIGHT_MM, THROW_MM, WIDTH_MM, Coupon
 from service.errors import InputError
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
-from service.job.spec.loading import parse_override, resolve_spec, stored_spec
+from service.job.spec.loading import load_stored_spec, parse_override, resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import machine_of
 from service.wording import ball, duration
@@ -73,10 +73,10 @@ def require_coupon(folder: Path) -> JobSpec:
             f"--output: {folder} holds no test piece ({PROFILES}); allowed: the folder that "
             f"`causticmill coupon -o DIR` has written"
         )
-    return stored_spec(folder)
+    return load_stored_spec(folder)
 
 
-def finishing_programs(folder: Path, spec: JobSpec) -> list[Path]:
+def list_finish_programs(folder: Path, spec: JobSpec) -> list[Path]:
     """The programs of the last pass, in the order in which they are run."""
     rows = read_report(folder).get("passes", [])
     return [folder / name for name in names_of_pass(rows[len(spec.passes) - 1])]

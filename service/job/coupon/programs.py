@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from cam.as_milled.heights import milled_heights
+from cam.as_milled.heights import mill_heights
 from cam.as_milled.noise import Noise
 from cam.as_milled.rows import tip_error_mm
 from cam.as_milled.surface import MilledSurface
@@ -17,7 +17,7 @@ from cam.as_milled.tracks import Tracks
 from cam.passes import PassSpec
 from cam.reading.gcode import LANGUAGES, read_parts
 from cam.surface.stock_grid import StockGrid
-from optics.coupon.fringes import Complex, Profile, Transfer, milled_profiles
+from optics.coupon.fringes import Complex, Profile, Transfer, profiles_of_heights
 from optics.coupon.halves import AROUND_MM, finish_heights, light_of_facets, light_of_heights, screen_axes_mm
 from optics.coupon.layout import HEIGHT_MM, WIDTH_MM, Coupon, window_mm
 from optics.heightfield import Array
@@ -30,10 +30,10 @@ from service.job.coupon.piece import (
     PROFILES,
     SHEET,
     coupon_of,
-    finishing_programs,
+    list_finish_programs,
     sheet_lines,
 )
-from service.job.pipeline import Job
+from service.job.pipeline import FolderJob
 from service.job.spec.finish import FinishSpec
 from service.job.spec.lens_task import finish_of
 from service.job.spec.model import JobSpec
@@ -69,9 +69,9 @@ def make_coupon(output: Path, spec: JobSpec, *, reporter: Reporter, force: bool 
     """Write the folder of a test piece; what report.json holds is returned."""
     job_files.require_usable_output(output, force=force)
     coupon = coupon_of(spec)
-    with job_files.staging_folder(output) as folder, PictureQueue() as queue:
+    with job_files.stage_folder(output) as folder, PictureQueue() as queue:
         plain_cuts = spec.model_copy(update={"finish": FinishSpec()})  # one half stays as it is milled
-        job = Job(spec=plain_cuts, folder=folder, reporter=reporter, picture_queue=queue)
+        job = FolderJob(spec=plain_cuts, folder=folder, reporter=reporter, picture_queue=queue)
         job.desk[job_files.HEIGHTFIELD] = lens = coupon.heightfield()
         job_files.write_bytes(folder / job_files.HEIGHTFIELD, arrays.heightfield_bytes(lens))
         job.run(*(f"pass-{number}" for number in range(1, len(spec.passes) + 1)))
@@ -97,9 +97,9 @@ def make_coupon(output: Path, spec: JobSpec, *, reporter: Reporter, force: bool 
 def _foretell(folder: Path, spec: JobSpec, watch: Stopwatch) -> None:
     """Both pictures; and coupon.npz, what photographs are compared with."""
     with watch.stage("heights as milled") as reached:
-        profiles = milled_profiles_of(milled_piece(folder, spec, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
+        profiles = profiles_of_milled(mill_piece(folder, spec, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
         reached(0.5)
-        made, clean = milled_piece(folder, spec, seed=_SEEDS[1]), milled_piece(folder, spec, seed=None)
+        made, clean = mill_piece(folder, spec, seed=_SEEDS[1]), mill_piece(folder, spec, seed=None)
     with watch.stage("photograph foretold") as reached:
         finish = finish_of(spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
@@ -111,7 +111,7 @@ def _foretell(folder: Path, spec: JobSpec, watch: Stopwatch) -> None:
         _draw(folder / name, one, spec)
     values = {f"strip_{n}": _as_reals(profile.harmonics_mm) for n, profile in enumerate(profiles)}
     values |= {f"milled_{n}": _as_reals(profile.milled) for n, profile in enumerate(profiles)}
-    values |= {f"light_{n}": _halved(one) for n, one in enumerate(light[2:])}
+    values |= {f"light_{n}": _halve(one) for n, one in enumerate(light[2:])}
     x, y = screen_axes_mm(_pixels(PIXELS_PER_MM))
     begin, end = window_mm("right")
     values["across"] = np.array([y, without_errors[:, (x >= begin) & (x < end)].mean(axis=1)])
@@ -119,7 +119,7 @@ def _foretell(folder: Path, spec: JobSpec, watch: Stopwatch) -> None:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Foretold:
+class ForetoldPiece:
     """What a photograph is compared with.
 
     templates  : light (ny, nx) on the screen behind finishes of TEMPLATES_RAD_PER_MM, by which it is found
@@ -131,7 +131,7 @@ class Foretold:
     across: Array
 
 
-def load_foretold(path: Path, coupon: Coupon) -> Foretold:
+def load_foretold(path: Path, coupon: Coupon) -> ForetoldPiece:
     """From coupon.npz; InputError where it is none."""
     strips = [strip for strip in coupon.strips if strip.cycles]
     names = [f"{kind}_{number}" for kind in ("strip", "milled") for number in range(len(strips))]
@@ -145,24 +145,24 @@ def load_foretold(path: Path, coupon: Coupon) -> Foretold:
         )
         for number, strip in enumerate(strips)
     )
-    return Foretold(profiles=profiles, templates=tuple(stored[name] for name in lights), across=stored["across"])
+    return ForetoldPiece(profiles=profiles, templates=tuple(stored[name] for name in lights), across=stored["across"])
 
 
 def _usual(k0_rad_per_mm: float) -> Transfer:
     return lambda k: np.asarray(np.exp(-((k / k0_rad_per_mm) ** 2)))
 
 
-def _halved(light: Array) -> Array:
+def _halve(light: Array) -> Array:
     """At half as many pixels either way."""
     ny, nx = light.shape
     return np.asarray(light.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
 
 
-def milled_piece(folder: Path, spec: JobSpec, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
+def mill_piece(folder: Path, spec: JobSpec, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
     """The piece as its programs are cut by the mill of the spec; seed None: by one without errors."""
     machine, passed, coupon = machine_of(spec), cam_passes_of(spec)[-1], coupon_of(spec)
     noise = None if seed is None else Noise.of_pass(passed, machine.z_noise_mm, seed=seed)
-    paths = finishing_programs(folder, spec)
+    paths = list_finish_programs(folder, spec)
     tracks = Tracks.of_program(
         read_parts(map(job_files.read_chunks, paths), LANGUAGES[machine.dialect]),
         radius_mm=passed.radius_mm,
@@ -173,12 +173,12 @@ def milled_piece(folder: Path, spec: JobSpec, *, seed: int | None = 1, cell_mm: 
     nx, ny = (round(side / cell_mm) + 1 + 2 * around for side in (WIDTH_MM, HEIGHT_MM))
     corner = -around * cell_mm - cell_mm / 2
     top = np.full((ny, nx), -spec.stock.skim_mm + _ABOVE_MM)
-    left = milled_heights([tracks], StockGrid(x0_mm=corner, y0_mm=corner, cell_mm=cell_mm, top_mm=top))
+    left = mill_heights([tracks], StockGrid(x0_mm=corner, y0_mm=corner, cell_mm=cell_mm, top_mm=top))
     return Milled(coupon=coupon, passed=passed, tracks=tracks, x_mm=left.x_mm, y_mm=left.y_mm, z_mm=left.top_mm)
 
 
-def milled_profiles_of(milled: Milled) -> tuple[Profile, ...]:
-    return milled_profiles(milled.coupon, milled.x_mm, milled.y_mm, milled.z_mm)
+def profiles_of_milled(milled: Milled) -> tuple[Profile, ...]:
+    return profiles_of_heights(milled.coupon, milled.x_mm, milled.y_mm, milled.z_mm)
 
 
 def predict_light(

@@ -15,7 +15,7 @@ def header_line(facts: Mapping[str, Any]) -> bytes:
     return text + b" " * (-(len(text) + 1) % _ALIGN) + b"\n"
 
 
-def parted(data: bytes) -> tuple[dict[str, Any], int]:
+def split_header(data: bytes) -> tuple[dict[str, Any], int]:
     """The facts at the beginning of a file, and where its arrays begin."""
     end = data.index(b"\n") + 1
     facts: dict[str, Any] = json.loads(data[:end])

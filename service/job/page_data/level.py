@@ -65,7 +65,7 @@ class Level:
         self._file.seek(0)
         for number, row in enumerate(self.index):
             data = self._file.read(8 * int(row["count"]))
-            points = decoded(row, np.frombuffer(data, dtype="<u2").reshape(-1, 4))
+            points = decode_chunk(row, np.frombuffer(data, dtype="<u2").reshape(-1, 4))
             yield points[1:] if number else points
 
     def close(self) -> None:
@@ -75,7 +75,7 @@ class Level:
         start = 0
         while len(held) - start >= max(least, 2) or (len(held) - start == 1 and not self._rows and least == 1):
             chunk = held[start : start + CHUNK_POINTS]
-            row, data = encoded(chunk, first=self.points)
+            row, data = encode_chunk(chunk, first=self.points)
             self._file.write(data)
             self._rows.append(row)
             self.points += len(chunk)
@@ -83,7 +83,7 @@ class Level:
         self._held, self._held_points = [held[start:]], len(held) - start
 
 
-def encoded(chunk: Points, *, first: int) -> tuple[NDArray[np.void], bytes]:
+def encode_chunk(chunk: Points, *, first: int) -> tuple[NDArray[np.void], bytes]:
     """A chunk's row of the index, and its points."""
     low, high = _box(chunk)
     times = chunk.time_s[[0, -1]].astype("<f4")
@@ -96,7 +96,7 @@ def encoded(chunk: Points, *, first: int) -> tuple[NDArray[np.void], bytes]:
     return row, out.tobytes()
 
 
-def decoded(row: NDArray[np.void], data: NDArray[np.uint16]) -> Points:
+def decode_chunk(row: NDArray[np.void], data: NDArray[np.uint16]) -> Points:
     """The points of a chunk; of its lines only the first and the last are known, the others are spread between."""
     low, high, (begin_s, end_s) = (row[name].astype(np.float64) for name in ("low", "high", "time"))
     time_s = begin_s + (data[:, 3] >> _TIME_SHIFT) / _TIMES * (end_s - begin_s)

@@ -149,17 +149,17 @@ class MovePoints:
             line=batch.line[chosen],
             kind=np.where(batch.pause_s[chosen] >= 0.0, PAUSE, batch.is_rapid[chosen] * RAPID).astype(np.uint8),
         )
-        first = Points.none() if self._begun else _beginning(batch)
+        first = Points.none() if self._begun else _begin_points(batch)
         self._begun = True
         ends_s = self._model.timed(batch)
         held = Points.joined([self._waiting, made])
         self._waiting = held[len(ends_s) :]
-        return Points.joined([first, _timed(held[: len(ends_s)], ends_s)])
+        return Points.joined([first, _set_times(held[: len(ends_s)], ends_s)])
 
     def rest(self) -> Points:
         """What was waiting for moves that do not come any more."""
         waiting, self._waiting = self._waiting, Points.none()
-        return _timed(waiting, self._model.waiting_s())
+        return _set_times(waiting, self._model.waiting_s())
 
     @property
     def seconds(self) -> float:
@@ -167,13 +167,13 @@ class MovePoints:
         return self._model.seconds
 
 
-def _beginning(batch: MoveBatch) -> Points:
+def _begin_points(batch: MoveBatch) -> Points:
     return Points(
         mm=batch.points_mm[:1], time_s=np.zeros(1), line=batch.line[:1], kind=np.full(1, RAPID, dtype=np.uint8)
     )
 
 
-def _timed(points: Points, ends_s: np.ndarray) -> Points:
+def _set_times(points: Points, ends_s: np.ndarray) -> Points:
     """With those times; without stops that take no time."""
     timed = Points(mm=points.mm, time_s=ends_s, line=points.line, kind=points.kind)
     stops = timed.kind == PAUSE

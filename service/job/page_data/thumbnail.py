@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from optics.heightfield import Array
-from service.job.picture.resampling import resized
+from service.job.picture.resampling import resize
 from service.job.report.figures.base import picture_png
 
 MOST_BYTES = 18_000
@@ -28,4 +28,4 @@ def _smaller(picture: Array, side: int) -> Array:
     if scale >= 1.0:
         return picture
     ny, nx = (max(1, round(scale * length)) for length in picture.shape)
-    return resized(picture, (ny, nx))
+    return resize(picture, (ny, nx))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, rounded_up, srgb_levels
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up, srgb_levels
 
 _COLUMNS = 180
 _LINE_IN = 0.19
@@ -28,7 +28,7 @@ def look_png(rectified: Array, foretold: Array, sentences: Sequence[str]) -> byt
         axes.imshow(srgb_levels(shown, white=white), cmap="gray", vmin=0, vmax=255)
         axes.set_title(title, fontsize=11)
     difference = 100.0 * (rectified - foretold) / white
-    limit = rounded_up(max(float(np.nanpercentile(np.abs(difference), 98.0)), 1.0))
+    limit = round_up(max(float(np.nanpercentile(np.abs(difference), 98.0)), 1.0))
     image = panels[2].imshow(difference, cmap="RdBu_r", vmin=-limit, vmax=limit)
     panels[2].set_title("Difference: photograph \N{MINUS SIGN} foretold", fontsize=11)
     panels[2].set_facecolor("0.8")

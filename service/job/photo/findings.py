@@ -12,7 +12,7 @@ Values = Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class PhotoFinding:
     """One thing that was found. `code` is a key of SENTENCES; `values` are what its sentence needs."""
 
     code: str

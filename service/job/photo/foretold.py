@@ -19,11 +19,11 @@ from service.job.files import HEIGHTFIELD, MAP
 from service.job.photo.names import FORETOLD, Kind
 from service.job.picture.tone import srgb_to_linear
 from service.job.spec.lens_task import bench_of
-from service.job.spec.loading import stored_spec
+from service.job.spec.loading import load_stored_spec
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Foretold:
+class ForetoldLight:
     """irradiance (ny, nx): work frame, mean about 1; NaN where its file holds no more than "white or brighter"."""
 
     kind: Kind
@@ -38,11 +38,11 @@ class Foretold:
         return np.nan_to_num(self.irradiance, nan=float(np.nanmax(self.irradiance)))
 
 
-def foretold_of(folder: Path) -> Foretold:
+def foretold_of(folder: Path) -> ForetoldLight:
     """From the folder of a job that has a lens; InputError where it has none, or another program's files."""
     if not folder.is_dir():
         raise InputError(f"--job: {folder} is no folder; allowed: the folder of an earlier design or make")
-    spec = stored_spec(folder)
+    spec = load_stored_spec(folder)
     lens = arrays.load_heightfield(folder / HEIGHTFIELD)
     target = arrays.load_target(folder / MAP)
     bench, viewed_from = bench_of(spec), spec.optics.viewed_from
@@ -50,9 +50,9 @@ def foretold_of(folder: Path) -> Foretold:
         seen = _picture(folder / name, target)
         if seen is not None:
             irradiance = flip_between_picture_and_work_frame(seen, viewed_from)
-            return Foretold(kind=kind, lens=lens, bench=bench, irradiance=irradiance, viewed_from=viewed_from)
+            return ForetoldLight(kind=kind, lens=lens, bench=bench, irradiance=irradiance, viewed_from=viewed_from)
     light = simulate_caustic(lens, bench, pixels=(target.shape[0], target.shape[1])).irradiance
-    return Foretold(kind="designed", lens=lens, bench=bench, irradiance=light, viewed_from=viewed_from)
+    return ForetoldLight(kind="designed", lens=lens, bench=bench, irradiance=light, viewed_from=viewed_from)
 
 
 def _picture(path: Path, target: Array) -> Array | None:

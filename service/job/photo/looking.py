@@ -16,8 +16,8 @@ from optics.photograph.views import area_average
 from optics.photograph.wall import Estimate, WallFit, fit_wall, surface_error_um
 from optics.spline import Array
 from service.job.finite_json import plain
-from service.job.photo.findings import Finding, UselessPhotoError
-from service.job.photo.foretold import Foretold, foretold_of
+from service.job.photo.findings import PhotoFinding, UselessPhotoError
+from service.job.photo.foretold import ForetoldLight, foretold_of
 from service.job.photo.reading import WallPhoto, read_wall_photo
 from service.progress import QuietReporter, Reporter, Stopwatch
 
@@ -40,7 +40,7 @@ class Look:
     rectified, foretold (ny, nx) : irradiance, row 0 on top; NaN where the photograph shows nothing or is clipped
     """
 
-    findings: tuple[Finding, ...]
+    findings: tuple[PhotoFinding, ...]
     figures: dict[str, Any]
     rectified: Array
     foretold: Array
@@ -55,7 +55,7 @@ class Look:
 
 def look_at(
     photo: WallPhoto,
-    foretold: Foretold,
+    foretold: ForetoldLight,
     *,
     name: str,
     picture_width_mm: float | None = None,
@@ -67,7 +67,7 @@ def look_at(
     """
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("finding the picture"):
-        place = _registered(photo, foretold, name)
+        place = _register(photo, foretold, name)
     with watch.stage("fitting the wall") as reached:
         fit = fit_wall(
             photo.light,
@@ -92,7 +92,7 @@ def look_at(
     )
 
 
-def _registered(photo: WallPhoto, foretold: Foretold, name: str) -> Registration:
+def _register(photo: WallPhoto, foretold: ForetoldLight, name: str) -> Registration:
     peak = _peak(photo)
     if 0.0 < peak < _LEAST_PEAK:
         raise UselessPhotoError(name, "too_dark", peak_percent=100 * peak, least_percent=100 * _LEAST_PEAK)
@@ -120,38 +120,38 @@ def _peak(photo: WallPhoto) -> float:
     return float(bright - dark)
 
 
-def _findings(photo: WallPhoto, foretold: Foretold, place: Registration, fit: WallFit) -> list[Finding]:
+def _findings(photo: WallPhoto, foretold: ForetoldLight, place: Registration, fit: WallFit) -> list[PhotoFinding]:
     found = []
     if place.mirrored:
-        found.append(Finding(code="mirrored", values={"viewed_from": foretold.viewed_from}))
+        found.append(PhotoFinding(code="mirrored", values={"viewed_from": foretold.viewed_from}))
     found.append(_distance(foretold, fit.throw_mm))
-    found += _leaning("wall_tilted", fit.wall_tilt_rad, foretold)
-    found += _leaning("light_aslant", fit.light_tilt_rad, foretold)
-    deg = _turned_deg(place)
+    found += _find_tilt("wall_tilted", fit.wall_tilt_rad, foretold)
+    found += _find_tilt("light_aslant", fit.light_tilt_rad, foretold)
+    deg = _turn_deg(place)
     if abs(deg) > _TURNED_DEG:
-        found.append(Finding(code="turned", values={"deg": deg}))
+        found.append(PhotoFinding(code="turned", values={"deg": deg}))
     found.append(_softness(foretold, place, fit))
     found.append(_surface(foretold, fit))
     if place.clipped_share > _SOME_CLIPPED:
-        found.append(Finding(code="partly_clipped", values={"clipped_percent": 100 * place.clipped_share}))
+        found.append(PhotoFinding(code="partly_clipped", values={"clipped_percent": 100 * place.clipped_share}))
     if _peak(photo) < _DARK_PEAK:
-        found.append(Finding(code="rather_dark"))
+        found.append(PhotoFinding(code="rather_dark"))
     if abs(place.tone - 1.0) > _ODD_TONE:
-        found.append(Finding(code="odd_tones", values={"tone": place.tone}))
+        found.append(PhotoFinding(code="odd_tones", values={"tone": place.tone}))
     return found
 
 
-def _distance(foretold: Foretold, throw: Estimate) -> Finding:
+def _distance(foretold: ForetoldLight, throw: Estimate) -> PhotoFinding:
     within = 2 * throw.deviation
     if throw.exceeds(_SURE):
         code = "wall_too_far" if throw.value > 0 else "wall_too_near"
-        return Finding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
+        return PhotoFinding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
     if throw.told:
-        return Finding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
-    return Finding(code="wall_unknown", values={"within_mm": within, "throw_mm": foretold.bench.throw_mm})
+        return PhotoFinding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
+    return PhotoFinding(code="wall_unknown", values={"within_mm": within, "throw_mm": foretold.bench.throw_mm})
 
 
-def _leaning(code: str, angles: tuple[Estimate, Estimate], foretold: Foretold) -> list[Finding]:
+def _find_tilt(code: str, angles: tuple[Estimate, Estimate], foretold: ForetoldLight) -> list[PhotoFinding]:
     """One finding for both directions together, where one of them is sure and large enough to act on."""
     sure = [one.exceeds(_SURER) and abs(math.degrees(one.value)) > _LEANT_DEG for one in angles]
     if not any(sure):
@@ -161,52 +161,57 @@ def _leaning(code: str, angles: tuple[Estimate, Estimate], foretold: Foretold) -
     sides = [pair[0 if one.value > 0 else 1] for pair, one, counts in zip(words, angles, sure, strict=True) if counts]
     total = math.degrees(math.hypot(*(one.value for one, counts in zip(angles, sure, strict=True) if counts)))
     deviation = math.degrees(math.hypot(*(one.deviation for one, counts in zip(angles, sure, strict=True) if counts)))
-    return [Finding(code=code, values={"deg": total, "deviation_deg": deviation, "sides": sides})]
+    return [PhotoFinding(code=code, values={"deg": total, "deviation_deg": deviation, "sides": sides})]
 
 
-def _turned_deg(place: Registration) -> float:
+def _turn_deg(place: Registration) -> float:
     """Beyond the nearest quarter turn, which is how the camera was held."""
     deg = math.degrees(place.rotation_rad)
     return deg - 90.0 * round(deg / 90.0)
 
 
-def _softness(foretold: Foretold, place: Registration, fit: WallFit) -> Finding:
+def _softness(foretold: ForetoldLight, place: Registration, fit: WallFit) -> PhotoFinding:
     pixel_mm = foretold.bench.screen.width_mm / foretold.irradiance.shape[1]
     unsure_mm = max(0.5 * pixel_mm, _CAMERA_PX / place.pixels_per_pixel * pixel_mm, 0.3 * fit.foretold_blur_mm)
     values = {"foretold": foretold.kind, "mm": abs(fit.blur_mm), "foretold_mm": fit.foretold_blur_mm}
     if fit.blur_mm > unsure_mm:
         source_deg = math.degrees(4.0 * fit.blur_mm / foretold.bench.throw_mm)  # a disc is four deviations wide
-        return Finding(code="softer", values={**values, "source_deg": source_deg})
+        return PhotoFinding(code="softer", values={**values, "source_deg": source_deg})
     if fit.blur_mm < -unsure_mm:
-        return Finding(code="sharper", values=values)
-    return Finding(code="as_soft_as_foretold", values={"foretold": foretold.kind})
+        return PhotoFinding(code="sharper", values=values)
+    return PhotoFinding(code="as_soft_as_foretold", values={"foretold": foretold.kind})
 
 
-def _surface(foretold: Foretold, fit: WallFit) -> Finding:
+def _surface(foretold: ForetoldLight, fit: WallFit) -> PhotoFinding:
     told = [one for one in fit.surface_um if one.told]
     if not told:
-        return Finding(code="surface_unknown")
+        return PhotoFinding(code="surface_unknown")
     sure = [(order, one) for order, one in zip(ORDERS, fit.surface_um, strict=True) if one.exceeds(_SUREST)]
     if not sure:
-        return Finding(code="surface_right", values={"within_um": max(2 * one.deviation for one in told)})
+        return PhotoFinding(code="surface_right", values={"within_um": max(2 * one.deviation for one in told)})
     sign = -1 if foretold.viewed_from == "lens" else 1  # left and right as the viewer sees them
     rows = [
         {"order_x": a, "order_y": b, "um": one.value * sign**a, "deviation_um": one.deviation}
         for (a, b), one in sorted(sure, key=lambda row: -abs(row[1].value))
     ]
-    return Finding(
+    return PhotoFinding(
         code="surface_off", values={"peak_to_valley_um": _peak_to_valley(foretold, fit, _SUREST), "terms": rows}
     )
 
 
-def _peak_to_valley(foretold: Foretold, fit: WallFit, deviations: float) -> float:
+def _peak_to_valley(foretold: ForetoldLight, fit: WallFit, deviations: float) -> float:
     shape = foretold.lens.height_mm / foretold.lens.width_mm
     x, y = np.meshgrid(np.linspace(-1, 1, 41), np.linspace(-1, 1, 41))
     return float(np.ptp(surface_error_um(fit.surface_um, x, y, shape, deviations=deviations)))
 
 
 def _figures(
-    photo: WallPhoto, foretold: Foretold, place: Registration, fit: WallFit, findings: tuple[Finding, ...], name: str
+    photo: WallPhoto,
+    foretold: ForetoldLight,
+    place: Registration,
+    fit: WallFit,
+    findings: tuple[PhotoFinding, ...],
+    name: str,
 ) -> dict[str, Any]:
     def degrees_of(one: Estimate) -> dict[str, Any]:
         return {"deg": math.degrees(one.value), "deviation_deg": math.degrees(one.deviation), "told": one.told}
@@ -220,7 +225,7 @@ def _figures(
                 "homography": place.homography.tolist(),
                 "photo_width": photo.light.shape[1],
                 "photo_height": photo.light.shape[0],
-                "turned_deg": _turned_deg(place),
+                "turned_deg": _turn_deg(place),
                 "quarter_turns": round(math.degrees(place.rotation_rad) / 90.0) % 4,
                 "mirrored": place.mirrored,
                 "correlation": place.correlation,
@@ -252,7 +257,7 @@ def _figures(
     )
 
 
-def looked_at(
+def look_at_photo(
     path: Path, job: Path, *, picture_width_mm: float | None = None, reporter: Reporter | None = None
 ) -> Look:
     """The photograph in one file, of the lens of the job in one folder."""

@@ -10,9 +10,9 @@ from PIL import Image
 
 from optics.spline import Array
 from service.errors import PictureError
-from service.job.picture.decoding import decoded, one_line
+from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.reading import resampled
+from service.job.picture.reading import resample_picture
 from service.job.picture.resampling import Span
 
 _LONGEST = 1600  # pixels: several for each one that a prediction is compared in
@@ -35,14 +35,14 @@ def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: st
     Pixels in which one colour alone is clipped count as white: how much light there was is not known.
     """
     name = name or str(path)
-    image = decoded(path, limits, name)
+    image = decode_picture(path, limits, name)
     width, height = image.size
     share = min(1.0, _LONGEST / max(width, height))
     shape = max(1, round(height * share)), max(1, round(width * share))
     try:
-        light = resampled(image, shape, Span(0.0, float(width)), Span(0.0, float(height)), tone="srgb")
+        light = resample_picture(image, shape, Span(0.0, float(width)), Span(0.0, float(height)), tone="srgb")
         if image.mode not in _DEEP and not image.mode.startswith("I;16"):
-            light = np.where(_clipped(image, shape), 1.0, light)
+            light = np.where(_mask_clipped(image, shape), 1.0, light)
     except MemoryError:
         raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
@@ -50,7 +50,7 @@ def read_wall_photo(path: Path, *, limits: PictureLimits = OWN_PICTURE, name: st
     return WallPhoto(light=light, width=width, height=height)
 
 
-def _clipped(image: Image.Image, shape: tuple[int, int]) -> Array:
+def _mask_clipped(image: Image.Image, shape: tuple[int, int]) -> Array:
     """Where most of a pixel of that shape is clipped in some colour."""
     if image.mode not in ("L", "RGB"):
         image = image.convert("RGB")

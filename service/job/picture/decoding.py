@@ -16,16 +16,16 @@ MIN_SIDE = 8
 _NEEDS_A_PROGRAM = {"EPS", "WMF"}  # Pillow hands these to Ghostscript or to Windows
 
 
-def decoded(path: Path, limits: PictureLimits, name: str) -> Image.Image:
+def decode_picture(path: Path, limits: PictureLimits, name: str) -> Image.Image:
     """The first frame, decoded and upright. PictureError, one line that calls the picture by `name`."""
-    with _refusals(name, limits), _loaded(path, limits, name) as image:
+    with _refusals(name, limits), _load(path, limits, name) as image:
         upright = ImageOps.exif_transpose(image)
         return upright.copy() if upright is image else upright
 
 
-def checked(path: Path, limits: PictureLimits, name: str) -> PictureFacts:
-    """Decode the picture whole, as `decoded` does, and keep nothing of it."""
-    with _refusals(name, limits), _loaded(path, limits, name) as image:
+def check_picture(path: Path, limits: PictureLimits, name: str) -> PictureFacts:
+    """Decode the picture whole, as `decode_picture` does, and keep nothing of it."""
+    with _refusals(name, limits), _load(path, limits, name) as image:
         image.getexif()
         _require_convertible(image, name)
         return PictureFacts(width=image.width, height=image.height, format=image.format or "", mode=image.mode)
@@ -37,7 +37,7 @@ def one_line(error: Exception) -> str:
 
 
 @contextmanager
-def _loaded(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]:
+def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]:
     """Every refusal that the header allows comes before decoding. The content says what it is, not the file's name."""
     with path.open("rb") as file, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Pillow's remarks on odd but readable files

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from service.errors import PictureError
-from service.job.picture.decoding import decoded
+from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import OWN_PICTURE
-from service.job.picture.reading import resampled
-from service.job.picture.resampling import Span, resampling_weights
+from service.job.picture.reading import resample_picture
+from service.job.picture.resampling import Span, weights_to_resample
 
 _MOST_NODES = 64  # along a side: the light of a lamp is smooth, and a spec stays readable
 
@@ -21,13 +21,15 @@ def light_rows(path: Path, *, tone: str) -> list[list[float]]:
     Each value is the mean over the box around its point, so that noise and dust are averaged away; at the rims it is
     half a box. The picture shows exactly the aperture.
     """
-    image = decoded(path, OWN_PICTURE, str(path))
+    image = decode_picture(path, OWN_PICTURE, str(path))
     (columns, across), (rows, down) = (_points(size) for size in image.size)
     covered = [
-        np.asarray(resampling_weights(size, span, count).sum(axis=1)).ravel()
+        np.asarray(weights_to_resample(size, span, count).sum(axis=1)).ravel()
         for size, span, count in ((image.size[0], across, columns), (image.size[1], down, rows))
     ]
-    light = resampled(image, (rows, columns), across, down, tone=tone) / (covered[1][:, None] * covered[0][None, :])
+    light = resample_picture(image, (rows, columns), across, down, tone=tone) / (
+        covered[1][:, None] * covered[0][None, :]
+    )
     if not light.max() > 0:
         raise PictureError(f"{path}: the picture of the light is black everywhere")
     return [[round(float(value), 4) for value in row] for row in light / light.max()]

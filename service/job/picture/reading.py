@@ -16,9 +16,9 @@ import numpy.typing as npt
 from PIL import Image
 
 from service.errors import PictureError
-from service.job.picture.decoding import decoded, one_line
+from service.job.picture.decoding import decode_picture, one_line
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
-from service.job.picture.resampling import Span, resampling_weights
+from service.job.picture.resampling import Span, weights_to_resample
 from service.job.picture.tone import invert_tones, linear_strip, value_scale
 
 Array = npt.NDArray[np.float64]
@@ -76,7 +76,7 @@ def read_picture(
     calls the picture by `name`, by default its path.
     """
     name = name or str(path)
-    return picture_of(decoded(path, limits, name), settings, rows=rows, aspect=aspect, name=name)
+    return picture_of(decode_picture(path, limits, name), settings, rows=rows, aspect=aspect, name=name)
 
 
 def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: float, name: str) -> Picture:
@@ -84,7 +84,9 @@ def picture_of(image: Image.Image, settings: Reading, *, rows: int, aspect: floa
     width, height = image.size
     across, down = _spans(width, height, settings.fit, aspect)
     try:
-        linear = resampled(image, (rows, settings.pixels), across, down, tone=settings.tone, invert=settings.invert)
+        linear = resample_picture(
+            image, (rows, settings.pixels), across, down, tone=settings.tone, invert=settings.invert
+        )
     except MemoryError:
         raise PictureError(f"{name}: {width} x {height} pixels do not fit in memory") from None
     except ValueError as error:  # a mode that Pillow cannot turn into RGB
@@ -120,12 +122,12 @@ def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span
     return across, Span.centred(height / 2, width / aspect)
 
 
-def resampled(
+def resample_picture(
     image: Image.Image, shape: tuple[int, int], across: Span, down: Span, *, tone: str, invert: bool = False
 ) -> Array:
     """(rows, columns) of linear light; strip by strip, so that a large picture never is floating point as a whole."""
     width, height = image.size
-    columns, lines = resampling_weights(width, across, shape[1]), resampling_weights(height, down, shape[0])
+    columns, lines = weights_to_resample(width, across, shape[1]), weights_to_resample(height, down, shape[0])
     scale = value_scale(image)
     result = np.zeros(shape)
     step = max(1, _STRIP_PIXELS // width)

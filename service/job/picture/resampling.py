@@ -23,7 +23,7 @@ class Span:
         return cls(middle - length / 2, middle + length / 2)
 
 
-def resampling_weights(size: int, span: Span, count: int) -> csc_array:
+def weights_to_resample(size: int, span: Span, count: int) -> csc_array:
     """(count, size) sparse weights from `size` source pixels to `count` equal cells of the span.
 
     A cell inside the picture has weights that sum to 1. What lies outside the picture counts as 0 (black).
@@ -67,12 +67,12 @@ def _sparse(weights: Array, pixels: npt.NDArray[np.int64], size: int) -> csc_arr
     return csc_array((weights[kept], (rows[kept], pixels[kept])), shape=(weights.shape[0], size))
 
 
-def resized(picture: Array, shape: tuple[int, ...]) -> Array:
+def resize(picture: Array, shape: tuple[int, ...]) -> Array:
     """The whole picture on (ny, nx) cells: area averages, or cubic where it must be enlarged."""
     if picture.shape == tuple(shape):
         return picture
     down, across = (
-        resampling_weights(size, Span(0.0, float(size)), count)
+        weights_to_resample(size, Span(0.0, float(size)), count)
         for size, count in zip(picture.shape, shape, strict=True)
     )
     return np.asarray((across @ (down @ picture).T).T)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from cam.around.cut_out import cut_out_paths
-from cam.around.facing import facing_paths
+from cam.around.facing import make_facing_paths
 from cam.around.outline import ALLOWANCE_MM, aperture_corners, offset_loop
 from cam.around.specs import CutOut
 from cam.moves import Array
@@ -15,14 +15,14 @@ from cam.moves import Path as ToolPath
 from cam.posts.dialects import POSTS
 from service.job.files import CUT_OUT, FACE
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_of, machine_of
+from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of, machine_of
 
 
 def paths_around(spec: JobSpec) -> Iterator[tuple[str, float, list[ToolPath]]]:
     """(name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
     stock, machine = cam_stock_of(spec), machine_of(spec)
-    if (facing := facing_of(spec)) is not None:
-        yield FACE, facing.radius_mm, list(facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
+    if (facing := facing_task_of(spec)) is not None:
+        yield FACE, facing.radius_mm, list(make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
     if (task := cut_out_of(spec)) is not None:
         loop = cut_out_ways(spec, task)[1]
         paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)

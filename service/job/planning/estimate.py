@@ -23,7 +23,7 @@ from cam.planning.row_slopes import RowSlopes, row_slopes
 from cam.posts.dialects import POSTS
 from optics.bench import Bench
 from optics.caustic import simulate_caustic
-from optics.closing import closed_to_radius
+from optics.closing import close_to_radius
 from optics.design import LensDesign, design_lens
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
@@ -31,20 +31,20 @@ from optics.tolerance import blur_mm, source_rad
 from service.errors import InputError
 from service.job.errors import in_the_services_words
 from service.job.files import CUT_OUT, FACE
-from service.job.picture.decoding import decoded
+from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import picture_of
 from service.job.planning import fit as fitting
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, Foretold, foretell, told_by
+from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, foretell, told_by
 from service.job.planning.finished_light import blur_of
 from service.job.planning.lens_facts import LensFacts, measure_lens
-from service.job.planning.lenses import compute_passes, finished_designs, simplify
+from service.job.planning.lenses import compute_passes, design_for_finishes, simplify
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
-from service.job.spec.lens_task import blocked_by_the_screen, branch_of, finish_of, lens_settings
+from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings
 from service.job.spec.mill import kinematics_of
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, with_plan
@@ -135,7 +135,7 @@ def what_shows_more(spec: JobSpec, path: Path, *, limits: PictureLimits) -> Iter
 
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
     """What a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
-    image = decoded(path, limits, name)
+    image = decode_picture(path, limits, name)
     found = []
     for spec in specs:
         width_mm, height_mm = spec.optics.screen_size_mm
@@ -231,7 +231,7 @@ def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
     """Heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to leave."""
     spline_z = lens.z_mm
-    filled = closed_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+    filled = close_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
     normal_mm = spec.stock_to_leave_mm + spec.pitch_mm**2 / (8 * spec.radius_mm)
     return np.asarray(filled + normal_mm * np.sqrt(1.0 + slope**2))
@@ -255,16 +255,16 @@ class Blur:
             yield f"details under {self.detail_mm:.2g} mm will blur: {cause}"
 
 
-def _blur(quick: QuickLens, seen: Foretold | None) -> Blur:
+def _blur(quick: QuickLens, seen: ForetoldPicture | None) -> Blur:
     disc_mm = blur_mm(quick.lens, quick.bench, source_rad(quick.lens, quick.bench))
     return Blur(
-        milling_mm=_milling_mm(quick),
+        milling_mm=_blur_of_milling_mm(quick),
         light_mm=disc_mm / 4 * sqrt(2),
         detail_mm=hypot(0.0 if seen is None else seen.detail_mm, _WIDTH * disc_mm / 4),
     )
 
 
-def _milling_mm(quick: QuickLens) -> float:
+def _blur_of_milling_mm(quick: QuickLens) -> float:
     """Of what the tool, or the work by hand after it, leaves."""
     if (finish := finish_of(quick.spec)) is not None:
         return blur_of(finish)
@@ -275,7 +275,7 @@ def _milling_mm(quick: QuickLens) -> float:
     return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
 
 
-def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> Foretold | None:
+def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
     """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
     planned, finish, slopes = quick.planned, _finish(quick), _slopes(quick)
     if finish is None or slopes is None:
@@ -291,7 +291,7 @@ def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> Foretold | N
         Marks(spec=finish, slopes=slopes),
         aims=any(quick.spec.optics.foreseen_blur_mm),
         by_hand=by_hand,
-        design=finished_designs(target, quick.settings) if exactly else None,
+        design=design_for_finishes(target, quick.settings) if exactly else None,
     )
     if planned is not None and planned.finishing is not None:
         return replace(found, psnr_db=planned.chosen.psnr_db)
@@ -348,7 +348,7 @@ def _warnings(quick: QuickLens) -> Iterator[str]:
         yield f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
     if quick.facts.max_slope_deg > _STEEP_DEG:
         yield f"slopes of {quick.facts.max_slope_deg:.0f}° are hard to mill; a wall farther away makes them gentler"
-    if blocked := blocked_by_the_screen(quick.spec):
+    if blocked := explain_blocked_light(quick.spec):
         yield blocked
 
 

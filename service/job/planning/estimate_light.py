@@ -22,7 +22,7 @@ where 0.35 and 0.44 are told."""
 
 
 @dataclass(frozen=True, slots=True)
-class Foretold:
+class ForetoldPicture:
     """PSNR of the milled lens; smallest detail on the screen, by the marks alone."""
 
     psnr_db: float
@@ -39,7 +39,7 @@ def foretell(
     aims: bool,
     by_hand: Finish | None = None,
     design: Design | None = None,
-) -> Foretold:
+) -> ForetoldPicture:
     """What the milled lens shows of a target (ny, nx), mean 1.
 
     missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
@@ -56,9 +56,9 @@ def foretell(
     return told_by(finished, marks, finished.psnr_db(marks))
 
 
-def told_by(light: PictureLight, marks: Marks, psnr_db: float) -> Foretold:
+def told_by(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
     """What a plan's light tells of its marks."""
     seen = light.smooth_picture(marks)
     detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
     only_kept = isinstance(light, FinishedLight) and not light.is_lit(marks)
-    return Foretold(psnr_db=psnr_db, detail_mm=_BROUGHT_BACK * detail_mm if only_kept else detail_mm)
+    return ForetoldPicture(psnr_db=psnr_db, detail_mm=_BROUGHT_BACK * detail_mm if only_kept else detail_mm)

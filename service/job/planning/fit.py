@@ -82,7 +82,7 @@ def require_travel(
             )
 
 
-def expected_bytes(stock: Stock, spec: PassSpec) -> float:
+def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
     """About how large a program becomes."""
     size_mm = (stock.width_mm, stock.height_mm)
     return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
@@ -93,7 +93,7 @@ def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]
 
     disk : what the disk of the folder is called
     """
-    wanted_mb = sum(expected_bytes(stock, spec) for spec in passes) / 1e6
+    wanted_mb = sum(estimate_bytes(stock, spec) for spec in passes) / 1e6
     free_mb = shutil.disk_usage(folder).free / 1e6
     sentence = f"the programs need about {wanted_mb:.0f} MB, {disk} has {free_mb:.0f} MB free"
     if free_mb < wanted_mb / SURE:

@@ -21,14 +21,14 @@ from cam.planning.rest import Filled
 from optics.ball_fit import ball_fits
 from optics.bench import Bench
 from optics.caustic import share_by_way_of, simulate_caustic
-from optics.closing import closed_to_radius
-from optics.corrections import Corrected, corrected
+from optics.closing import close_to_radius
+from optics.corrections import Corrected, correct_lens
 from optics.finish import Finish
 from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.threads import thread_count
 from optics.transport import OpticalPath, solve_transport
-from service.job.picture.resampling import resized
+from service.job.picture.resampling import resize
 from service.job.planning.finished_light import Design
 from service.job.planning.predicted_light import PictureLight, Valleys
 
@@ -117,7 +117,7 @@ def simplify(settings: LensSettings) -> LensSettings:
     return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
 
 
-def finished_designs(target: Array, settings: LensSettings) -> Design:
+def design_for_finishes(target: Array, settings: LensSettings) -> Design:
     """Lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the job's."""
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
@@ -138,9 +138,9 @@ def compute_passes(
     first : the target's own solution, or one like it, where there is one
     """
     if target.size > _SMALL:
-        return corrected(target, settings, first=first())
+        return correct_lens(target, settings, first=first())
     key = hashlib.blake2b(pickle.dumps((target, settings))).digest()
-    return _compute_once(_Wanted(key=key, make=lambda: corrected(target, settings, first=first())))
+    return _compute_once(_Wanted(key=key, make=lambda: correct_lens(target, settings, first=first())))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,7 +186,7 @@ def _add_as_left(
             served = radius_mm
             light.add(radius_mm, form, _light_of(lens, light.bench, target) - target)
         else:
-            z = closed_to_radius(lens.z_mm, radius_mm=radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+            z = close_to_radius(lens.z_mm, radius_mm=radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
             left = replace(lens, z_mm=np.minimum(z, 0.0))
             valleys = _valleys(lens, left, light.bench, target)
             light.add(radius_mm, form, _light_of(left, light.bench, target) - target, valleys=valleys)
@@ -211,5 +211,5 @@ def _light_of(lens: Heightfield, bench: Bench, target: Array) -> Array:
 def _coarser(target: Array) -> Array:
     scale = min(1.0, COARSE / max(target.shape))
     shape = (max(4, round(scale * target.shape[0])), max(4, round(scale * target.shape[1])))
-    coarse = np.maximum(resized(target, shape), 0.0)
+    coarse = np.maximum(resize(target, shape), 0.0)
     return coarse / coarse.mean()

@@ -24,7 +24,7 @@ from service.job.planning.finish_choice import (
     plan_finish,
 )
 from service.job.planning.finished_light import Design
-from service.job.planning.lenses import finished_designs, lit_designs, lit_lens
+from service.job.planning.lenses import design_for_finishes, lit_designs, lit_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings
@@ -56,7 +56,7 @@ def plan_for_picture(
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    return _planned(spec, shop, light, finished_designs(target, settings), shapes_lens=shapes, whole=whole)
+    return _choose_plan(spec, shop, light, design_for_finishes(target, settings), shapes_lens=shapes, whole=whole)
 
 
 def plan_for_lens(
@@ -66,7 +66,7 @@ def plan_for_lens(
     shop = shop_of(spec, load_tools(tools))
     bench = replace(bench_of(spec), branch=branch_of(spec, target))
     light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
-    return _planned(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
+    return _choose_plan(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
 def _score_by(light: PictureLight, plan: Plan) -> Plan:
@@ -106,7 +106,7 @@ def _radii(shop: Shop) -> list[float]:
     return sorted({r for r in radii if 2 * r + CLEAR_MM <= shop.margin_mm} or radii)
 
 
-def _planned(
+def _choose_plan(
     spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool, whole: Array | None = None
 ) -> Planned:
     goal = Goal(**spec.plan.model_dump())

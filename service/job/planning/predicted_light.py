@@ -26,11 +26,11 @@ from cam.planning.planner import Marks
 from cam.planning.rest import Filled
 from cam.planning.row_slopes import RowSlopes, chord_grain, row_grain
 from optics.bench import Bench
-from optics.foreseen import sharpened
+from optics.foreseen import sharpen
 from optics.heightfield import Array
 from optics.metrics import CausticScore, score_caustic
 from optics.threads import thread_count
-from service.job.picture.resampling import resized
+from service.job.picture.resampling import resize
 from service.job.planning.waves import Waves, lost_when_sharpened, yx_spreads
 
 _SEED, _GRAIN_PIXELS = 20140301, 3.0
@@ -98,12 +98,12 @@ class PictureLight:
 
     def add(self, radius_mm: float, form: LensForm, missed: Array, *, valleys: Valleys | None = None) -> None:
         """A lens for a ball; missed: its light less the picture that it aims at, at any size."""
-        error = resized(missed, self.target.shape)
+        error = resize(missed, self.target.shape)
         self.lenses[radius_mm] = Shown(
             form=form,
             waves=self.goal + waves_of(error),
             perfect_db=self.psnr_of(self.target + error, 0.0),
-            valleys=valleys and replace(valleys, shares_past=resized(valleys.shares_past, self.target.shape)),
+            valleys=valleys and replace(valleys, shares_past=resize(valleys.shares_past, self.target.shape)),
         )
 
     def same(self, radius_mm: float, as_of_mm: float) -> None:
@@ -269,7 +269,7 @@ class PictureLight:
     def _aim(self, marks: Marks) -> Array:
         """The target, sharper by what those rows will blur."""
         blur_x_mm, blur_y_mm = self.foreseen_blur_mm(marks)
-        return sharpened(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
+        return sharpen(self.target, (blur_y_mm / self.pixel_mm[0], blur_x_mm / self.pixel_mm[1]))
 
     def _milled(self, marks: Marks, waves: Array) -> Array:
         """Blurred; a cosine transform mirrors what lies beyond the edges, where in truth it is dark."""

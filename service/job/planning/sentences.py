@@ -38,7 +38,7 @@ def blur_warnings(planned: Planned, *, milled_next: bool = False) -> list[str]:
         found.append(_not_met(planned))
     if not milled_next and (lost := blur_warning(planned, chosen, f"; {_remedy(planned)}")):
         found.append(lost)
-    if (speed := _cutting_speed(planned)) < RUBBING_M_PER_MIN:
+    if (speed := _speed_at_contact_m_per_min(planned)) < RUBBING_M_PER_MIN:
         found.append(
             "on half of the lens the ball rubs more than it cuts; a larger ball or a faster spindle leaves a clearer "
             f"surface (less than {speed:.0f} m/min; ball of radius {chosen.finish.radius_mm:g} mm, "
@@ -181,7 +181,7 @@ def _rows(planned: Planned) -> Iterator[str]:
             + (f"and make stripes, here of {grain:.0f} % of the light.")
         )
     if finish.strategy == "raster":
-        gain = chosen.psnr_db - _turned(planned, chosen)
+        gain = chosen.psnr_db - _psnr_turned_db(planned, chosen)
         if gain >= 0.05:
             way, other = finish.direction.upper(), "Y" if finish.direction == "x" else "X"
             yield f"They run along {way}: along {other} their blur would cost this picture {gain:.1f} dB more."
@@ -235,13 +235,13 @@ def _remedy(planned: Planned) -> str:
     return f"{cause}, a larger ball, or a coarser picture on a larger screen helps"
 
 
-def _turned(planned: Planned, chosen: Candidate) -> float:
+def _psnr_turned_db(planned: Planned, chosen: Candidate) -> float:
     """PSNR with the same rows along the other axis."""
     other = replace(chosen.finish, direction="y" if chosen.finish.direction == "x" else "x")
     return planned.light.aimed_db(replace(chosen.marks, spec=other))
 
 
-def _cutting_speed(planned: Planned) -> float:
+def _speed_at_contact_m_per_min(planned: Planned) -> float:
     """At the contact on the median slope [m/min]."""
     finish = planned.chosen.finish
     slope = float(np.median(planned.light.forms[finish.radius_mm].slopes))

@@ -126,7 +126,7 @@ def side_view(job: SetUp) -> Markup:
         _dimension_up(left - 24, wall + 2, zero, f"wall {job.throw_mm:g} mm"),
         _dimension_up(left - 24, zero, back, f"{job.thickness_mm:g} mm"),
         _text(left + width + 24, back + 4, "flat back" if job.is_mirror else "flat, polished back"),
-        *_arriving_light(job, left, width, zero, back),
+        *_draw_light(job, left, width, zero, back),
         *(_ray(x, low - 4, x + shift, wall + 3) for x, shift in ((left + 45, 26), (left + 95, -6), (left + 150, -30))),
     ]
     if job.deepest_mm is not None:
@@ -135,7 +135,7 @@ def side_view(job: SetUp) -> Markup:
     return _svg(left + width + 150, back + 60, "The block, the light and the wall from the side", parts)
 
 
-def _arriving_light(job: SetUp, left: float, width: float, zero: float, back: float) -> list[str]:
+def _draw_light(job: SetUp, left: float, width: float, zero: float, back: float) -> list[str]:
     """Arrows up to the back, or down to a mirror, spreading where they come from a lamp; and what they are."""
     middle = left + width / 2
     spread = 1.0 if job.lamp_mm is None else 0.35

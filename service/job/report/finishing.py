@@ -12,7 +12,7 @@ _WORTH_DB = 0.3
 _SENTENCES = ("needs", "steps", "donts")
 
 
-def finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
+def make_finishing_card(report: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return title, rows (what, figure), warnings and the sentences of the process; None where a job has no finish.
 
     report : of it the parts `finishing` (what to do), `as_finished` and `as_milled` (what comes of it)

@@ -18,11 +18,11 @@ _WORTH_DB = 0.3
 _MOST_OF_IT = 0.7  # of what milling costs, from which one cause explains it
 
 
-def milled_sentences(milled: Mapping[str, Any]) -> list[str]:
+def sentences_as_milled(milled: Mapping[str, Any]) -> list[str]:
     """From report `as_milled`; nothing where there is none."""
     if milled.get("psnr_db") is None:
         return []
-    return [_expected(milled), *_main_cause(milled), _blur(milled)]
+    return [_word_expectation(milled), *_main_cause(milled), _blur(milled)]
 
 
 def _main_cause(milled: Mapping[str, Any]) -> list[str]:
@@ -61,7 +61,7 @@ def detail_lost(milled: Mapping[str, Any], *, planned: bool = False) -> str | No
     )
 
 
-def _expected(milled: Mapping[str, Any]) -> str:
+def _word_expectation(milled: Mapping[str, Any]) -> str:
     designed, seen = milled.get("psnr_db_designed"), milled["psnr_db"]
     given = (milled.get("against_original") or {}).get("psnr_db", seen)  # a person compares with the picture as given
     told = f"As the block comes from the machine ({given:.1f} dB): {psnr_in_words(given)}"

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from service.job.finite_json import table
-from service.wording import ball, misplaced_in_words, number, psnr_in_words
+from service.wording import ball, number, psnr_in_words, word_misplaced
 
 _SEEN_GAIN_DB = 0.5  # less is not worth a word
 _STRAIGHT_MM = 0.005
@@ -28,7 +28,7 @@ def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
             words = "how alike small parts are; 1 is identical"
             rows.append((f"{prefix}: structure (SSIM)", f"{scores['ssim']:.3f}", words))
         if (share := scores.get("misplaced_light")) is not None:
-            rows.append((f"{prefix}: light in wrong places", f"{100 * share:.2f} %", misplaced_in_words(share)))
+            rows.append((f"{prefix}: light in wrong places", f"{100 * share:.2f} %", word_misplaced(share)))
         if leak := scores.get("dark_leak"):
             rows.append((f"{prefix}: light where it is to be dark", f"{100 * leak:.2f} %", _leak_in_words(scores)))
     sharp = table(table(report.get("optics")).get("from_a_point_source")).get("psnr_db")
@@ -55,7 +55,7 @@ def _leak_in_words(scores: Mapping[str, Any]) -> str:
 def lens_rows(report: Mapping[str, Any], spec: Mapping[str, Any]) -> list[tuple[str, str]]:
     """(what, figure) of the surface and how it came about."""
     optics, wanted = table(report.get("optics")), table(spec.get("optics"))
-    rows = [*_surface_rows(optics), *_closing_rows(table(optics.get("closing"))), *_polish_rows(optics)]
+    rows = [*_surface_rows(optics), *_rows_of_closing(table(optics.get("closing"))), *_polish_rows(optics)]
     if wanted.get("surface") == "mirror":
         rows.append(("Kind", "mirror: light comes from the wall's side and is reflected by the milled face"))
     elif wanted.get("refractive_index") is not None:
@@ -89,7 +89,7 @@ def _surface_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def _closing_rows(closing: Mapping[str, Any]) -> list[tuple[str, str]]:
+def _rows_of_closing(closing: Mapping[str, Any]) -> list[tuple[str, str]]:
     if not closing:
         return []
     lost = closing["psnr_db_without"] - closing["psnr_db_with"]
@@ -109,7 +109,7 @@ def _polish_rows(optics: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [("Polish", f"{words}; {_MILLED_AWAY}" if gain >= _SEEN_GAIN_DB else words)]
 
 
-def prepared_sentences(report: Mapping[str, Any]) -> list[str]:
+def sentences_of_preparation(report: Mapping[str, Any]) -> list[str]:
     """Return what was done to the picture, for the setup sheet; empty where it was to stay as it is."""
     image = table(report.get("image"))
     if image.get("prepare") != "detail":

@@ -16,17 +16,17 @@ from jinja2 import Environment, PackageLoader, Template
 
 from service.job.files import CUT_OUT, FACE
 from service.job.finite_json import table
-from service.job.report.around import around_sentences, facing_zero
+from service.job.report.around import around_sentences, explain_zero_before_facing
 from service.job.report.checks import check_rows, flutes_in_words, order_in_words
 from service.job.report.drawing import SetUp, side_view, top_view
-from service.job.report.finishing import finishing_card
-from service.job.report.milled import milled_sentences
+from service.job.report.finishing import make_finishing_card
+from service.job.report.milled import sentences_as_milled
 from service.job.report.optics import (
     lens_rows,
     light_sentences,
-    prepared_sentences,
     score_rows,
     screen_sentence,
+    sentences_of_preparation,
     tolerance_sentences,
 )
 from service.job.spec.lens_task import source_spread_mm
@@ -99,22 +99,22 @@ def render_report(
         top_view=top_view(job) if job else None,
         side_view=side_view(job) if job else None,
         passes=programs,
-        unreached=_unreached(passes),
+        unreached=_list_unreached(passes),
         verdict=_verdict(programs),
         total_s=sum(row["time_s"] for row in programs) if all(row.get("time_s") for row in programs) else None,
         warnings=warnings,
         notes=[note for note in _notes(programs) if note not in warnings],
         around=around_sentences(spec, report),
-        facing_zero=facing_zero(spec),
+        facing_zero=explain_zero_before_facing(spec),
         edge_z_mm=_edge_z_mm(programs, job),
         coarse=0 < (table(spec.get("image")).get("pixels") or 0) <= _COARSE_PIXELS,
         score_rows=score_rows(report),
-        milled=milled_sentences(table(report.get("as_milled"))),
-        prepared=prepared_sentences(report),
+        milled=sentences_as_milled(table(report.get("as_milled"))),
+        prepared=sentences_of_preparation(report),
         lens_rows=lens_rows(report, spec),
         throw=_throw(job, spec, passes, table(table(report.get("optics")).get("tolerances"))),
         check_rows=check_rows(programs),
-        finishing=finishing_card(report),
+        finishing=make_finishing_card(report),
         clearance_mm=_CLEARANCE_MM,
         rapid_z_mm=rapid_z_mm,
         highest_clamp_mm=min(_CLEARANCE_MM, rapid_z_mm - _UNDER_RAPIDS_MM) if rapid_z_mm else _CLEARANCE_MM,
@@ -242,7 +242,7 @@ def _notes(passes: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"{row.get('file', 'a pass')}: {note}" for row in passes for note in row["notes"]]
 
 
-def _unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
+def _list_unreached(passes: Sequence[Mapping[str, Any]]) -> list[str]:
     """Where the last ball cannot touch the lens, the worst few places. What an earlier ball leaves, later ones take."""
     places = (passes[-1].get("unreached") or ()) if passes else ()
     return [place if isinstance(place, str) else _place_in_words(table(place)) for place in places[:_PLACES_SHOWN]]

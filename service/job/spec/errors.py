@@ -25,7 +25,7 @@ def as_spec_error(error: ValidationError) -> SpecError:
     count, details = len(details), details[:MOST_PROBLEMS]
     inner = {detail["loc"][:depth] for detail in details for depth in range(1, len(detail["loc"]))}
     told = [detail for detail in details if detail["loc"] not in inner]  # a list of bad rows is "too short" as well
-    problems = [(dotted(detail["loc"]), _sentence(detail)) for detail in told]
+    problems = [(join_place(detail["loc"]), _sentence(detail)) for detail in told]
     if count > MOST_PROBLEMS:
         problems.append(("spec", f"{count - MOST_PROBLEMS} more problems like these"))
     return SpecError(list(dict.fromkeys(problems)))
@@ -39,12 +39,12 @@ def unknown_key(key: str, known: Sequence[str]) -> str:
     return f"there is no such key; known here: {', '.join(known)}"
 
 
-def dotted(place: Place) -> str:
+def join_place(place: Place) -> str:
     """('passes', 0, 'pitch_mm') -> 'passes.0.pitch_mm'."""
     return ".".join(str(step)[:_KEY_CHARS] for step in place) or "spec"
 
 
-def allowed_at(place: Place) -> str:
+def word_allowed(place: Place) -> str:
     """The allowed values of a key, in words: 'a number more than 0 and at most 2000 (mm)'."""
     schema = _schema_at(place)
     return _words(schema, str(place[-1]) if place else "") if schema else "see the documentation"
@@ -60,12 +60,12 @@ def _sentence(detail: ErrorDetails) -> str:
     if kind == "extra_forbidden":
         return unknown_key(str(place[-1]), known_keys(place[:-1]))
     if kind == "missing":
-        return f"is missing; allowed: {allowed_at(place)}"
+        return f"is missing; allowed: {word_allowed(place)}"
     if kind in _MODEL_RULES:
         return detail["msg"].partition(", ")[2]
     if kind == "too_short" and isinstance(value, list | tuple) and not value:
-        return f"is empty; allowed: {allowed_at(place)}"
-    return f"{_shown(value)} is not allowed; allowed: {allowed_at(place)}"
+        return f"is empty; allowed: {word_allowed(place)}"
+    return f"{_shown(value)} is not allowed; allowed: {word_allowed(place)}"
 
 
 def _shown(value: Any) -> str:
@@ -86,21 +86,21 @@ def _schema_at(place: Place) -> dict[str, Any] | None:
     """The JSON schema of one key; None where the place does not exist."""
     here: dict[str, Any] = _spec_schema()
     for step in place:
-        here = _resolved(here)
+        here = _resolve_schema(here)
         found = here.get("items") if isinstance(step, int) else here.get("properties", {}).get(step)
         if not isinstance(found, dict):
             return None
         here = found
-    return _resolved(here)
+    return _resolve_schema(here)
 
 
-def _resolved(schema: Mapping[str, Any]) -> dict[str, Any]:
+def _resolve_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
     """Follow $ref and 'X or null' to the schema that says something."""
     if "$ref" in schema:
-        return _resolved(_spec_schema()["$defs"][schema["$ref"].rpartition("/")[2]])
+        return _resolve_schema(_spec_schema()["$defs"][schema["$ref"].rpartition("/")[2]])
     for choice in schema.get("anyOf", ()):
         if choice.get("type") != "null":
-            return _resolved(choice)
+            return _resolve_schema(choice)
     return dict(schema)
 
 

@@ -55,7 +55,7 @@ def resolve_finish(finish: FinishSpec, *, area_mm2: float, to_be_planned: bool) 
     if finish.minutes is None and finish.k0_rad_per_mm is None:
         if to_be_planned:
             return finish
-        finish = finish.model_copy(update={"minutes": _rounded(process.minutes(area_mm2))})
+        finish = finish.model_copy(update={"minutes": _round_minutes(process.minutes(area_mm2))})
     return fill_figures(finish, process, area_mm2=area_mm2)
 
 
@@ -64,7 +64,7 @@ def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> Fi
     minutes, k0 = finish.minutes, finish.k0_rad_per_mm
     if minutes is None:
         assert k0 is not None
-        minutes = _rounded(process.minutes_to(k0, area_mm2))
+        minutes = _round_minutes(process.minutes_to(k0, area_mm2))
     if k0 is None:
         k0 = round(process.k0_rad_per_mm(minutes, area_mm2), 4)
     filled = {
@@ -77,7 +77,7 @@ def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> Fi
     return finish.model_copy(update=filled)
 
 
-def _rounded(minutes: float) -> float:
+def _round_minutes(minutes: float) -> float:
     """To tenths; a lens of a few millimetres keeps its seconds."""
     return round(minutes, 1) if minutes >= 1.0 else float(f"{minutes:.3g}")
 

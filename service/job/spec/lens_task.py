@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from optics.bench import Bench, Branch
-from optics.black import suited_branch
+from optics.black import choose_branch
 from optics.finish import PAD_MM, Finish
 from optics.heightfield import Array
 from optics.irradiance import flip_between_picture_and_work_frame
@@ -62,7 +62,7 @@ def branch_of(spec: JobSpec, target: Array) -> Branch:
         return "direct"
     if spec.optics.branch == "auto":
         in_block = replace(bench_of(spec), thickness_mm=spec.stock.thickness_mm)
-        return suited_branch(target, in_block, spec.lens_radius_mm)
+        return choose_branch(target, in_block, spec.lens_radius_mm)
     return spec.optics.branch
 
 
@@ -105,7 +105,7 @@ def _profile(optics: OpticsSpec) -> Array | None:
     return np.asarray(rows / rows.mean())
 
 
-def blocked_by_the_screen(spec: JobSpec) -> str | None:
+def explain_blocked_light(spec: JobSpec) -> str | None:
     """A mirror is lit past its screen; a sentence where the screen, as it stands, keeps the light from the mirror."""
     optics, light = spec.optics, spec.optics.light
     if optics.surface == "lens" or (light.distance_mm or math.inf) <= optics.throw_mm:

@@ -38,7 +38,7 @@ def resolve_spec(
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
-    return with_feeds(validated(data), load)
+    return with_feeds(validate_spec(data), load)
 
 
 def spec_data(
@@ -50,7 +50,7 @@ def spec_data(
     light_picture: Path | None = None,
 ) -> dict[str, Any]:
     """What resolve_spec validates: plain data, put together from all that was given."""
-    data = _merged(base or {}, read_spec_file(file) if file else {})
+    data = _merge(base or {}, read_spec_file(file) if file else {})
     if preset is not None:
         data = {**data, "preset": preset}
         data.pop("passes", None)
@@ -69,7 +69,7 @@ def spec_data(
     return data
 
 
-def validated(data: Mapping[str, Any]) -> JobSpec:
+def validate_spec(data: Mapping[str, Any]) -> JobSpec:
     """The model of plain data; SpecError in place of pydantic's error."""
     try:
         return JobSpec.model_validate(data)
@@ -99,14 +99,14 @@ def read_spec_file(path: Path, *, given_as: str = "--spec") -> dict[str, Any]:
     return data
 
 
-def stored_spec(folder: Path) -> JobSpec:
+def load_stored_spec(folder: Path) -> JobSpec:
     """The spec of an earlier job; SpecError where there is none."""
     path = folder / SPEC
     if not path.is_file():
         raise SpecError([("DIR", f"{folder} holds no {SPEC}; allowed: the folder of an earlier design or make")])
     data = read_spec_file(path, given_as="DIR")
     try:
-        return validated(data)
+        return validate_spec(data)
     except SpecError as error:
         raise SpecError([(f"{path}: {key}", sentence) for key, sentence in error.problems]) from None
 
@@ -115,7 +115,7 @@ def resolve_for_lens(
     folder: Path, *, file: Path | None = None, preset: str | None = None, overrides: Sequence[str] = ()
 ) -> JobSpec:
     """The complete spec of new programs for the lens in a job's folder: what was asked for there, then resolve_spec."""
-    stored = stored_spec(folder)
+    stored = load_stored_spec(folder)
     wanted = resolve_spec(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
     require_same_lens(stored, wanted)
     return wanted
@@ -165,14 +165,14 @@ def _leave_room(data: dict[str, Any]) -> None:
         data["stock"] = {"margin_mm": RECOMMENDED_MARGIN_MM, **stock}
 
 
-def _merged(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     """upper over lower, table by table; lists are replaced whole. A new preset in upper drops lower's passes."""
     result = dict(lower)
     if upper.get("preset") not in (None, lower.get("preset")):
         result.pop("passes", None)
     for key, value in upper.items():
         below = result.get(key)
-        result[key] = _merged(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
+        result[key] = _merge(below, value) if isinstance(below, Mapping) and isinstance(value, Mapping) else value
     return result
 
 

@@ -19,7 +19,7 @@ Place = tuple[str | int, ...]
 _SOME_PROFILE = [[1.0, 1.0], [1.0, 1.0]]
 
 
-def asked_spec(resolved: Mapping[str, Any]) -> Json:
+def reduce_spec(resolved: Mapping[str, Any]) -> Json:
     """The smallest part of `resolved` (JSON-able) that resolves to the same; all of it where it does not resolve."""
     asked = _without_nulls(resolved)
     light = asked.get("optics", {}).get("light", {})

@@ -93,7 +93,7 @@ def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
     rows, problems = [], []
     for number, row in enumerate(spec.passes):
         problems += _beyond_the_mill(row, machine, f"passes.{number}")
-        rows.append(_filled(row, machine, _MATERIALS[spec.stock.material]))
+        rows.append(_fill_row(row, machine, _MATERIALS[spec.stock.material]))
     for name in _AROUND:
         if (tool := getattr(spec.stock, name)) is not None:
             problems += _beyond_the_mill(tool, machine, f"stock.{name}")
@@ -123,7 +123,7 @@ def without_derived(spec: JobSpec) -> dict[str, Any]:
     rows = []
     for row in spec.passes:
         for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it
-            chosen = _filled(row.model_copy(update=dict.fromkeys(keys)), machine, material)
+            chosen = _fill_row(row.model_copy(update=dict.fromkeys(keys)), machine, material)
             same = [key for key in keys if getattr(chosen, key) == getattr(row, key)]
             row = row.model_copy(update=dict.fromkeys(same))
         rows.append(row)
@@ -171,7 +171,7 @@ def cam_stock_of(spec: JobSpec) -> Stock:
     )
 
 
-def facing_of(spec: JobSpec) -> Facing | None:
+def facing_task_of(spec: JobSpec) -> Facing | None:
     """How the stock's top is faced, as the CAM package takes it; None where it is not."""
     face = spec.stock.face
     if face is None:
@@ -232,7 +232,7 @@ def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
     return stock.model_copy(update=filled)
 
 
-def _filled(row: PassRow, machine: MachineProfile, material: Material) -> PassRow:
+def _fill_row(row: PassRow, machine: MachineProfile, material: Material) -> PassRow:
     return row.model_copy(update=_speeds(row, machine, material))
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
 from cam.around.cut_out import cut_out_paths, highest_along
-from cam.around.facing import facing_paths
+from cam.around.facing import make_facing_paths
 from cam.around.specs import CutOut, Facing
 from cam.moves import Path as ToolPath
 from cam.parts import PassFrame, programs
@@ -29,7 +29,7 @@ from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenPro
 from service.job.planning.around import cut_out_ways
 from service.job.spec.mill import kinematics_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_of, machine_of, setup_of
+from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of, machine_of, setup_of
 from service.job.stages import programs as pass_programs
 from service.job.stages.context import Workshop
 
@@ -38,9 +38,9 @@ _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends
 
 def face(shop: Workshop) -> None:
     """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
-    facing, stock, machine = facing_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
+    facing, stock, machine = facing_task_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
     assert facing is not None and shop.spec.stock.face is not None  # by the plan of stages
-    paths = facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
+    paths = make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
     written = _write(shop, 0, FACE, paths, facing, trace=pass_programs.trace_of(shop.spec, machine))
     verdict = _check(shop, written, facing, raw_stock(shop.spec))
     shop.report["around"] = {FACE: _row(written, verdict, {"name": FACE, **shop.spec.stock.face.model_dump()})}

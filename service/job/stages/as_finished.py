@@ -18,7 +18,7 @@ from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, finish_of
 from service.job.spec.resolve import machine_of
-from service.job.stages.as_milled import error_of_tips_mm, finishing_passes, read_tracks
+from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import Workshop
 
 _STEPPING_MM = 0.05  # an axis steps within moves: nothing that a lens as milled would show, terraces once finished
@@ -31,7 +31,7 @@ def as_finished(shop: Workshop) -> None:
     """Light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
     comparison-as-finished.png. Nothing where nothing is finished by hand, or no pass finishes.
     """
-    finish, passes = finish_of(shop.spec), finishing_passes(shop)
+    finish, passes = finish_of(shop.spec), list_finish_passes(shop)
     if finish is None or not passes:
         return
     lens = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
@@ -52,12 +52,12 @@ def as_finished(shop: Workshop) -> None:
     with shop.watch.stage("as finished: light"):
         seen = light_through(finished, bench, shape)
     _tell(shop, finish, target, seen, bench.screen.width_mm / shape[1])
-    if sentence := rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
+    if sentence := warn_of_rounded_rim(finish, max(spec.radius_mm for _, spec in passes)):
         shop.note("passes", sentence)
     _draw(shop, target, seen.irradiance)
 
 
-def rounded_rim(finish: Finish, milled_mm: float) -> str | None:
+def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> str | None:
     """A warning where what is milled around the lens is narrower than the finish reaches."""
     if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
         return None

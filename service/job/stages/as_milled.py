@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cam.as_milled.noise import Noise
-from cam.as_milled.rows import sample_facets, tip_error_mm, touched_surface
+from cam.as_milled.rows import find_touched_surface, sample_facets, tip_error_mm
 from cam.as_milled.surface import MilledSurface
 from cam.as_milled.tracks import Tracks
 from cam.passes import PassSpec
@@ -23,7 +23,7 @@ from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.metrics import psnr_db, score_caustic, smallest_detail_mm
 from optics.milled import simulate_milled
-from optics.milled_blur import Deviations, deviations, predicted_light
+from optics.milled_blur import Deviations, deviations, predict_light
 from service.job import arrays
 from service.job.files import HEIGHTFIELD, MAP, names_of_pass, read_chunks
 from service.job.finite_json import plain
@@ -43,7 +43,7 @@ def as_milled(shop: Workshop) -> None:
     """
     heightfield = shop.receive(HEIGHTFIELD, arrays.load_heightfield)
     target = shop.receive(MAP, arrays.load_target)
-    passes = finishing_passes(shop)
+    passes = list_finish_passes(shop)
     if not passes:
         return
     bench, shape = bench_of(shop.spec), (target.shape[0], target.shape[1])
@@ -56,7 +56,7 @@ def as_milled(shop: Workshop) -> None:
         )
     with shop.watch.stage("as milled: light") as reached:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
-        found = deviations(_sampled(surface), heightfield, bench, shape)
+        found = deviations(_sample_facets(surface), heightfield, bench, shape)
     del surface
     with shop.watch.stage("as milled: causes") as reached:
         designed = simulate_caustic(surface_in_light(heightfield, finish_of(shop.spec)), bench, pixels=shape)
@@ -67,7 +67,7 @@ def as_milled(shop: Workshop) -> None:
     _draw(shop, target, designed.irradiance, seen.irradiance)
 
 
-def finishing_passes(shop: Workshop) -> list[tuple[int, PassSpec]]:
+def list_finish_passes(shop: Workshop) -> list[tuple[int, PassSpec]]:
     """Those that make the optical surface, with their numbers from 0."""
     return [(number, spec) for number, spec in enumerate(cam_passes_of(shop.spec)) if spec.finishes]
 
@@ -105,7 +105,7 @@ def _decimals(machine: MachineProfile) -> int:
     return round(-math.log10(POSTS[machine.dialect].digits.z_mm))
 
 
-def _sampled(surface: MilledSurface) -> Iterator[Array]:
+def _sample_facets(surface: MilledSurface) -> Iterator[Array]:
     samples = min(_SAMPLES, max(_FEW, surface.parts // 4))
     for number in np.unique(((np.arange(samples) + 0.5) / samples * surface.parts).astype(int)):
         yield surface.part(int(number))
@@ -126,7 +126,7 @@ def _gains(
         "step_mm": machine.step_mm,
         "z_noise_mm": machine.z_noise_mm,
         "decimals": _decimals(machine),
-        "surface": touched_surface(heightfield, spec.radius_mm, spec.direction),
+        "surface": find_touched_surface(heightfield, spec.radius_mm, spec.direction),
     }
     without: dict[str, dict[str, Any]] = {
         "scallops": {"pitch_mm": max(spec.pitch_mm / _FINER, machine.step_mm)},  # closer rows stand on one another
@@ -138,7 +138,7 @@ def _gains(
     changes: list[dict[str, Any]] = [{}, *(without[cause] for cause in CAUSES)]
     for number, change in enumerate(changes):
         facets = sample_facets(heightfield, radius_mm=spec.radius_mm, direction=spec.direction, **{**now, **change})
-        scores.append(psnr_db(predicted_light(designed.irradiance, facets, heightfield, bench), target))
+        scores.append(psnr_db(predict_light(designed.irradiance, facets, heightfield, bench), target))
         reached((number + 1) / (len(without) + 1))
     return {cause: score - scores[0] for cause, score in zip(CAUSES, scores[1:], strict=True)}
 

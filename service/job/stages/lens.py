@@ -12,7 +12,7 @@ from typing import Any
 
 from optics.black import dark_leak_estimate
 from optics.design import LensDesign, design_lens
-from optics.foreseen import sharpened
+from optics.foreseen import sharpen
 from optics.heightfield import Array, Heightfield
 from optics.irradiance import picture_from_irradiance
 from optics.settings import LensSettings
@@ -66,7 +66,7 @@ def irradiance(shop: Workshop) -> None:
         if original is not None:
             shop.hand_over(ORIGINAL, original, arrays.target_bytes)
             given = picture_from_irradiance(original, viewed_from=viewed_from)
-            shop.draw(PREPARED, lambda: _prepared_png(given, seen, detail_mm or 0.0))
+            shop.draw(PREPARED, lambda: _draw_preparation(given, seen, detail_mm or 0.0))
     if told := aimed.figures():
         shop.report["image"] = plain(told)
 
@@ -77,10 +77,10 @@ def _target_png(seen: Array, white: float) -> bytes:
     return figures.picture_png(seen, white=white)
 
 
-def _prepared_png(given: Array, prepared: Array, detail_mm: float) -> bytes:
+def _draw_preparation(given: Array, prepared: Array, detail_mm: float) -> bytes:
     from service.job.report.figures import base as figures
 
-    return figures.prepared_png(given, prepared, detail_mm=detail_mm)
+    return figures.preparation_png(given, prepared, detail_mm=detail_mm)
 
 
 def _thumbnail_png(seen: Array, white: float) -> bytes:
@@ -114,7 +114,7 @@ def aim_of(spec: JobSpec, target: Array) -> Array:
     """The target, sharper by the blur that milling will add."""
     (width_mm, height_mm), (ny, nx) = spec.optics.screen_size_mm, target.shape
     blur_x_mm, blur_y_mm = spec.optics.foreseen_blur_mm
-    return sharpened(target, (blur_y_mm * ny / height_mm, blur_x_mm * nx / width_mm))
+    return sharpen(target, (blur_y_mm * ny / height_mm, blur_x_mm * nx / width_mm))
 
 
 def heightfield(shop: Workshop) -> None:

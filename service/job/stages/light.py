@@ -25,7 +25,7 @@ from service.job import arrays
 from service.job.files import FOCUS, HEIGHTFIELD, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
-from service.job.spec.lens_task import bench_of, blocked_by_the_screen, finish_of
+from service.job.spec.lens_task import bench_of, explain_blocked_light, finish_of
 from service.job.stages.context import Workshop
 
 _BEAMS_OUT_OF_FOCUS = 7
@@ -147,7 +147,7 @@ def _tell(shop: Workshop, in_focus: Caustic, score: CausticScore) -> None:
         shop.note(
             "optics", f"{share:.2g} % of the light is totally reflected inside the lens; a wall farther away helps"
         )
-    if blocked := blocked_by_the_screen(shop.spec):
+    if blocked := explain_blocked_light(shop.spec):
         shop.note("optics", blocked)
 
 

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from service.errors import FailedError, InputError, JobError, SpecError, sentence_of_os_error
+from service.errors import FailedError, InputError, ServiceError, SpecError, sentence_of_os_error
 from service.job.errors import in_the_services_words
 from service.job.planning import fit as fitting
-from service.job.spec.loading import validated
+from service.job.spec.loading import validate_spec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.stages.context import Workshop, peak_rss_mb
 from service.job.stages.order import FileRef, StageOrder, StageResult
@@ -56,7 +56,7 @@ def _workshop(
     order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue
 ) -> Workshop:
     return Workshop(
-        spec=validated(order.spec),
+        spec=validate_spec(order.spec),
         folder=scratch,
         watch=watch,
         picture_queue=picture_queue,
@@ -122,7 +122,7 @@ def _without_paths(scratch: Path) -> Iterator[None]:
         yield
     except SpecError:
         raise
-    except JobError as error:
+    except ServiceError as error:
         text = str(error)
         lines = text.replace(f"{scratch}/", "").replace(str(scratch), "the working folder").splitlines()
         kind = type(error)

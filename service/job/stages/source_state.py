@@ -42,10 +42,12 @@ def modules_used(module: str) -> set[str]:
 
 @cache
 def _imports(module: str) -> tuple[str, ...]:
-    return tuple({name for name in _named(_file(module)) if name.split(".")[0] in _PACKAGES and _exists(name)})
+    return tuple(
+        {name for name in _list_imported_names(_file(module)) if name.split(".")[0] in _PACKAGES and _exists(name)}
+    )
 
 
-def _named(path: Path) -> Iterator[str]:
+def _list_imported_names(path: Path) -> Iterator[str]:
     """Every name that an import mentions, `from a import b` as a and as a.b, whatever function it stands in."""
     for node in ast.walk(parse(path)):
         if isinstance(node, ast.Import):

@@ -12,7 +12,7 @@ from starlette.routing import Route
 from machines.errors import MachineError
 from service.http.problems import Problem, on_error, on_http_error
 from service.milling.agent.agent import Agent
-from service.milling.agent.auth import Guard
+from service.milling.agent.auth import AgentGuard
 from service.milling.agent.routes.control import ControlRoutes
 from service.milling.agent.routes.mill import MillRoutes
 from service.milling.agent.routes.orders import OrderRoutes
@@ -34,7 +34,7 @@ def make_app(agent: Agent) -> Starlette:
         *ControlRoutes(agent).routes(),
         *OrderRoutes(agent).routes(),
     ]
-    guard = Middleware(Guard, token=agent.settings.token, hosts=frozenset({agent.settings.host.lower()}))
+    guard = Middleware(AgentGuard, token=agent.settings.token, hosts=frozenset({agent.settings.host.lower()}))
     handlers = dict.fromkeys((Problem, MachineError, OSError), on_error)
     return Starlette(
         routes=routes,

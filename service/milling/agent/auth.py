@@ -58,7 +58,7 @@ def make_token(folder: Path) -> tuple[str, Path]:
     return read_token(path), path
 
 
-class Guard:
+class AgentGuard:
     """ASGI middleware: refuses foreign Host headers (403) and requests without the token (401)."""
 
     def __init__(self, app: ASGIApp, *, token: str, hosts: frozenset[str] = frozenset()) -> None:

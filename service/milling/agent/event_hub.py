@@ -24,7 +24,7 @@ _QUEUE = 256
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class HubMessage:
     number: int
     kind: str  # "status" or "event"
     data: str  # JSON
@@ -34,7 +34,7 @@ class Message:
 class Reader:
     """One open connection. `queue` takes None as the end; a status that waits is replaced by a newer one."""
 
-    queue: asyncio.Queue[Message | None] = field(default_factory=lambda: asyncio.Queue(_QUEUE + 1))
+    queue: asyncio.Queue[HubMessage | None] = field(default_factory=lambda: asyncio.Queue(_QUEUE + 1))
     dropped: bool = False
 
 
@@ -44,8 +44,8 @@ class Hub:
     def __init__(self, *, ring: int, readers: int) -> None:
         self.life = secrets.token_hex(4)
         self._number = 0
-        self._ring: deque[Message] = deque(maxlen=ring)
-        self._status: Message | None = None
+        self._ring: deque[HubMessage] = deque(maxlen=ring)
+        self._status: HubMessage | None = None
         self._forgotten = 0  # number of the last event that fell out of the ring
         self._readers: set[Reader] = set()
         self._most = readers
@@ -62,7 +62,7 @@ class Hub:
         self._ring.append(message)
         self._send(message)
 
-    def join(self, last_id: str) -> tuple[Reader, list[Message]]:
+    def join(self, last_id: str) -> tuple[Reader, list[HubMessage]]:
         """A new reader, and what it is to be sent first."""
         if self._closed or len(self._readers) >= self._most:
             raise Problem(503, f"{len(self._readers)} readers already; allowed: {self._most}. Close one and try again")
@@ -79,11 +79,11 @@ class Hub:
         for reader in list(self._readers):
             self._drop(reader)
 
-    def text(self, message: Message) -> bytes:
+    def text(self, message: HubMessage) -> bytes:
         number = f"id: {self.life}-{message.number}\n" if message.number else ""
         return f"{number}event: {message.kind}\ndata: {message.data}\n\n".encode()
 
-    def _missed(self, last_id: str) -> list[Message]:
+    def _missed(self, last_id: str) -> list[HubMessage]:
         life, _, number = last_id.partition("-")
         if not last_id:
             return []
@@ -93,11 +93,11 @@ class Hub:
         missed = [message for message in self._ring if message.number > seen]
         return [_gap("older events are no longer kept"), *missed] if self._forgotten > seen else missed
 
-    def _message(self, kind: str, data: dict[str, object]) -> Message:
+    def _message(self, kind: str, data: dict[str, object]) -> HubMessage:
         self._number += 1
-        return Message(self._number, kind, json.dumps(data, separators=(",", ":")))
+        return HubMessage(self._number, kind, json.dumps(data, separators=(",", ":")))
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: HubMessage) -> None:
         for reader in list(self._readers):
             if reader.queue.qsize() >= _QUEUE:
                 self._drop(reader)
@@ -111,7 +111,7 @@ class Hub:
             reader.queue.put_nowait(None)
 
 
-class EventStream:
+class HubStream:
     """The response to GET /v1/events: an ASGI app of its own, because a stuck connection must be given up."""
 
     def __init__(self, hub: Hub, last_id: str, *, heartbeat_s: float) -> None:
@@ -130,7 +130,7 @@ class EventStream:
         finally:
             self._hub.leave(reader)
 
-    async def _write(self, reader: Reader, first: list[Message], send: Send) -> None:
+    async def _write(self, reader: Reader, first: list[HubMessage], send: Send) -> None:
         headers = [
             (b"content-type", b"text/event-stream"),
             (b"cache-control", b"no-store"),
@@ -150,5 +150,5 @@ class EventStream:
         await sent(send, b"", more=False)
 
 
-def _gap(words: str) -> Message:
-    return Message(0, "event", json.dumps({"kind": "gap", "words": words}))
+def _gap(words: str) -> HubMessage:
+    return HubMessage(0, "event", json.dumps({"kind": "gap", "words": words}))

@@ -38,7 +38,7 @@ from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
 from service.milling.agent.settings import AgentSettings, usable
-from service.milling.agent.snapshot_feed import Watch
+from service.milling.agent.snapshot_feed import SnapshotFeed
 from service.milling.connect import Connector
 from service.processes.priority import go_first
 
@@ -124,7 +124,7 @@ async def _serve(
         keys=ClientKeys(settings.folder / "client-keys.json"),
         audit=audit,
     )
-    watch = Watch(thread, asyncio.get_running_loop(), hub, audit)
+    watch = SnapshotFeed(thread, asyncio.get_running_loop(), hub, audit)
     server = _Server(
         uvicorn.Config(
             make_app(agent),

@@ -14,7 +14,7 @@ _WAIT_S = 1.0
 _LEAST_GAP_S = 0.2
 
 
-class Watch:
+class SnapshotFeed:
     """A thread that waits for changes and hands snapshots to the event loop, which tells the readers."""
 
     def __init__(self, thread: MillThread, loop: asyncio.AbstractEventLoop, hub: Hub, audit: AuditLog) -> None:

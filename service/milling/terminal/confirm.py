@@ -23,7 +23,7 @@ def operator_name() -> str:
         return "unknown"
 
 
-def confirmed_by_person(questions: dict[str, str]) -> frozenset[str]:
+def ask_person(questions: dict[str, str]) -> frozenset[str]:
     """Ask one by one; the first answer that is not yes ends the command with nothing sent."""
     for check, sentence in questions.items():
         print(f"{sentence}? [y/N] ", end="", flush=True)

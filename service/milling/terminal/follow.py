@@ -60,7 +60,7 @@ class Outcome:
     words: str = ""  # why this end was chosen here, where the mill does not say it
 
 
-class Follower:
+class RunFollower:
     """One run, followed."""
 
     def __init__(

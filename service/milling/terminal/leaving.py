@@ -76,7 +76,7 @@ class Buffers:
 
 
 @contextlib.contextmanager
-def cleared_at_the_end(thread: MillThread) -> Iterator[Buffers]:
+def clear_at_the_end(thread: MillThread) -> Iterator[Buffers]:
     """However the block ends by an error, ours or a signal's: the mill is stopped and cleared, or it is said loudly."""
     buffers = Buffers(thread)
     try:

@@ -15,7 +15,7 @@ from machines.errors import MachineError, NotAllowedError
 from machines.grbl.hail import SILENT
 from machines.mill.command_words import command_words
 from machines.mill.thread import MillThread
-from machines.recovery.needs import standing_needs
+from machines.recovery.needs import needs_of_standing_mill
 from machines.recovery.plan import Need
 from service.errors import FailedError, InputError
 from service.milling.terminal.leaving import STILL_HELD, Buffers
@@ -42,7 +42,7 @@ _BY_OPTION: dict[str, Command] = {"unlock": Unlock(), "position": TrustPosition(
 
 def ready_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
     """Bring the mill to where a new program can be started; FailedError or InputError say why it is not."""
-    did = meet_needs(thread, buffers, lambda: tuple(standing_needs(thread.snapshot.status)), person=person)
+    did = meet_needs(thread, buffers, lambda: tuple(needs_of_standing_mill(thread.snapshot.status)), person=person)
     if did:
         print_lines(place_lines(thread.snapshot.status))
 
@@ -179,7 +179,10 @@ def _settle(thread: MillThread) -> None:
 def _await_report(thread: MillThread, need: Need) -> None:
     """What the mill said last is from before the command."""
     give_up_s = time.monotonic() + _TAKEN_S
-    while any(one.code == need.code for one in standing_needs(thread.snapshot.status)) and time.monotonic() < give_up_s:
+    while (
+        any(one.code == need.code for one in needs_of_standing_mill(thread.snapshot.status))
+        and time.monotonic() < give_up_s
+    ):
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)
 
 
@@ -192,7 +195,7 @@ def _wait_for(thread: MillThread, buffers: Buffers, need: Need) -> None:
         buffers.fill()
     give_up_s = time.monotonic() + wait_s
     thread.wait_for_change(thread.snapshot.version, _LOOK_S)
-    while any(one.code == need.code for one in standing_needs(thread.snapshot.status)):
+    while any(one.code == need.code for one in needs_of_standing_mill(thread.snapshot.status)):
         if time.monotonic() > give_up_s:
             raise FailedError(f"first: {need.words}; given up after {wait_s:.0f} s")
         thread.wait_for_change(thread.snapshot.version, _LOOK_S)

@@ -15,7 +15,7 @@ from service.milling.terminal.printing import print_lines
 from service.milling.terminal.ready import meet_needs
 
 
-def interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunView:
+def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) -> RunView:
     """The latest run of this very program that did not come to its end."""
     runs = [run for run in thread.snapshot.runs if run.program == facts.sha256 and run.state in RECOVERABLE]
     if not runs:

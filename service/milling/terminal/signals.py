@@ -32,7 +32,7 @@ class Signals:
 
 
 @contextlib.contextmanager
-def watched_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
+def watch_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
     """Take the signals over; the handlers from before are put back at the end. Main thread only.
 
     One that is ignored stays so: a run under `nohup` outlives its terminal.

@@ -28,15 +28,15 @@ from machines.preflight.preflight import Preflight
 from machines.profiles import MachineProfile
 from machines.recovery.planning import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
-from service.errors import EXIT_INTERRUPTED, FailedError, InputError, JobError, sentence_of_os_error
+from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
 from service.milling.agent.settings import mill_folder, usable
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import preflight
-from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, confirmed_by_person, operator_name
+from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, ask_person, operator_name
 from service.milling.terminal.dry_run import dry_run
-from service.milling.terminal.follow import Ended, Follower, Outcome, at_once, keyboard
+from service.milling.terminal.follow import Ended, Outcome, RunFollower, at_once, keyboard
 from service.milling.terminal.keys import single_keys
-from service.milling.terminal.leaving import STILL_HELD, Buffers, cleared_at_the_end, ignore_signals
+from service.milling.terminal.leaving import STILL_HELD, Buffers, clear_at_the_end, ignore_signals
 from service.milling.terminal.orders import give_order
 from service.milling.terminal.printing import (
     left_words,
@@ -48,9 +48,9 @@ from service.milling.terminal.printing import (
     took_words,
 )
 from service.milling.terminal.ready import ready_mill, reset_silent_mill
-from service.milling.terminal.recover import interrupted_run, ready_plan
+from service.milling.terminal.recover import find_interrupted_run, ready_plan
 from service.milling.terminal.screen import LiveScreen, PlainScreen, Screen
-from service.milling.terminal.signals import watched_signals
+from service.milling.terminal.signals import watch_signals
 from service.processes.private import keep_private
 from service.progress import PlainReporter, Reporter, TerminalReporter
 
@@ -78,7 +78,7 @@ class StreamOrder:
         return recover_command(self.program, self.port_given, self.profile.name)
 
 
-class StoppedError(JobError):
+class StoppedError(ServiceError):
     """The run was stopped by a signal or by the person."""
 
     exit_code = EXIT_INTERRUPTED
@@ -91,7 +91,7 @@ def stream_program(order: StreamOrder) -> None:
         _dry_run(order)
         return
     folder = keep_private(mill_folder(order.profile.name, own_port=order.profile.link.port, port_url=order.port_url))
-    with _mill(order, folder) as (thread, connector), cleared_at_the_end(thread) as buffers:
+    with _mill(order, folder) as (thread, connector), clear_at_the_end(thread) as buffers:
         snapshot = _await_mill(thread, buffers, order.port_url)
         print_lines(mill_lines(order.port_url, snapshot.status, snapshot.protections, snapshot.facts))
         print_lines(spindle_lines(order.profile))
@@ -209,7 +209,7 @@ def _new_run(
     checks, setup = START_CHECKS, None
     if keyboard() is not None and not order.confirmed:
         setup = thread.snapshot.setup
-        checks = confirmed_by_person(START_QUESTIONS)
+        checks = ask_person(START_QUESTIONS)
     confirmation = Confirmation(operator=operator_name(), checks=checks)
     return run.id, lambda mill: mill.start(run.id, confirmation, setup=setup)
 
@@ -218,10 +218,10 @@ def _recovery(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
     """The interrupted run of this program, and a person's word for each check, every time."""
-    run = interrupted_run(thread, facts, order.program)
+    run = find_interrupted_run(thread, facts, order.program)
     person = keyboard() is not None
     plan = ready_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
-    checks = confirmed_by_person(RECOVER_QUESTIONS) if person else RECOVER_CHECKS
+    checks = ask_person(RECOVER_QUESTIONS) if person else RECOVER_CHECKS
     confirmation = Confirmation(operator=operator_name(), checks=checks)
     return run.id, lambda mill: mill.recover(run.id, confirmation, plan_seen=plan.digest)
 
@@ -237,7 +237,7 @@ def _run(
     keys = keyboard()
     screen: Screen = PlainScreen() if keys is None else LiveScreen(order.program.name)
     modes = contextlib.nullcontext() if keys is None else single_keys(keys)
-    with watched_signals(at_once(thread)) as signals, modes, screen:
+    with watch_signals(at_once(thread)) as signals, modes, screen:
         buffers.fill(run_id)
         try:
             give_order(thread, "recover" if order.recover else "start", begin)
@@ -245,7 +245,7 @@ def _run(
             if not thread.call(lambda mill: mill.run(run_id).live):
                 buffers.mark_empty()  # refused: nothing was sent
             raise
-        return Follower(thread, buffers, run_id, facts, screen, keyboard=keys).follow(signals)
+        return RunFollower(thread, buffers, run_id, facts, screen, keyboard=keys).follow(signals)
 
 
 def _settle(thread: MillThread, outcome: Outcome) -> Outcome:

@@ -22,7 +22,7 @@ from importlib import metadata
 import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.errors import EXIT_FAILURE, JobError
+from service.errors import EXIT_FAILURE, ServiceError
 from service.http import listener as address
 from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
 from service.logs import configure_logs
@@ -69,11 +69,11 @@ def main() -> int:
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
         allow_open_files(_FILES)
-        listener = lifeline.inherited_socket() or address.bound(settings.host, settings.port)
+        listener = lifeline.inherit_socket() or address.bound(settings.host, settings.port)
         url = address.url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
             asyncio.run(_serve(services, listener))
-    except JobError as error:
+    except ServiceError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
     except SQLAlchemyError as error:

@@ -15,7 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from service.server.api.shared_call import SharedCall
-from service.server.database.connection import clock, reading
+from service.server.database.connection import begin_reading, clock
 from service.server.database.counters import ARTIFACT_BYTES, RECOVERIES, STAGE_RESULTS, Counter, read_counters
 from service.server.database.jobs import count_jobs, oldest_queued_at
 from service.server.database.states import StageState
@@ -60,7 +60,7 @@ class JobFigures(Collector):
 
     def collect(self) -> Iterator[GaugeMetricFamily]:
         try:
-            with reading(self._database) as connection:
+            with begin_reading(self._database) as connection:
                 counted = read_counters(connection)
                 found = [*_jobs(connection, counted), *_stages(counted), *_rest(connection)]
         except SQLAlchemyError:

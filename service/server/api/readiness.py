@@ -11,7 +11,7 @@ import sqlalchemy as sa
 import structlog
 
 from service.server.api.shared_call import SharedCall
-from service.server.database.connection import clock, put_rows, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, clock, put_rows
 from service.server.database.tables import executors, idempotency_keys
 from service.settings import ServerSettings
 from service.store.base import Store
@@ -40,7 +40,7 @@ class Readiness:
         return dict(zip(self._checks, words, strict=True))
 
     def _database(self) -> None:
-        with writing(self._engine) as connection:
+        with begin_writing(self._engine) as connection:
             row = {"principal": "", "kind": "ready", "key": "", "request_sha256": "", "resource_id": ""}
             put_rows(connection, idempotency_keys, [row | {"created_at": clock(connection)}])
 
@@ -49,7 +49,7 @@ class Readiness:
 
     def _worker(self) -> None:
         lease_s = self._settings.lease_s
-        with reading(self._engine) as connection:
+        with begin_reading(self._engine) as connection:
             live = executors.c.seen_at > clock(connection) - lease_s
             if not connection.execute(sa.select(sa.func.count()).where(live)).scalar_one():
                 raise _WrongError(f"no worker was heard of for {lease_s:g} s; jobs wait")

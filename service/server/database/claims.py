@@ -13,10 +13,10 @@ import sqlalchemy as sa
 
 from service.errors import printable
 from service.job.stages.order import FileRef, StageResult
-from service.server.database.connection import clock, insert_new, put_rows, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, clock, insert_new, put_rows
 from service.server.database.counters import RECOVERIES, STAGE_RESULTS, Counter, add_to_counters
 from service.server.database.events import write_event
-from service.server.database.job_rows import change_job, end_job, locked_job
+from service.server.database.job_rows import change_job, end_job, lock_job
 from service.server.database.offered_files import DONE
 from service.server.database.records import Job, Json, UnknownJobError
 from service.server.database.states import JobState, StageState
@@ -69,9 +69,9 @@ class WorkBook:
 
         Tries that an earlier owner left open become `interrupted`.
         """
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             try:
-                job, at = locked_job(connection, ticket.job_id), clock(connection)
+                job, at = lock_job(connection, ticket.job_id), clock(connection)
             except UnknownJobError:
                 return None
             if job.ended or job.attempt != ticket.attempt:
@@ -93,7 +93,7 @@ class WorkBook:
 
     def begin_stage(self, claim: Claim, stage: str, key: str) -> StageTry:
         """A try of a stage begins."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             job, at = _held(connection, claim), clock(connection)
             interrupt_tries(connection, job, at=at)
             begun = _add_try(connection, claim, stage, key, StageState.RUNNING, at=at)
@@ -104,13 +104,13 @@ class WorkBook:
 
     def result(self, key: str) -> StageResult | None:
         """What equal work made before, if it was done."""
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             row = connection.execute(sa.select(stage_results).where(stage_results.c.key == key)).mappings().first()
         return None if row is None else _result_of(row)
 
     def reuse_stage(self, claim: Claim, stage: str, key: str, *, whole: float) -> StageResult | None:
         """The result of equal work done before, taken over for this job; None where there is none."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             job, at = _held(connection, claim), clock(connection)
             used = stage_results.update().where(stage_results.c.key == key).values(used_at=at)
             if connection.execute(used).rowcount == 0:
@@ -127,14 +127,14 @@ class WorkBook:
 
     def forget_result(self, key: str) -> None:
         """The work has to be done again: its files are no longer in the store."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             drop_results(connection, [key])
 
     def commit_stage(
         self, claim: Claim, begun: StageTry, result: StageResult, *, log: FileRef | None, whole: float
     ) -> None:
         """The stage is done: its files belong to the job, and whoever has equal work takes its result."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             job, at = _held(connection, claim), clock(connection)
             if _is_closed(connection, begun):
                 return  # asked again, as the answer to the first time was lost
@@ -157,7 +157,7 @@ class WorkBook:
 
     def end_stage(self, claim: Claim, begun: StageTry, close: StageClose) -> None:
         """The try made nothing: interrupted (tried again), failed or cancelled."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             job, at = _held(connection, claim), clock(connection)
             if _is_closed(connection, begun):
                 return
@@ -175,14 +175,14 @@ class WorkBook:
     def note_progress(self, claim: Claim, stage: str, share: float, *, whole: float) -> None:
         """How far the stage (`share`) and the job (`whole`) are. Nothing happens where the job is no longer ours."""
         ours = sa.and_(jobs.c.id == claim.job.id, jobs.c.fence == claim.fence)
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             if connection.execute(jobs.update().where(ours).values(progress=whole)).rowcount:
                 row = {"job_id": claim.job.id, "stage": stage, "share": share, "at": clock(connection)}
                 put_rows(connection, progress, [row])
 
     def finish(self, claim: Claim, state: JobState, *, error: Json | None = None, report: Json | None = None) -> None:
         """The job has ended. One that was cancelled in its last moment is cancelled, not finished."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             job, at = _held(connection, claim), clock(connection)
             values: Json = {"error": error, "report": report}
             if state == JobState.SUCCEEDED and job.cancel_requested:
@@ -200,14 +200,14 @@ class WorkBook:
             .where(table.job_id == claim.job.id, table.attempt == claim.job.attempt, table.stage == stage)
             .where(table.state == StageState.INTERRUPTED, table.words.not_in((LOST, STOPPED)))
         )
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             return int(connection.execute(query).scalar_one())
 
     def wanted(self, claims: Iterable[Claim]) -> dict[str, str]:
         """For each job: "go", "cancelled" (a person wants it to end) or "fenced" (it is no longer ours)."""
         held = {claim.job.id: claim.fence for claim in claims}
         query = sa.select(jobs.c.id, jobs.c.fence, jobs.c.state, jobs.c.cancel_requested).where(jobs.c.id.in_(held))
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             rows = {row.id: row for row in connection.execute(query)}
         return {job_id: _wish(rows.get(job_id), fence) for job_id, fence in held.items()}
 
@@ -240,7 +240,7 @@ def drop_results(connection: sa.Connection, keys: Collection[str]) -> int:
 def _held(connection: sa.Connection, claim: Claim) -> Job:
     """The locked job, still ours."""
     try:
-        job = locked_job(connection, claim.job.id)
+        job = lock_job(connection, claim.job.id)
     except UnknownJobError:
         raise Fenced("the job is gone") from None
     if job.fence != claim.fence or job.state != JobState.RUNNING:

@@ -1,8 +1,8 @@
 """The connection to the database, and the few words in which SQLite and PostgreSQL differ.
 
-All access is SQLAlchemy Core, the same code for both. Every change is made in `writing`: on SQLite that takes the write
-lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL the changes lock the
-rows they are about.
+All access is SQLAlchemy Core, the same code for both. Every change is made in `begin_writing`: on SQLite that takes
+the write lock at once (a read transaction that turns into a write can fail at any moment), on PostgreSQL the changes
+lock the rows they are about.
 """
 
 from __future__ import annotations
@@ -62,14 +62,14 @@ def is_sqlite(bind: sa.Engine | sa.Connection) -> bool:
 
 
 @contextmanager
-def reading(database: sa.Engine) -> Iterator[sa.Connection]:
+def begin_reading(database: sa.Engine) -> Iterator[sa.Connection]:
     """A transaction that changes nothing."""
     with database.connect() as connection, connection.begin():
         yield connection
 
 
 @contextmanager
-def writing(database: sa.Engine) -> Iterator[sa.Connection]:
+def begin_writing(database: sa.Engine) -> Iterator[sa.Connection]:
     """A transaction that changes things: all of them, on disk, when it ends without an exception; else none."""
     with database.connect().execution_options(writes=True) as connection, connection.begin():
         yield connection

@@ -7,7 +7,7 @@ from typing import Any
 
 import sqlalchemy as sa
 
-from service.server.database.records import Event, News, Progress
+from service.server.database.records import JobEvent, News, Progress
 from service.server.database.tables import events, jobs, progress
 
 BATCH = 500
@@ -21,10 +21,10 @@ def write_event(connection: sa.Connection, job_id: str, kind: str, data: Mapping
     connection.execute(events.insert().values(job_id=job_id, seq=seq, at=at, kind=kind, data=dict(data)))
 
 
-def read_events(connection: sa.Connection, job_id: str, after: int, limit: int) -> list[Event]:
+def read_events(connection: sa.Connection, job_id: str, after: int, limit: int) -> list[JobEvent]:
     """Events of a job after the one numbered `after`."""
     query = sa.select(events).where(events.c.job_id == job_id, events.c.seq > after).order_by(events.c.seq).limit(limit)
-    return [Event.of(row) for row in connection.execute(query).mappings()]
+    return [JobEvent.of(row) for row in connection.execute(query).mappings()]
 
 
 def read_news(connection: sa.Connection, after: Mapping[str, int]) -> News:
@@ -34,7 +34,7 @@ def read_news(connection: sa.Connection, after: Mapping[str, int]) -> News:
     """
     last = sa.func.max(events.c.seq)
     query = sa.select(events.c.job_id, last).where(events.c.job_id.in_(after)).group_by(events.c.job_id)
-    found: list[Event] = []
+    found: list[JobEvent] = []
     for job_id, seq in connection.execute(query).all():
         if seq > after[job_id] and len(found) < MOST_NEWS:
             found += read_events(connection, job_id, after[job_id], MOST_NEWS - len(found))

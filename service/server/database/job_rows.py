@@ -18,7 +18,7 @@ def open_run_of(connection: sa.Connection, job_id: str) -> str | None:
     return connection.execute(sa.select(runs.c.id).where(runs.c.job_id == job_id, runs.c.open).limit(1)).scalar()
 
 
-def locked_job(connection: sa.Connection, job_id: str) -> Job:
+def lock_job(connection: sa.Connection, job_id: str) -> Job:
     """The job, its row locked until the transaction ends. UnknownJobError."""
     row = connection.execute(sa.select(jobs).where(jobs.c.id == job_id).with_for_update()).mappings().first()
     if row is None:

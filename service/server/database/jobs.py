@@ -15,18 +15,18 @@ import sqlalchemy as sa
 from service.errors import printable
 from service.job.files import TARGET_PICTURE, THUMBNAIL
 from service.job.stages.order import merge_reports
-from service.server.database.connection import clock, insert_new, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
 from service.server.database.counters import Counter, add_to_counters, read_counters
 from service.server.database.events import BATCH, read_events, read_news, write_event
-from service.server.database.job_rows import change_job, end_job, get_job, locked_job, state_counter
-from service.server.database.offered_files import may_be_milled, offered_artifacts, offered_programs
+from service.server.database.job_rows import change_job, end_job, get_job, lock_job, state_counter
+from service.server.database.offered_files import list_offered_artifacts, list_offered_programs, may_be_milled
 from service.server.database.records import (
     PRIORITIES,
     Artifact,
     ClientKey,
-    Event,
     Job,
-    JobSummary,
+    JobEvent,
+    JobListRow,
     KeyReusedError,
     NewJob,
     News,
@@ -41,7 +41,7 @@ from service.store.base import Store
 NAME_CHARS = 255
 MOST_POSITIONS = 1000  # in the queue that are counted: whoever waits behind so many waits, wherever
 _PICTURES = (THUMBNAIL, TARGET_PICTURE)  # jobs of earlier versions have only the large one
-_SUMMARY = [jobs.c[field.name] for field in fields(JobSummary)]
+_SUMMARY = [jobs.c[field.name] for field in fields(JobListRow)]
 
 
 class JobBook:
@@ -57,7 +57,7 @@ class JobBook:
         """A new queued job; False where the same request with the same key made it before. KeyReusedError."""
         if self._store is not None:
             self._store.head(new.image_sha256)
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             at, job_id = clock(connection), str(uuid4())
             if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
                 return _made_before(connection, new, new.key), False
@@ -68,8 +68,8 @@ class JobBook:
 
     def request_cancel(self, job_id: str, by: str) -> Job:
         """Cancel: a queued job at once, a running one as soon as its worker sees it. Asking again changes nothing."""
-        with writing(self.database) as connection:
-            job, at = locked_job(connection, job_id), clock(connection)
+        with begin_writing(self.database) as connection:
+            job, at = lock_job(connection, job_id), clock(connection)
             if job.state == JobState.CANCELLED or (job.state == JobState.RUNNING and job.cancel_requested):
                 return job
             if JobState.CANCELLED not in TRANSITIONS[job.state]:
@@ -86,8 +86,8 @@ class JobBook:
 
         JobOnMillError while a run of one of its programs is open.
         """
-        with writing(self.database) as connection:
-            job, at = locked_job(connection, job_id), clock(connection)
+        with begin_writing(self.database) as connection:
+            job, at = lock_job(connection, job_id), clock(connection)
             if job.state not in RETRYABLE:
                 raise JobStateError(job.state, "retrying", RETRYABLE)
             _require_no_open_run(connection, job.id)
@@ -99,8 +99,8 @@ class JobBook:
 
     def delete(self, job_id: str) -> Job:
         """Forget a job that neither runs nor is on a mill, its idempotency key included. Returns what it was."""
-        with writing(self.database) as connection:
-            job = locked_job(connection, job_id)
+        with begin_writing(self.database) as connection:
+            job = lock_job(connection, job_id)
             if job.state == JobState.RUNNING:
                 raise JobStateError(job.state, "deleting", frozenset(JobState) - {JobState.RUNNING})
             drop_job(connection, job)
@@ -109,34 +109,34 @@ class JobBook:
     # ------------------------------------------------------------------ reading
 
     def get(self, job_id: str) -> Job:
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return get_job(connection, job_id)
 
     def listed(
         self, *, states: Collection[JobState] = (), limit: int = 50, before: str | None = None
-    ) -> list[JobSummary]:
+    ) -> list[JobListRow]:
         """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).
 
         Of several states each is asked for by itself, in the order of its index, and the newest of all are taken.
         """
         place = sa.tuple_(jobs.c.created_at, jobs.c.id)
         query = sa.select(*_SUMMARY).order_by(jobs.c.created_at.desc(), jobs.c.id.desc()).limit(limit)
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             if before is not None:
                 query = query.where(place < sa.tuple_(_summary(connection, before).created_at, before))
             queries = [query.where(jobs.c.state == str(state)) for state in set(states)] or [query]
-            found = [JobSummary.of(row) for one in queries for row in connection.execute(one).mappings()]
+            found = [JobListRow.of(row) for one in queries for row in connection.execute(one).mappings()]
         return sorted(found, key=lambda job: (job.created_at, job.id), reverse=True)[:limit]
 
     def stages(self, job_id: str) -> list[StageRun]:
         """Every try of every stage, in the order in which they began."""
         query = sa.select(stage_runs).where(stage_runs.c.job_id == job_id).order_by(stage_runs.c.id)
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return [StageRun.of(row) for row in connection.execute(query).mappings()]
 
     def report_so_far(self, job: Job) -> dict[str, Any] | None:
         """report.json of the stages that are done in this attempt; a job that has ended has it itself."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return _reports_so_far(connection, [job.id]).get(job.id)
 
     def with_report(self, job: Job) -> Job:
@@ -145,24 +145,24 @@ class JobBook:
 
     def with_programs(self, job_ids: Collection[str]) -> dict[str, tuple[Job, list[Artifact]]]:
         """Those of the jobs that there are, as `with_report`, each with the programs that it offers."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             rows = connection.execute(sa.select(jobs).where(jobs.c.id.in_(job_ids))).mappings()
             found = {job.id: job for job in map(Job.of, rows)}
             reports = _reports_so_far(connection, [job.id for job in found.values() if _is_without_report(job)])
-            programs = offered_programs(connection, found)
+            programs = list_offered_programs(connection, found)
         found |= {job_id: replace(found[job_id], report=report) for job_id, report in reports.items()}
         return {job_id: (job, programs.get(job_id, [])) for job_id, job in found.items()}
 
     def may_be_milled(self, job: Job) -> bool:
         """May a mill have its programs? As `files.may_be_milled`."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return may_be_milled(connection, job)
 
     def artifacts(self, job_id: str) -> list[Artifact]:
         """The files that the job offers, by name; programs only once they have been checked."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             get_job(connection, job_id)
-            return offered_artifacts(connection, job_id)
+            return list_offered_artifacts(connection, job_id)
 
     def artifact(self, job_id: str, name: str) -> Artifact:
         for artifact in self.artifacts(job_id):
@@ -177,17 +177,17 @@ class JobBook:
             .where(artifacts.c.job_id.in_(job_ids), artifacts.c.name.in_(_PICTURES))
             .order_by(artifacts.c.bytes.desc())
         )
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return {row.job_id: row.name for row in connection.execute(query)}  # the last one stays
 
-    def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[Event]:
+    def events(self, job_id: str, after: int = 0, limit: int = BATCH) -> list[JobEvent]:
         """Events after the one numbered `after`, at most 500 of them."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return read_events(connection, job_id, after, min(limit, BATCH))
 
     def latest(self, after: Mapping[str, int]) -> News:
         """Events of many jobs, each after the seq given for it, and the progress of those that run."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return read_news(connection, after)
 
     def queue_positions(self) -> dict[str, int]:
@@ -198,12 +198,12 @@ class JobBook:
             .order_by(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
             .limit(MOST_POSITIONS)
         )
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return {job_id: place for place, job_id in enumerate(connection.execute(query).scalars(), start=1)}
 
     def counts(self) -> dict[JobState, int]:
         """How many jobs are in each state."""
-        with reading(self.database) as connection:
+        with begin_reading(self.database) as connection:
             return count_jobs(read_counters(connection))
 
 
@@ -260,11 +260,11 @@ def _reports_so_far(connection: sa.Connection, job_ids: Collection[str]) -> dict
     return {job_id: report for job_id, report in merged.items() if report}
 
 
-def _summary(connection: sa.Connection, job_id: str) -> JobSummary:
+def _summary(connection: sa.Connection, job_id: str) -> JobListRow:
     row = connection.execute(sa.select(*_SUMMARY).where(jobs.c.id == job_id)).mappings().first()
     if row is None:
         raise UnknownJobError(job_id)
-    return JobSummary.of(row)
+    return JobListRow.of(row)
 
 
 def _first_row(new: NewJob, job_id: str, at: float) -> dict[str, Any]:

@@ -21,7 +21,7 @@ LOG = ".log"
 DONE = (str(StageState.COMMITTED), str(StageState.REUSED))
 
 
-def offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artifact]:
+def list_offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artifact]:
     """By name. Names that begin with a dot are between stages only; a program must have passed this attempt's check."""
     query = sa.select(artifacts).where(artifacts.c.job_id == job_id).order_by(artifacts.c.name)
     found = [Artifact.of(row) for row in connection.execute(query).mappings()]
@@ -29,8 +29,8 @@ def offered_artifacts(connection: sa.Connection, job_id: str) -> list[Artifact]:
     return [one for one in found if not one.name.startswith(".") and (checked or not _is_program(one))]
 
 
-def offered_programs(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, list[Artifact]]:
-    """By job: those of `offered_artifacts` that its passes have made, for many jobs at once."""
+def list_offered_programs(connection: sa.Connection, job_ids: Collection[str]) -> dict[str, list[Artifact]]:
+    """By job: those of `list_offered_artifacts` that its passes have made, for many jobs at once."""
     found: dict[str, list[Artifact]] = {job_id: [] for job_id in _find_checked(connection, job_ids)}
     query = sa.select(artifacts).where(artifacts.c.job_id.in_(found)).order_by(artifacts.c.name)
     for row in connection.execute(query.where(artifacts.c.stage.startswith(PASS))).mappings():

@@ -19,7 +19,7 @@ from typing import Any
 
 from sqlalchemy import Connection, Engine, delete, select, update
 
-from service.server.database.connection import insert_new, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, insert_new
 from service.server.database.tables import pairing_tries as rows
 from service.server.database.tables import pairings
 from service.server.database.tokens import Token, TokenBook, TokenScope
@@ -67,7 +67,7 @@ class PairingBook:
         now, salt = self._clock(), secrets.token_hex(16)
         row = {"id": found[1], "salt": salt, "digest": _digest(found[2], salt)}
         newest = select(pairings.c.id).order_by(pairings.c.created_at.desc()).limit(_MOST_CODES - 1)
-        with writing(self._engine) as connection:
+        with begin_writing(self._engine) as connection:
             kept = [found[1], *connection.execute(newest).scalars()]
             connection.execute(delete(pairings).where((pairings.c.expires_at < now) | pairings.c.id.not_in(kept)))
             insert_new(connection, pairings, row | {"created_at": now, "expires_at": now + CODE_LIFE_S})
@@ -81,10 +81,10 @@ class PairingBook:
         alive = self._live()
         if not alive:
             raise NoCodeError
-        with writing(self._engine) as connection:
+        with begin_writing(self._engine) as connection:
             take_try(connection, address, self._clock(), counts_for_all=counts_for_all)
         right = [hmac.compare_digest(_digest(read_code(code), row["salt"]), row["digest"]) for row in alive]
-        with writing(self._engine) as connection:
+        with begin_writing(self._engine) as connection:
             if not any(right):
                 raise WrongCodeError(tries_left(connection, address, self._clock()))
             give_back(connection, address, counts_for_all=counts_for_all)
@@ -95,7 +95,7 @@ class PairingBook:
         return any(row["id"] == offer.partition(":")[0] for row in self._live())
 
     def _live(self) -> list[Any]:
-        with reading(self._engine) as connection:
+        with begin_reading(self._engine) as connection:
             return list(connection.execute(select(pairings).where(pairings.c.expires_at > self._clock())).mappings())
 
 
@@ -130,7 +130,7 @@ def take_try(connection: Connection, address: str, now: float, *, counts_for_all
     """Take a try before it is looked at, so that those that come at once are counted, too. TooManyTriesError."""
     connection.execute(delete(rows).where(rows.c.address != EVERYBODY, rows.c.at < now - EACH.most * EACH.refill_s))
     budgets = [(address, EACH), (EVERYBODY, ALL)] if counts_for_all else [(address, EACH)]
-    used = [_used(connection, name, budget, now) for name, budget in budgets]
+    used = [_count_used(connection, name, budget, now) for name, budget in budgets]
     for (name, budget), spent in zip(budgets, used, strict=True):
         if spent + 1 > budget.most:
             raise TooManyTriesError((spent + 1 - budget.most) * budget.refill_s, everywhere=name == EVERYBODY)
@@ -146,10 +146,10 @@ def give_back(connection: Connection, address: str, *, counts_for_all: bool) -> 
 
 def tries_left(connection: Connection, address: str, now: float) -> int:
     """Of this address, at once."""
-    return max(0, math.floor(EACH.most - _used(connection, address, EACH, now) + 1e-9))
+    return max(0, math.floor(EACH.most - _count_used(connection, address, EACH, now) + 1e-9))
 
 
-def _used(connection: Connection, address: str, budget: Budget, now: float) -> float:
+def _count_used(connection: Connection, address: str, budget: Budget, now: float) -> float:
     """Tries of a budget that time has not given back yet; its row is this transaction's from now on."""
     insert_new(connection, rows, {"address": address, "used": 0.0, "at": now})
     used, at = connection.execute(

@@ -72,7 +72,7 @@ class NewJob:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class JobSummary(_Row):
+class JobListRow(_Row):
     """A row of `jobs` without what is long: of lists."""
 
     id: str
@@ -104,7 +104,7 @@ class JobSummary(_Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Job(JobSummary):
+class Job(JobListRow):
     """A whole row of `jobs`."""
 
     spec: Json
@@ -147,7 +147,7 @@ class Artifact(_Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Event(_Row):
+class JobEvent(_Row):
     """A row of `events`. data holds "stage" where it is about one."""
 
     job_id: str
@@ -172,7 +172,7 @@ class Progress(_Row):
 class News:
     """What happened to some jobs since last asked: events in order, and the running stages' progress by job."""
 
-    events: list[Event]
+    events: list[JobEvent]
     progress: dict[str, Progress]
 
 

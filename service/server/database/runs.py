@@ -15,8 +15,8 @@ import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError, OperationalError
 
 from machines.runs import LIVE
-from service.server.database.connection import clock, insert_new, reading, writing
-from service.server.database.job_rows import locked_job
+from service.server.database.connection import begin_reading, begin_writing, clock, insert_new
+from service.server.database.job_rows import lock_job
 from service.server.database.offered_files import may_be_milled
 from service.server.database.records import ClientKey, Job, KeyReusedError
 from service.server.database.states import JobState
@@ -103,7 +103,7 @@ class RunBook:
         """The run that this key has made. KeyReusedError where it stood for another request."""
         table = idempotency_keys.c
         mine = sa.and_(table.principal == key.token, table.kind == "run", table.key == key.text)
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             known = connection.execute(sa.select(idempotency_keys).where(mine)).mappings().first()
             if known is None:
                 return None
@@ -118,8 +118,8 @@ class RunBook:
         """
         run_id = str(uuid4())
         try:
-            with writing(self._database) as connection:
-                job = locked_job(connection, new.job_id)
+            with begin_writing(self._database) as connection:
+                job = lock_job(connection, new.job_id)
                 if not may_be_milled(connection, job):
                     raise JobNotReadyError(job)
                 at = clock(connection)
@@ -136,17 +136,17 @@ class RunBook:
         return before, False
 
     def get(self, run_id: str) -> RunRow:
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             return _get(connection, run_id)
 
     def open_on(self, machine: str) -> RunRow | None:
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             query = sa.select(runs).where(runs.c.machine == machine, runs.c.open)
             row = connection.execute(query).mappings().first()
             return None if row is None else RunRow.of(row)
 
     def open_ones(self) -> list[RunRow]:
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             return [RunRow.of(row) for row in connection.execute(sa.select(runs).where(runs.c.open)).mappings()]
 
     def listed(
@@ -158,7 +158,7 @@ class RunBook:
             query = query.where(runs.c.machine == machine)
         if job is not None:
             query = query.where(runs.c.job_id == job)
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             if before is not None:
                 at = _get(connection, before).created_at
                 query = query.where(sa.tuple_(runs.c.created_at, runs.c.id) < sa.tuple_(at, before))
@@ -172,7 +172,7 @@ class RunBook:
         """By job and mill: hashes of the job's programs that the mill has finished."""
         query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).distinct()
         found: dict[tuple[str, str], frozenset[str]] = {}
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             for row in connection.execute(query.where(runs.c.job_id.in_(job_ids), runs.c.state == FINISHED)):
                 key = row.job_id, row.machine
                 found[key] = found.get(key, frozenset()) | {row.sha256}
@@ -183,7 +183,7 @@ class RunBook:
     def parked(self, run_id: str, view: Json) -> bool:
         """The agent has it. False where the run was closed meanwhile."""
         values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view, "words": _words(view)}
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             return connection.execute(runs.update().where(mine).values(**values)).rowcount == 1
 
@@ -209,7 +209,7 @@ class RunBook:
 
     def close(self, run_id: str, state: str, words: str, *, forget_key: bool = False) -> None:
         """It is over for us: never handed over, taken back, or given up. An ended run stays what it is."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             values = {"open": False, "state": state, "words": words[:_WORDS], "ended_at": clock(connection)}
             closed = connection.execute(runs.update().where(mine).values(**values)).rowcount
@@ -224,7 +224,7 @@ class RunBook:
             raise MachineTakenError(run.machine, self._open_id(run.machine)) from None
 
     def _write(self, run_id: str, values: Json) -> None:
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             connection.execute(runs.update().where(runs.c.id == run_id).values(**values))
 
     def _open_id(self, machine: str) -> str:

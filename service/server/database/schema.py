@@ -17,7 +17,7 @@ import sqlalchemy as sa
 
 from service.errors import FailedError, InputError
 from service.processes.private import keep_private
-from service.server.database.connection import connect, copy_sqlite, is_sqlite, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, connect, copy_sqlite, is_sqlite
 from service.server.database.tables import jobs
 from service.settings import ServerSettings
 
@@ -36,13 +36,13 @@ def upgrade_schema(database: sa.Engine, *, allowed: str | None = None) -> None:
 
     allowed : the version to which PostgreSQL's tables may be brought although they hold jobs; InputError otherwise
     """
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         if _version_in(connection) == HEAD:
             return
     from alembic import command
 
     config = alembic_config()
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         if not is_sqlite(connection):
             connection.execute(sa.text("SELECT pg_advisory_xact_lock(:lock)"), {"lock": LOCK})
         _require_known(connection, config)
@@ -75,7 +75,7 @@ def alembic_config() -> Config:
 
 def _version(database: sa.Engine) -> tuple[str | None, str]:
     try:
-        with reading(database) as connection:
+        with begin_reading(database) as connection:
             return _version_in(connection), ""
     except sa.exc.OperationalError as error:
         return None, str(error.orig)

@@ -20,7 +20,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, RowMapping, delete, func, insert, inspect, select, update
 
 from service.errors import InputError
-from service.server.database.connection import reading, writing
+from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.tables import pairings, tokens
 
 PREFIX = "cm_"  # so that people and secret scanners know one when they see it
@@ -68,7 +68,7 @@ class TokenBook:
     def create(self, name: str, scopes: Iterable[str], *, expires_at: float | None = None) -> tuple[Token, str]:
         """A new token and its secret, which is nowhere else and never shown again. InputError where it cannot be."""
         now = self._clock()
-        wanted = checked_scopes(scopes)
+        wanted = check_scopes(scopes)
         if not _NAME.fullmatch(name):
             raise InputError(
                 f"name '{name[:80]}': allowed: 1 to 80 letters, digits, spaces and . _ @ -, a letter first"
@@ -76,10 +76,10 @@ class TokenBook:
         if expires_at is not None and not now < expires_at <= now + LONGEST_LIFE_S:
             raise InputError("expires: allowed: a time from now on, within a hundred years")
         token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=expires_at)
-        with writing(self.engine) as connection:
+        with begin_writing(self.engine) as connection:
             if name in _live_names(connection, now):
                 raise InputError(f"name '{name}': there is a token of this name; revoke that one or take another name")
-            return token, _inserted(connection, token)
+            return token, _insert(connection, token)
 
     def create_paired(self, person: str, scopes: Iterable[str], *, life_s: float) -> tuple[Token, str]:
         """A token for the page of a person, under their name, or that and a number where it is taken.
@@ -87,23 +87,23 @@ class TokenBook:
         Such tokens do not count in `any_ever`. Those that have ended long ago are forgotten: a page makes one with each
         visit, and one that has just ended may still stop a mill.
         """
-        now, wanted = self._clock(), checked_scopes(scopes)
-        with writing(self.engine) as connection:
+        now, wanted = self._clock(), check_scopes(scopes)
+        with begin_writing(self.engine) as connection:
             connection.execute(delete(tokens).where(tokens.c.paired, tokens.c.expires_at < now - _ENDED_KEPT_S))
             taken = _live_names(connection, now)
             names = itertools.chain([person], (f"{person} {number}" for number in itertools.count(2)))
             name = next(name for name in names if name not in taken)
             token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=now + life_s, paired=True)
-            return token, _inserted(connection, token)
+            return token, _insert(connection, token)
 
     def listed(self) -> list[Token]:
         """All that were ever made, oldest first."""
-        with reading(self.engine) as connection:
+        with begin_reading(self.engine) as connection:
             return [_token(row) for row in connection.execute(_ALL).mappings()]
 
     def revoke(self, token_id: str) -> Token:
         """From now on it opens nothing. LookupError where there is none; revoking twice changes nothing."""
-        with writing(self.engine) as connection:
+        with begin_writing(self.engine) as connection:
             mine = tokens.c.id == token_id
             connection.execute(
                 update(tokens).where(mine, tokens.c.revoked_at.is_(None)).values(revoked_at=self._clock())
@@ -116,7 +116,7 @@ class TokenBook:
     def revoke_all(self) -> int:
         """Let none open anything any more, and forget every code; how many were live. The tables may be older ones."""
         now = self._clock()
-        with writing(self.engine) as connection:
+        with begin_writing(self.engine) as connection:
             there = set(inspect(connection).get_table_names())
             if pairings.name in there:
                 connection.execute(delete(pairings))
@@ -132,7 +132,7 @@ class TokenBook:
         if not _SECRET.fullmatch(secret):
             return None
         now, digest = self._clock(), hash_secret(secret)
-        with reading(self.engine) as connection:
+        with begin_reading(self.engine) as connection:
             row = connection.execute(select(tokens).where(tokens.c.sha256 == digest)).mappings().first()
         if row is None or not hmac.compare_digest(str(row["sha256"]), digest):
             return None
@@ -141,7 +141,7 @@ class TokenBook:
 
     def find_stoppers(self) -> dict[str, Token]:
         """By the hash of its secret, every token that may stop mills: revoked ones may not, ended ones may."""
-        with reading(self.engine) as connection:
+        with begin_reading(self.engine) as connection:
             rows = connection.execute(select(tokens).where(tokens.c.revoked_at.is_(None))).mappings()
             found = {str(row["sha256"]): _token(row) for row in rows}
         return {digest: token for digest, token in found.items() if TokenScope.MACHINE_RUN in token.scopes}
@@ -153,7 +153,7 @@ class TokenBook:
         if noted is not None and now < noted + _USE_NOTED_EVERY_S:
             return
         self._noted[token.id] = now
-        with writing(self.engine) as connection:
+        with begin_writing(self.engine) as connection:
             values = {"last_used_at": now}
             if token.paired and renew_s is not None and token.expires_at is not None:
                 values["expires_at"] = max(token.expires_at, now + renew_s)
@@ -165,7 +165,7 @@ class TokenBook:
 
         Tokens of paired pages do not count: who runs mills from the page has not meant to close the jobs.
         """
-        with reading(self.engine) as connection:
+        with begin_reading(self.engine) as connection:
             return connection.execute(select(tokens.c.id).where(~tokens.c.paired).limit(1)).first() is not None
 
     def any_live(self) -> bool:
@@ -177,7 +177,7 @@ class TokenBook:
 _ALL = select(tokens).order_by(tokens.c.created_at, tokens.c.id)
 
 
-def checked_scopes(scopes: Iterable[str]) -> frozenset[str]:
+def check_scopes(scopes: Iterable[str]) -> frozenset[str]:
     """The scopes, each a known word and at least one; InputError names the one that is not."""
     wanted = frozenset(scopes)
     allowed = ", ".join(TokenScope)
@@ -192,7 +192,7 @@ def _live_names(connection: Connection, now: float) -> frozenset[str]:
     return frozenset(found.name for found in map(_token, connection.execute(_ALL).mappings()) if found.live(now))
 
 
-def _inserted(connection: Connection, token: Token) -> str:
+def _insert(connection: Connection, token: Token) -> str:
     """The new token's secret."""
     secret = PREFIX + secrets.token_urlsafe(32)
     given = {name: getattr(token, name) for name in ("id", "name", "created_at", "expires_at", "paired")}

@@ -60,7 +60,7 @@ class AgentFeed:
         words = "the event stream of the agent has ended"
         try:
             async with self._opened("") as lines:
-                async for message in _parsed(lines):
+                async for message in _parse(lines):
                     self._status = message if message.get("event") == "status" else self._status
                     self._hand_out(message)
         except Problem as problem:
@@ -84,7 +84,7 @@ class AgentFeed:
     async def _missed(self, last_id: str) -> list[Message]:
         """What has happened since, and how things stand, with which the agent ends what it tells at first."""
         found: list[Message] = []
-        async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parsed(lines)) as messages:
+        async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parse(lines)) as messages:
             self._read()
             async for message in messages:
                 found.append(message)
@@ -93,7 +93,7 @@ class AgentFeed:
         return found
 
 
-async def _parsed(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
+async def _parse(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:
     """The messages of a stream; an empty one for each heartbeat."""
     message: Message = {}
     async for line in lines:

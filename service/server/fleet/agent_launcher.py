@@ -27,10 +27,10 @@ def start_agents(settings: ServerSettings) -> list[tuple[str, str]]:
     """Start what does not run yet; machine and what became of it, in words, one for each. Does not wait for them."""
     machines, _ = known_machines(settings)
     own = [machine for machine in machines.values() if not machine.remote and not machine.simulated]
-    return [(machine.name, _started(settings, machine)) for machine in own]
+    return [(machine.name, _start(settings, machine)) for machine in own]
 
 
-def _started(settings: ServerSettings, machine: KnownMachine) -> str:
+def _start(settings: ServerSettings, machine: KnownMachine) -> str:
     if machine.problem:
         return machine.problem
     if (owner := next((folder for folder in machine.folders if is_owned(folder)), None)) is not None:

@@ -85,7 +85,7 @@ class Handovers:
         if task is None or task.done():
             self._tasks = {key: other for key, other in self._tasks.items() if not other.done()}
             task = self._tasks[run.id] = asyncio.create_task(self._hand_over(run, machine))
-            task.add_done_callback(_looked_at)
+            task.add_done_callback(_look_at)
         return task
 
     async def repaired(self, seen: Seen) -> Seen:
@@ -189,7 +189,7 @@ def _no_job(job_id: str) -> Problem:
     return Problem(422, f"there is no job {job_id[:80]!r}", field="job")
 
 
-def _looked_at(task: asyncio.Task[None]) -> None:
+def _look_at(task: asyncio.Task[None]) -> None:
     """Its error is told to whoever asks for the run; nobody may, and then it is no news."""
     if not task.cancelled():
         task.exception()

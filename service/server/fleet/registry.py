@@ -61,7 +61,7 @@ def known_machines(settings: ServerSettings) -> tuple[dict[str, KnownMachine], l
         if SIMULATED in found:
             problems.append(f"there is a mill of the name '{SIMULATED}', so no simulated one is offered")
         else:
-            found[SIMULATED] = _simulated(settings)
+            found[SIMULATED] = _describe_simulated(settings)
     try:
         remote = remote_machines(settings.agents_file) if settings.agents_file is not None else []
     except InputError as error:
@@ -79,16 +79,16 @@ def local_folder(settings: ServerSettings, machine: str) -> Path:
     return (settings.agents_folder / machine).absolute()
 
 
-def simulated_folder(settings: ServerSettings) -> Path:
+def folder_of_simulated(settings: ServerSettings) -> Path:
     """Profile and port of the simulated mill, and its agent's folder `agent`."""
     return (settings.data / "simulated").absolute()
 
 
-def _simulated(settings: ServerSettings) -> KnownMachine:
+def _describe_simulated(settings: ServerSettings) -> KnownMachine:
     """The mill that `serve --with-simulated-mill` keeps."""
-    folders = (simulated_folder(settings) / "agent",)
+    folders = (folder_of_simulated(settings) / "agent",)
     try:
-        profile = load_profile(SIMULATED, (simulated_folder(settings),))
+        profile = load_profile(SIMULATED, (folder_of_simulated(settings),))
     except (ProfileError, UnknownProfileError) as error:
         return KnownMachine(name=SIMULATED, folders=folders, simulated=True, problem=printable(str(error)))
     return KnownMachine(name=SIMULATED, profile=profile, folders=folders, simulated=True)

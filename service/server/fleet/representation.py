@@ -38,18 +38,18 @@ class Surroundings:
         return next((one for one in self.programs if one.number > number and one.sha256 not in self.finished), None)
 
 
-def required_checks(run: RunRow, around: Surroundings) -> list[str]:
+def list_required_checks(run: RunRow, around: Surroundings) -> list[str]:
     """What a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
         needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
-    elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and started(run):
+    elif run.state in (INTERRUPTED, ABORTED) and run.agent_run is not None and has_started(run):
         needed = RECOVER_CHECKS
     else:
         return []
     return [check for check in CHECK_ORDER if check in needed]
 
 
-def started(run: RunRow) -> bool:
+def has_started(run: RunRow) -> bool:
     return bool(run.view and run.view.get("started_s"))
 
 
@@ -61,7 +61,7 @@ def run_json(seen: Seen, around: Surroundings) -> Json:
         "job": run.job_id,
         "program": {"number": run.number, "name": run.program, "sha256": run.sha256},
         "setup": _set_up(around, run),
-        "required_checks": required_checks(run, around),
+        "required_checks": list_required_checks(run, around),
         "left_out": [one.as_dict() for one in around.left_out(run.number)],
         "next": None if following is None else following.as_dict(),
         "created_by": run.created_by,

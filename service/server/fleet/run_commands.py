@@ -15,7 +15,7 @@ from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, r
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
 from service.server.fleet.machine_commands import OrderContext, Orders
-from service.server.fleet.representation import ORDER, Surroundings, required_checks
+from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
 
 _MOST_KNOWN = 1000
 _PLAN_S = 30.0  # the controller is asked first
@@ -54,7 +54,7 @@ class Controls:
         run = await self._require_handed_over(run_id, fresh=True)
         if not run.open:
             raise Problem(409, f"the run is {run.state} and closed; load the program again", field="run")
-        needed = required_checks(run, around)
+        needed = list_required_checks(run, around)
         if ORDER in needed and ORDER not in said.checks:
             names = ", ".join(one.name for one in around.left_out(run.number))
             raise Problem(

@@ -37,7 +37,7 @@ def restore(source: Path, settings: ServerSettings, *, keep_tokens: bool = False
 
     They are all revoked unless keep_tokens: the backup does not know which of them have been since it was made.
     """
-    with _emptied(settings.data), _opened(source) as tar:
+    with _begin_empty(settings.data), _open(source) as tar:
         folder = settings.data / _ARRIVING
         folder.mkdir()
         store = open_store(settings)
@@ -135,7 +135,7 @@ def _require_whole(manifest: dict[str, Any], hashes: dict[str, str], damaged: li
 
 
 @contextlib.contextmanager
-def _emptied(data: Path) -> Iterator[None]:
+def _begin_empty(data: Path) -> Iterator[None]:
     """An empty folder of our own; as empty again if anything goes wrong."""
     try:
         if data.exists() and any(data.iterdir()):
@@ -152,7 +152,7 @@ def _emptied(data: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _opened(source: Path) -> Iterator[tarfile.TarFile]:
+def _open(source: Path) -> Iterator[tarfile.TarFile]:
     try:
         with tarfile.open(source, "r|*") as tar:
             yield tar

@@ -122,7 +122,7 @@ def unit_text(order: UnitOrder) -> str:
         machine=order.machine,
         port="" if order.mill_port is None else f" --port {_word(order.mill_port, '--mill-port')}",
         account=_account(order),
-        hardened=_hardened(order, data),
+        hardened=_harden(order, data),
         target="multi-user.target" if order.system else "default.target",
     )
 
@@ -164,7 +164,7 @@ def _account(order: UnitOrder) -> str:
     return f"User={order.account}\n{groups}"
 
 
-def _hardened(order: UnitOrder, data: str) -> str:
+def _harden(order: UnitOrder, data: str) -> str:
     if not order.system:
         return _HARDENED
     devices = "PrivateDevices=yes\n" if order.machine is None else ""  # an agent needs its port

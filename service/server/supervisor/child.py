@@ -19,7 +19,7 @@ _LIVED_WELL_S = 5.0
 FAILED, REFUSED = 1, 2
 
 
-class Watched:
+class SupervisedChild:
     """`module` runs while it is wanted; `beats` is the pipe to listen to (None while it does not run).
 
     trusted : the server was ready with it

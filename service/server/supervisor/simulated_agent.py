@@ -11,10 +11,10 @@ from pathlib import Path
 
 from machines.errors import MachineError
 from machines.profiles import load_profile
-from service.errors import JobError
+from service.errors import ServiceError
 from service.milling.agent.main import run_agent
 from service.milling.agent.settings import agent_settings
-from service.server.fleet.registry import SIMULATED, simulated_folder
+from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
 _PATIENCE_S = 20.0
@@ -23,7 +23,7 @@ _PATIENCE_S = 20.0
 def main() -> int:
     """Until SIGTERM."""
     try:
-        folder = simulated_folder(ServerSettings.load())
+        folder = folder_of_simulated(ServerSettings.load())
         _await(folder / "port")
         profile = load_profile(SIMULATED, (folder,))
         port = profile.link.port or ""
@@ -39,7 +39,7 @@ def main() -> int:
             ),
             profile,
         )
-    except (JobError, MachineError, LookupError) as error:
+    except (ServiceError, MachineError, LookupError) as error:
         print(f"error: the agent of the simulated mill: {error}", file=sys.stderr, flush=True)
         return 3  # neither of the codes that end the server: it is tried again
     return 0

@@ -14,10 +14,10 @@ from pathlib import Path
 from typing import NoReturn
 
 from machines.simulated import GRBL_11, Recording, SimulatedMill, serve_pty
-from service.errors import FailedError, JobError, sentence_of_os_error
+from service.errors import FailedError, ServiceError, sentence_of_os_error
 from service.processes import lifeline
 from service.processes.private import make_private
-from service.server.fleet.registry import SIMULATED, simulated_folder
+from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
 TIME_FACTOR = 20.0
@@ -37,14 +37,14 @@ def main() -> int:
     for kind in lifeline.STOPPING:
         signal.signal(kind, _leave)
     try:
-        folder = simulated_folder(ServerSettings.load())
+        folder = folder_of_simulated(ServerSettings.load())
         try:
             make_private(folder)
             _written(folder / f"{SIMULATED}.toml", _PROFILE.format(factor=TIME_FACTOR, port=folder / "port"))
             endpoint = serve_pty(made(), TIME_FACTOR, folder / "port")
         except OSError as error:
             raise FailedError(sentence_of_os_error(error, doing="simulated mill: cannot use")) from None
-    except JobError as error:
+    except ServiceError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
     try:

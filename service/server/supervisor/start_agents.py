@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import sys
 
-from service.errors import JobError, printable
+from service.errors import ServiceError, printable
 
 
 def main() -> int:
@@ -17,7 +17,7 @@ def main() -> int:
 
     try:
         said = start_agents(ServerSettings.load())
-    except JobError as error:
+    except ServiceError as error:
         print(f"agents: {error}", file=sys.stderr)
         return error.exit_code
     for machine, words in said:

@@ -21,12 +21,12 @@ from pathlib import Path
 from types import FrameType
 from typing import TextIO
 
-from service.errors import EXIT_FAILURE, EXIT_INPUT, JobError, printable
+from service.errors import EXIT_FAILURE, EXIT_INPUT, ServiceError, printable
 from service.http import listener as address
 from service.processes import lifeline
 from service.processes.folder_lock import lock_folder
 from service.server.pairing_code import code_lines, code_of, new_offer
-from service.server.supervisor.child import Watched
+from service.server.supervisor.child import SupervisedChild
 
 _PREFIX = "CAUSTICMILL_"
 _MODULES = {
@@ -68,7 +68,7 @@ class Supervisor:
         self._starts = modules.get("agents")
         self._probe = "/readyz" if "worker" in modules else "/livez"
         names = [name for name in ("worker", "API", *_SIMULATED) if name in modules]
-        self._children = [_watched(name, modules[name], listener, offer) for name in names]
+        self._children = [_watch(name, modules[name], listener, offer) for name in names]
 
     def run(self) -> int:
         """Until told to stop, or until a child refuses its configuration; returns the exit code."""
@@ -135,12 +135,12 @@ class Supervisor:
 
     def _announce(self, words: str) -> None:
         """Where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
-        where, folder = address.url_of(self._listener), _setting("DATA", "")
+        where, folder = address.url_of(self._listener), _read_setting("DATA", "")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
             if self._ready:
                 self._show_code(where)
-        if not self._announced and self._starts is not None and _setting("START_AGENTS", "true") == "true":
+        if not self._announced and self._starts is not None and _read_setting("START_AGENTS", "true") == "true":
             command = [sys.executable, "-P", "-m", self._starts]
             self._starter = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=sys.stderr)
         self._announced = True
@@ -151,7 +151,7 @@ class Supervisor:
             terminal.write(code_lines(terminal, where, code_of(self._offer)))
             terminal.flush()
         else:
-            words = f"causticmill token pair --data {_setting('DATA', '')}"
+            words = f"causticmill token pair --data {_read_setting('DATA', '')}"
             print(f"open {where} in a browser; on a terminal, this prints a code for it: {words}", flush=True)
 
     def _stop(self, code: int) -> None:
@@ -174,16 +174,18 @@ class Supervisor:
 def main() -> int:
     """What `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=: nothing."""
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
-    modules = _MODULES | (_SIMULATED if _setting("SIMULATED_MILL", "false") == "true" else {})
+    modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL", "false") == "true" else {})
     modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
     try:
         with (
-            lock_folder(Path(_setting("DATA", "causticmill-data"))),
-            contextlib.closing(address.bound(_setting("HOST", "127.0.0.1"), int(_setting("PORT", "8000")))) as listener,
+            lock_folder(Path(_read_setting("DATA", "causticmill-data"))),
+            contextlib.closing(
+                address.bound(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
+            ) as listener,
         ):
             wanted = {name: module for name, module in modules.items() if module}
             return Supervisor(listener, wanted, offer=new_offer() if _terminal() else "", began=began).run()
-    except JobError as error:
+    except ServiceError as error:
         _say(f"error: {error}")
         return error.exit_code
 
@@ -192,18 +194,20 @@ def _terminal() -> TextIO | None:
     return next((stream for stream in (sys.stdout, sys.stderr) if stream is not None and stream.isatty()), None)
 
 
-def _setting(name: str, default: str) -> str:
+def _read_setting(name: str, default: str) -> str:
     """The command has checked them all and put them into the environment."""
     return os.environ.get(f"{_PREFIX}{name}", default)
 
 
-def _watched(name: str, module: str, listener: socket.socket, offer: str) -> Watched:
+def _watch(name: str, module: str, listener: socket.socket, offer: str) -> SupervisedChild:
     environment = os.environ | {f"{_PREFIX}PORT": str(listener.getsockname()[1])}
     passed: tuple[int, ...] = ()
     if name == "API":
         passed = (listener.fileno(),)
         environment |= {lifeline.LISTEN_FD: str(listener.fileno()), lifeline.PAIRING_OFFER: offer}
-    return Watched(name, module, environment, lease_s=float(_setting("LEASE_S", "30")), passed=passed, say=_say)
+    return SupervisedChild(
+        name, module, environment, lease_s=float(_read_setting("LEASE_S", "30")), passed=passed, say=_say
+    )
 
 
 @contextlib.contextmanager

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 
 import structlog
 
-from service.errors import JobError
+from service.errors import ServiceError
 from service.server.database.claims import Claim
 from service.server.database.states import JobState
 from service.server.queue.engine import Busy, Fenced, Ticket
@@ -24,7 +24,7 @@ MEGA = 1_000_000
 log = structlog.get_logger()
 
 
-class Body:
+class Attempt:
     """What the engine calls with each ticket, from several threads."""
 
     def __init__(self, bench: Bench) -> None:
@@ -53,7 +53,7 @@ class Body:
                 Walk(self._bench, claim, watched).to_the_end()
             except (Fenced, *AWAY):
                 raise
-            except JobError as error:
+            except ServiceError as error:
                 self._fail(claim, {"stage": None, "detail": str(error), "field": None})
             except Exception:
                 log.exception("fault of the worker")

@@ -17,7 +17,7 @@ from uuid import uuid4
 import sqlalchemy as sa
 import structlog
 
-from service.server.database.connection import clock, put_rows, writing
+from service.server.database.connection import begin_writing, clock, put_rows
 from service.server.database.tables import executors
 
 SAFE_SHARE = 0.6
@@ -50,7 +50,7 @@ class Lease:
     def take(self) -> None:
         """Put the row there: from now on this process is the worker of this name."""
         begun = self.monotonic()
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             at = clock(connection)
             row = {"id": self.executor, "host": socket.gethostname(), "pid": self.pid, "boot": self.boot}
             put_rows(connection, executors, [row | {"version": self.version, "started_at": at, "seen_at": at}])
@@ -59,7 +59,7 @@ class Lease:
     def beat(self) -> None:
         """Renew the row. NameTakenError where it is another process's."""
         begun = self.monotonic()
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
             renewed = connection.execute(executors.update().where(mine).values(seen_at=clock(connection)))
             if renewed.rowcount == 0:
@@ -68,7 +68,7 @@ class Lease:
 
     def give_back(self) -> None:
         """Others need not wait for the lease to run out."""
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
             connection.execute(executors.delete().where(mine))
         self._good_at = float("-inf")

@@ -17,7 +17,7 @@ import sys
 import threading
 from contextlib import closing
 
-from service.errors import FailedError, JobError
+from service.errors import FailedError, ServiceError
 from service.processes.private import keep_private
 from service.server.worker.process.pool import STAGE_ENTRY, StageProcesses
 from service.settings import ServerSettings
@@ -36,7 +36,7 @@ def main(*, entry: str = STAGE_ENTRY) -> int:
             _work(settings, processes, end, prepare=settings.prepare and entry == STAGE_ENTRY)
         finally:
             processes.close()
-    except JobError as error:
+    except ServiceError as error:
         print(f"error: {error}", file=sys.stderr, flush=True)
         return error.exit_code
     # The engine's threads wait for tickets that this worker has left for its next start: they are not waited for.

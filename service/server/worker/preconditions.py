@@ -95,7 +95,7 @@ def lock_data(settings: ServerSettings) -> IO[str]:
         file = (settings.data / LOCK_NAME).open("a+", encoding="ascii")
     except OSError as error:
         raise FailedError(sentence_of_os_error(error, doing="cannot use the data folder")) from None
-    if not _within(PATIENCE_S, lambda: _flocked(file)):
+    if not _within(PATIENCE_S, lambda: _try_flock(file)):
         file.close()
         raise InputError(f"CAUSTICMILL_DATA: another worker has {settings.data}; a SQLite database is for one worker")
     return file
@@ -136,7 +136,7 @@ class NameLock:
         return bool(found.scalar())
 
 
-def _flocked(file: IO[str]) -> bool:
+def _try_flock(file: IO[str]) -> bool:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:

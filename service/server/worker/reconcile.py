@@ -14,8 +14,8 @@ import sqlalchemy as sa
 import structlog
 
 from service.server.database.claims import interrupt_tries
-from service.server.database.connection import clock, reading, writing
-from service.server.database.job_rows import change_job, end_job, locked_job
+from service.server.database.connection import begin_reading, begin_writing, clock
+from service.server.database.job_rows import change_job, end_job, lock_job
 from service.server.database.records import Job, Json, UnknownJobError
 from service.server.database.states import JobState
 from service.server.database.tables import jobs
@@ -65,11 +65,11 @@ class Reconciler:
         They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
         """
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.owner == self._executor)
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             found = set(connection.execute(query).scalars()) - self._in_hand()
         for job_id in found:
-            with writing(self._database) as connection, suppress(UnknownJobError):
-                job, at = locked_job(connection, job_id), clock(connection)
+            with begin_writing(self._database) as connection, suppress(UnknownJobError):
+                job, at = lock_job(connection, job_id), clock(connection)
                 # Asked again under the lock: who is about to claim the job has said so before.
                 if job.owner == self._executor and job_id not in self._in_hand():
                     log.info("let go", job=job_id)
@@ -87,7 +87,7 @@ class Reconciler:
         )
         if self._last is not None:
             query = query.where(place > sa.tuple_(*self._last))
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             at, rows = clock(connection), connection.execute(query).all()
         last = rows[-1] if len(rows) == CHUNK else None
         self._last = None if last is None else (last.priority, last.queued_at, last.id)
@@ -103,7 +103,7 @@ class Reconciler:
     def _take_over_dead(self) -> set[str]:
         """Tickets begun by workers that are not heard of any more run elsewhere. Returns the live workers."""
         owners = set(self._engine.owners().values())
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             live = live_executors(connection, self._lease_s) | {self._executor}
         if dead := sorted(owners - live):
             log.info("taking over", executors=dead)
@@ -113,7 +113,7 @@ class Reconciler:
     def _end_cancelled(self, live: set[str]) -> None:
         """Running jobs that were to be cancelled when their worker died."""
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.cancel_requested)
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             found = list(connection.execute(query).scalars())
         for job_id in found:
             self._end(job_id, live, JobState.CANCELLED, None)
@@ -124,7 +124,7 @@ class Reconciler:
         The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
         """
         query = sa.select(jobs.c.id, jobs.c.attempt).where(jobs.c.state == str(JobState.RUNNING))
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             running = [Ticket(row.id, row.attempt) for row in connection.execute(query)]
         for ticket in self._engine.ended([*queued, *running]):
             error = {"stage": None, "detail": GIVEN_UP, "field": None}
@@ -134,9 +134,9 @@ class Reconciler:
         self, job_id: str, live: set[str], state: JobState, error: Json | None, *, attempt: int | None = None
     ) -> None:
         """End a job in the name of its owner, unless somebody has it in hand."""
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             try:
-                job, at = locked_job(connection, job_id), clock(connection)
+                job, at = lock_job(connection, job_id), clock(connection)
             except UnknownJobError:
                 return
             if job.ended or attempt not in (None, job.attempt) or self._is_in_hand(job, live):

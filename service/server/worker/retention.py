@@ -17,9 +17,9 @@ import sqlalchemy as sa
 import structlog
 
 from service.server.database.claims import drop_results
-from service.server.database.connection import clock, is_sqlite, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, clock, is_sqlite
 from service.server.database.counters import ARTIFACT_BYTES, set_counter
-from service.server.database.job_rows import locked_job
+from service.server.database.job_rows import lock_job
 from service.server.database.jobs import drop_job
 from service.server.database.records import UnknownJobError
 from service.server.database.states import JobOnMillError
@@ -67,7 +67,7 @@ class Retention:
         self._sweep_parts()
         if self._quota is not None:
             self._drop_to_quota(self._quota)
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             set_counter(connection, ARTIFACT_BYTES, sum(self._named_bytes.values()))
         self._forget_ended()
         self._forget_workers()
@@ -90,7 +90,7 @@ class Retention:
     def _drop_jobs(self, *, older_than_s: float, limit: int) -> int:
         """Delete the oldest ended jobs, but those whose programs a mill has in hand. Returns how many went."""
         on_mill = sa.select(runs.c.job_id).where(runs.c.open)
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             ended = jobs.c.ended_at <= clock(connection) - older_than_s
             query = (
                 sa.select(jobs.c.id)
@@ -102,14 +102,14 @@ class Retention:
         return sum(self._drop_job(job_id) for job_id in found)
 
     def _drop_job(self, job_id: str) -> bool:
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             try:
-                job = locked_job(connection, job_id)
+                job = lock_job(connection, job_id)
             except UnknownJobError:
                 return False
             if not job.ended:
                 return False  # retried a moment ago
-            named = {job.image_sha256, *_named_by_job(connection, job_id)}
+            named = {job.image_sha256, *_list_hashes_of_job(connection, job_id)}
             try:
                 drop_job(connection, job)
             except JobOnMillError:
@@ -121,7 +121,7 @@ class Retention:
 
     def _drop_results(self, *, unused_for_s: float, limit: int) -> int:
         table = stage_results.c
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             old = table.used_at < clock(connection) - unused_for_s
             keys = sa.select(table.key).where(old).order_by(table.used_at).limit(limit).with_for_update()
             doomed = list(connection.execute(keys).scalars())
@@ -169,7 +169,7 @@ class Retention:
     def _forget_ended(self) -> None:
         """The engine's history of jobs that ended an hour ago: each once, those of two days once more after a start."""
         place = sa.tuple_(jobs.c.ended_at, jobs.c.id)
-        with reading(self._database) as connection:
+        with begin_reading(self._database) as connection:
             at = clock(connection)
         last = (self._forgotten_to or at - 2 * DAY_S, "")
         while True:
@@ -179,7 +179,7 @@ class Retention:
                 .order_by(jobs.c.ended_at, jobs.c.id)
                 .limit(CHUNK)
             )
-            with reading(self._database) as connection:
+            with begin_reading(self._database) as connection:
                 found = connection.execute(query).all()
             if not found:
                 self._forgotten_to = at - GRACE_S
@@ -190,12 +190,12 @@ class Retention:
     def _forget_workers(self) -> None:
         """Rows of workers that have not been heard of for a day and own nothing."""
         owners = sa.select(jobs.c.owner).where(jobs.c.owner.is_not(None))
-        with writing(self._database) as connection:
+        with begin_writing(self._database) as connection:
             old = executors.c.seen_at < clock(connection) - DAY_S
             connection.execute(executors.delete().where(old, executors.c.id.not_in(owners)))
 
 
-def _named_by_job(connection: sa.Connection, job_id: str) -> Iterator[str]:
+def _list_hashes_of_job(connection: sa.Connection, job_id: str) -> Iterator[str]:
     """Hashes of a job's files and of what its stages said."""
     for column, table in ((artifacts.c.sha256, artifacts), (stage_runs.c.log_sha256, stage_runs)):
         query = sa.select(column).where(table.c.job_id == job_id, column.is_not(None))

@@ -9,7 +9,7 @@ from typing import Any
 import structlog
 
 from service.errors import FailedError, printable
-from service.job.spec.loading import validated
+from service.job.spec.loading import validate_spec
 from service.job.spec.resolve import with_plan
 from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult, merge_notes, merge_reports
 from service.job.stages.table import plan, shares, stage_key
@@ -32,7 +32,7 @@ class Walk:
         self._bench = bench
         self._claim = claim
         self._watched = watched
-        self._spec = validated(claim.job.spec)
+        self._spec = validate_spec(claim.job.spec)
         self._shares = shares(self._spec)
         self._done_share = 0.0
         self._results: list[StageResult] = []

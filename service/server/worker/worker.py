@@ -19,7 +19,7 @@ from service.processes import lifeline
 from service.server.database.claims import WorkBook
 from service.server.database.schema import open_database
 from service.server.queue.dbos import DbosEngine
-from service.server.worker.attempt import Body
+from service.server.worker.attempt import Attempt
 from service.server.worker.context import Bench
 from service.server.worker.lease import Heart, Lease
 from service.server.worker.monitor import Watch
@@ -73,7 +73,7 @@ class Worker:
         bench = self.bench
         settings = bench.settings
         self._heart = Heart(bench.lease, self._leave)
-        self._body = Body(bench)
+        self._body = Attempt(bench)
         self._reconciler = Reconciler(
             self.database,
             self.engine,

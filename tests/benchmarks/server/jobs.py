@@ -22,7 +22,7 @@ import sqlalchemy as sa
 import structlog
 from PIL import Image
 
-from service.server.database.connection import connect, writing
+from service.server.database.connection import begin_writing, connect
 from service.server.database.jobs import JobBook
 from service.server.database.schema import upgrade_schema
 from service.server.database.states import JobState
@@ -78,7 +78,7 @@ def _figures(settings: ServerSettings, number: int) -> Iterator[Figure]:
     yield row(f"{number:,} jobs: put into the database", time.perf_counter() - begun, "s", n=1)
     engine = DbosEngine(settings)
     engine.prepare()
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         worker = {"id": "worker", "host": "h", "pid": 1, "boot": "b", "version": "1", "started_at": 0.0}
         connection.execute(executors.insert().values(**worker, seen_at=time.time() + 1e6))
     _, token = TokenBook(database).create("bench", ["jobs:read", "jobs:write", "machine:run", "admin"])

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cam.around.check import AroundCheck, CheckedMill, check_cut_out, check_facing
 from cam.around.cut_out import cut_out_paths, highest_along
-from cam.around.facing import facing_paths
+from cam.around.facing import make_facing_paths
 from cam.around.flat_removal import FlatRemoval
 from cam.around.outline import aperture_corners, offset_loop, segment_distances
 from cam.around.specs import CutOut, Facing
@@ -64,7 +64,7 @@ def raw(above_mm: float, cell_mm: float = 0.1) -> StockGrid:
 
 
 def faced(facing: Facing, paths: list[Path] | None = None, *, dialect: str = "grbl", **more) -> AroundCheck:
-    paths = paths if paths is not None else list(facing_paths(facing, STOCK, safe_z_mm=SAFE_Z))
+    paths = paths if paths is not None else list(make_facing_paths(facing, STOCK, safe_z_mm=SAFE_Z))
     parts = written(paths, dialect=dialect, **more)
     return check_facing(parts, facing, stock=STOCK, stock_top=raw(facing.above_mm), mill=mill_of(dialect))
 
@@ -150,7 +150,7 @@ def test_a_facing_that_is_wrong_is_found() -> None:
     def with_points(change) -> list[Path]:
         return [
             replace(path, points_mm=change(path.points_mm.copy())) if path.feed_mm_per_min == 1000 else path
-            for path in facing_paths(FACING, STOCK, safe_z_mm=SAFE_Z)
+            for path in make_facing_paths(FACING, STOCK, safe_z_mm=SAFE_Z)
         ]
 
     def deeper(points):
@@ -162,7 +162,7 @@ def test_a_facing_that_is_wrong_is_found() -> None:
     assert any("below Z0" in fault for fault in faced(FACING, with_points(deeper)).faults)
     assert any("left above Z0" in fault for fault in faced(FACING, with_points(rows_left_out)).faults)
     one_layer = replace(FACING, step_down_mm=2)
-    paths = list(facing_paths(one_layer, STOCK, safe_z_mm=SAFE_Z))
+    paths = list(make_facing_paths(one_layer, STOCK, safe_z_mm=SAFE_Z))
     assert any("in one cut" in fault for fault in faced(FACING, paths).faults)
 
 
@@ -285,7 +285,7 @@ def test_what_cannot_be_is_refused_before_the_first_move() -> None:
     with pytest.raises(SafeHeightError):
         list(cut_out_paths(CUT_OUT, STOCK, loop, top_mm=0.0, safe_z_mm=0.5))
     with pytest.raises(SafeHeightError, match=r"at least 2\.2"):
-        list(facing_paths(FACING, STOCK, safe_z_mm=2.0))
+        list(make_facing_paths(FACING, STOCK, safe_z_mm=2.0))
     with pytest.raises(PassValueError, match="pitch_mm"):
         replace(FACING, pitch_mm=4.1)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cam.as_milled.heights import milled_heights
+from cam.as_milled.heights import mill_heights
 from cam.as_milled.tracks import Tracks
 from cam.surface.stock_grid import StockGrid
 
@@ -20,7 +20,7 @@ def test_heights_are_the_lowest_ball_anywhere_on_the_tracks() -> None:
     joined = np.ones(18, dtype=np.bool_)
     joined[[0, 9]] = False
     before = StockGrid(x0_mm=0.0, y0_mm=0.0, cell_mm=0.04, top_mm=np.zeros((20, 30)))
-    left = milled_heights([Tracks(radius_mm=RADIUS_MM, tips_mm=tips, joined=joined)], before)
+    left = mill_heights([Tracks(radius_mm=RADIUS_MM, tips_mm=tips, joined=joined)], before)
     fine = np.concatenate(
         [np.stack([np.interp(np.linspace(0, 1.2, 601), x, row[:, d]) for d in range(3)], 1) for row in rows]
     )

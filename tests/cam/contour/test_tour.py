@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cam.contour.tour import TIGHTEST_PITCHES, TURN_PITCHES, Room, toured, turn_radius_mm
-from cam.contour.tracer import Tracks
+from cam.contour.tour import TIGHTEST_PITCHES, TURN_PITCHES, Room, tour_tracks, turn_radius_mm
+from cam.contour.tracer import ContourLines
 
 PITCH = 0.1
 
@@ -25,10 +25,10 @@ def test_turns_are_wide_on_a_large_lens_and_never_tighter_than_the_least(pitch, 
         assert radius == pytest.approx(TIGHTEST_PITCHES * pitch), "a turn at every row's end would be half the path"
 
 
-def rows(count: int, length_mm: float) -> Tracks:
+def rows(count: int, length_mm: float) -> ContourLines:
     y = PITCH * np.arange(count)
     ends = np.stack([np.column_stack([np.zeros(count), y]), np.column_stack([np.full(count, length_mm), y])], axis=1)
-    return Tracks(xy_mm=ends.reshape(-1, 2), start=np.arange(0, 2 * count + 1, 2))
+    return ContourLines(xy_mm=ends.reshape(-1, 2), start=np.arange(0, 2 * count + 1, 2))
 
 
 def room(radius: float, ring: float, length_mm: float, count: int) -> Room:
@@ -48,7 +48,7 @@ def turned(xy: np.ndarray) -> np.ndarray:
 def test_every_row_is_on_the_path_once_and_the_path_stays_in_the_room_without_corners(count, length, radius, ring):
     """Even where the ring is a third of a pitch wide: turns are as tight as that, not corners."""
     tracks, into = rows(count, length), room(radius * PITCH, ring * PITCH, length, count)
-    path = toured(tracks, into, (0.0, -ring * PITCH / 2, 0.0), pitch_mm=PITCH)
+    path = tour_tracks(tracks, into, (0.0, -ring * PITCH / 2, 0.0), pitch_mm=PITCH)
     for row in tracks.xy_mm.reshape(-1, 2, 2):
         at = [k for k in range(len(path) - 1) if {tuple(path[k]), tuple(path[k + 1])} == {tuple(row[0]), tuple(row[1])}]
         assert len(at) == 1
@@ -62,7 +62,7 @@ def test_every_row_is_on_the_path_once_and_the_path_stays_in_the_room_without_co
 
 def test_where_there_is_room_turns_have_their_radius():
     tracks, into = rows(20, 5.0), room(3 * PITCH, 8 * PITCH, 5.0, 20)
-    path = toured(tracks, into, (0.0, -4 * PITCH, 0.0), pitch_mm=PITCH)
+    path = tour_tracks(tracks, into, (0.0, -4 * PITCH, 0.0), pitch_mm=PITCH)
     steps = np.hypot(*np.diff(path, axis=0).T)
     arcs = (steps[1:] < 0.5 * PITCH) & (steps[:-1] < 0.5 * PITCH)
     bend = turned(path)[arcs] / (0.5 * (steps[1:] + steps[:-1])[arcs])
@@ -74,9 +74,9 @@ def test_a_closed_track_is_gone_round_once_and_left_where_it_was_entered():
     angle = np.linspace(0, 2 * np.pi, 61)
     ring = np.column_stack([2 + np.cos(angle), 2 + np.sin(angle)])
     ring[-1] = ring[0]
-    tracks = Tracks(xy_mm=ring, start=np.array([0, 61]))
+    tracks = ContourLines(xy_mm=ring, start=np.array([0, 61]))
     into = Room(x_from=-1, x_to=5, y_from=-1, y_to=5, radius=0.2)
-    path = toured(tracks, into, (1.0, -0.5, 0.0), pitch_mm=PITCH)
+    path = tour_tracks(tracks, into, (1.0, -0.5, 0.0), pitch_mm=PITCH)
     on_it = np.abs(np.hypot(*(path - 2).T) - 1) < 1e-9
     assert on_it.sum() == 61
     first, last = np.flatnonzero(on_it)[[0, -1]]

@@ -17,7 +17,7 @@ from cam.planning.row_slopes import RowSlopes
 from cam.planning.shop import Shop
 from cam.surface.stock_grid import StockGrid
 from cam.tools import Tool
-from optics.closing import closed_to_radius
+from optics.closing import close_to_radius
 from optics.heightfield import Heightfield
 from tests.cam.balls import tool
 from tests.cam.checks import MILL, checked
@@ -46,7 +46,7 @@ def grooved(depth_mm: float, half_mm: float = 0.35) -> Heightfield:
 
 def fillings(lens: Heightfield, *tools: Tool) -> dict[float, Filled]:
     left = {
-        one.radius_mm: closed_to_radius(lens.z_mm, radius_mm=one.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
+        one.radius_mm: close_to_radius(lens.z_mm, radius_mm=one.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
         for one in tools
     }
     return {radius: Filled(lens=lens, over_mm=z - lens.z_mm) for radius, z in left.items()}

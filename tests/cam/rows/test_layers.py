@@ -17,7 +17,7 @@ from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import read_program
 from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, ramp
-from cam.rows.layers import SLOT_FEED, Field, chained, plan_layers, spans
+from cam.rows.layers import SLOT_FEED, Field, chain_spans, plan_layers, spans
 from cam.rows.raster import Rows
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch
@@ -46,7 +46,7 @@ def test_spans_cover_what_is_active_once(active, pad, gap):
 def test_every_span_is_cut_once(masks, link):
     by_row = [spans(np.array(m), pad=0, gap=0) for m in masks]
     wanted = sorted((row, *span) for row, row_spans in enumerate(by_row) for span in row_spans)
-    runs = list(chained(by_row, most_samples=3, link=link))
+    runs = list(chain_spans(by_row, most_samples=3, link=link))
     assert sorted((r.row, r.first, r.last) for r in runs) == wanted
     for before, run in pairwise(runs):
         if run.joined:

@@ -9,7 +9,7 @@ import pytest
 
 from cam.passes import Stock, ball_pass
 from cam.program import pass_paths
-from cam.rows.turned import turned_block, turned_lens, turned_stock
+from cam.rows.turned import turn_block, turn_lens, turn_stock
 from cam.surface.stock_grid import StockGrid
 from tests.cam.checks import checked
 
@@ -28,11 +28,11 @@ def small():
 
 def test_turning_twice_changes_nothing(small):
     grid = StockGrid.block(STOCK, 0.1)
-    again = turned_stock(turned_stock(grid))
+    again = turn_stock(turn_stock(grid))
     assert (again.x0_mm, again.y0_mm) == (grid.x0_mm, grid.y0_mm)
     np.testing.assert_array_equal(again.top_mm, grid.top_mm)
-    np.testing.assert_array_equal(turned_lens(turned_lens(small)).z_mm, small.z_mm)
-    assert turned_block(turned_block(STOCK)) == STOCK
+    np.testing.assert_array_equal(turn_lens(turn_lens(small)).z_mm, small.z_mm)
+    assert turn_block(turn_block(STOCK)) == STOCK
 
 
 @pytest.mark.parametrize("spec", [ROUGH, FINISH])
@@ -41,7 +41,7 @@ def test_rows_along_y_are_those_of_the_turned_lens(small, spec):
     along_y = np.concatenate(
         [path.points_mm for path in pass_paths(small, replace(spec, direction="y"), STOCK, stock_top=top)]
     )
-    turned = pass_paths(turned_lens(small), spec, turned_block(STOCK), stock_top=turned_stock(top))
+    turned = pass_paths(turn_lens(small), spec, turn_block(STOCK), stock_top=turn_stock(top))
     along_x = np.concatenate([path.points_mm for path in turned])
     same = min(len(along_x), len(along_y)) if spec is FINISH else 0  # a helix turns the way that climbs
     np.testing.assert_array_equal(along_y[-same:, :2], along_x[-same:, 1::-1])

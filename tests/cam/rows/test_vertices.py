@@ -7,7 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from cam.rows.vertices import TICKS_PER_MM, finish_rule, march_row, most_vertices, rough_rule, thinned
+from cam.rows.vertices import TICKS_PER_MM, finish_rule, march_row, most_vertices, rough_rule, thin_points
 from cam.surface.contact import touch
 from cam.surface.tool_surface import ToolSurface
 
@@ -114,7 +114,7 @@ def test_rough_rows_keep_a_share_of_what_is_left(make_bumps):
 def test_thinning_stays_within_its_tolerance(z, tolerance, upward):
     x = np.arange(len(z)) * 0.1
     points = np.column_stack([x, np.zeros(len(z)), z])
-    kept = thinned(points if upward else points[::-1], tolerance)
+    kept = thin_points(points if upward else points[::-1], tolerance)
     order = np.argsort(kept[:, 0])
     assert np.abs(np.interp(x, kept[order, 0], kept[order, 2]) - z).max() <= tolerance + 1e-12
     assert {0.0, x[-1]} <= set(kept[:, 0])
@@ -139,4 +139,4 @@ def test_no_chord_cuts_a_corner_off(make_lens, rule):
 
 def test_thinning_merges_a_straight_run():
     points = np.column_stack([np.linspace(0, 100, 1000), np.zeros(1000), np.full(1000, -1.5)])
-    assert len(thinned(points, 0.01)) == 2
+    assert len(thin_points(points, 0.01)) == 2

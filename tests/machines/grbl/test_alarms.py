@@ -25,7 +25,7 @@ from machines.driver import (
     Unlock,
 )
 from machines.errors import NotAllowedError
-from machines.grbl.options import missing_option
+from machines.grbl.options import find_missing_option
 from machines.grbl.session import GrblSession
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import GRBL_11, GRBLHAL, Traits
@@ -315,6 +315,6 @@ def test_a_mist_that_the_controller_has_not_is_known_before_the_start(
     traits: Traits, mist_line: int, refused: bool
 ) -> None:
     bench = Bench(traits).connected()
-    words = missing_option(bench.driver.settings, mist_line=mist_line)
+    words = find_missing_option(bench.driver.settings, mist_line=mist_line)
     assert bool(words) is refused and ("line 12: M7" in words) is refused
     assert done(bench, SendBlock("M7")).failure.startswith("M7: error:20") is (not traits.mist)

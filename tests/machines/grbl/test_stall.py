@@ -8,7 +8,7 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.step import Step
 from machines.grbl.settings import ControllerSettings
-from machines.grbl.stall import MARGIN_S, homing_time_s, longest_wait_s, motion_time_s
+from machines.grbl.stall import MARGIN_S, longest_homing_s, longest_wait_s, motion_time_s
 
 VALUES = {110: "3000", 111: "3000", 112: "600", 120: "200", 121: "200", 122: "100", 130: "300", 131: "300", 132: "80"}
 SETTINGS = ControllerSettings(values={**VALUES, 24: "25", 25: "500", 27: "1"})
@@ -63,5 +63,5 @@ def test_a_feed_override_stretches_the_time() -> None:
 
 
 def test_homing_may_take_one_and_a_half_travels_at_the_seek_rate() -> None:
-    assert homing_time_s(SETTINGS) > 1.5 * 680 / 500 * 60
-    assert homing_time_s(ControllerSettings()) == 300.0
+    assert longest_homing_s(SETTINGS) > 1.5 * 680 / 500 * 60
+    assert longest_homing_s(ControllerSettings()) == 300.0

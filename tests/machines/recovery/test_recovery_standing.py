@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
-from machines.recovery.standing import executed_by_standing, frame_offset_mm, standing_tolerance_mm
+from machines.recovery.standing import count_executed_at_rest, frame_offset_mm, tolerance_at_rest_mm
 
 Point = tuple[float, float, float]
 HEAD = ["G21 G90 G94 G17 G54", "M3 S12000", "G0 X0 Y0 Z0", "G1 X1 F200"]
 OFFSET = (-100.0, -50.25, -12.125)
-TOLERANCE_MM = standing_tolerance_mm(ControllerSettings(values={100: "250", 101: "250", 102: "250"}))
+TOLERANCE_MM = tolerance_at_rest_mm(ControllerSettings(values={100: "250", 101: "250", 102: "250"}))
 STEP_MM = 1 / 250
 
 
@@ -41,7 +41,7 @@ class Path3:
         machine = tuple(reported(p + o) for p, o in zip(place_mm, OFFSET, strict=True))
         known = {"executed_line": executed, "answered_line": executed + 1, "work_offset_mm": OFFSET,
                  "offsets": {"G54": OFFSET, "G92": (0, 0, 0), "TLO": (0, 0, 0)}}  # fmt: skip
-        return executed_by_standing(self.reader, known | record, machine,  # type: ignore[arg-type]
+        return count_executed_at_rest(self.reader, known | record, machine,  # type: ignore[arg-type]
                                     last_line=last or self.count, tolerance_mm=TOLERANCE_MM)  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from optics.coupon.fringes import Profile, milled_profiles
+from optics.coupon.fringes import Profile, profiles_of_heights
 from optics.coupon.halves import finish_heights, light_of_heights, screen_axes_mm
 from optics.coupon.layout import Coupon, Half
 from optics.coupon.reading import Rectified
@@ -46,7 +46,7 @@ def smooth_piece() -> Piece:
     lens = coupon.heightfield(SPACING_MM)
     z = np.pad(lens.z_mm, BEYOND, mode="edge")
     x, y = (SPACING_MM * np.arange(-BEYOND, n + BEYOND) for n in (lens.x_mm.size, lens.y_mm.size))
-    return Piece(coupon=coupon, x_mm=x, y_mm=y, z_mm=z, profiles=milled_profiles(coupon, x, y, z))
+    return Piece(coupon=coupon, x_mm=x, y_mm=y, z_mm=z, profiles=profiles_of_heights(coupon, x, y, z))
 
 
 def rectified(

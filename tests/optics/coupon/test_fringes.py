@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import jv
 
-from optics.coupon.fringes import LEVERS, Finished, Profile, light_profile, milled_light, nominal_lever_mm
+from optics.coupon.fringes import LEVERS, Finished, Profile, fringe_coefficients, light_profile, nominal_lever_mm
 from optics.coupon.layout import Coupon, Strip
 from optics.coupon.reading import fold_strip
 from optics.finish import Finish
@@ -38,7 +38,7 @@ def test_the_table_as_milled_is_the_light_of_the_piece() -> None:
     lever = (throw_mm - piece.coupon.flat_mm) / (piece.coupon.throw_mm - piece.coupon.flat_mm)
     for profile in piece.profiles:
         fold = fold_strip(picture, profile.strip, "right")
-        light = milled_light(profile, lever)
+        light = fringe_coefficients(profile, lever)
         k = profile.strip.k_rad_per_mm
         made = light_profile(light / light[0].real, k, fold.phase, blur_mm=blur_mm, shift_mm=0.0)
         assert np.sqrt(np.mean((fold.light - made) ** 2)) < 0.03, profile.strip
@@ -63,5 +63,7 @@ def test_between_two_levers_the_table_is_smooth() -> None:
     """Halfway between two levers the table gives what a sum over the heights would: at LEVERS it is itself."""
     profile = smooth_piece().profiles[4]
     for number in (10, 30, 50):
-        np.testing.assert_allclose(milled_light(profile, float(LEVERS[number])), profile.milled[number], atol=1e-9)
+        np.testing.assert_allclose(
+            fringe_coefficients(profile, float(LEVERS[number])), profile.milled[number], atol=1e-9
+        )
     assert nominal_lever_mm(Coupon(throw_mm=30.0)) == pytest.approx(0.49 * (30.0 - Coupon(throw_mm=30.0).flat_mm))

@@ -14,7 +14,7 @@ from scipy.ndimage import gaussian_filter
 
 from optics.irradiance import flip_between_picture_and_work_frame, target_irradiance
 from optics.photograph import register
-from optics.photograph.homography import enclosing_quadrilateral, homography_of_points, normalise_homography
+from optics.photograph.homography import enclose_quadrilateral, homography_of_points, normalise_homography
 from optics.photograph.views import area_average
 from optics.spline import Array
 from tests.optics.photographs import Shot, camera, moved, photographed
@@ -207,8 +207,8 @@ def test_a_quadrilateral_with_its_corners_cut_off_is_made_whole() -> None:
     for k in range(4):
         before, here, after = corners[k - 1], corners[k], corners[(k + 1) % 4]
         cut += [here + 0.05 * (before - here), here + 0.08 * (after - here)]
-    assert np.allclose(enclosing_quadrilateral(np.array(cut)), corners) or np.allclose(
-        np.sort(enclosing_quadrilateral(np.array(cut)), axis=0), np.sort(corners, axis=0)
+    assert np.allclose(enclose_quadrilateral(np.array(cut)), corners) or np.allclose(
+        np.sort(enclose_quadrilateral(np.array(cut)), axis=0), np.sort(corners, axis=0)
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from service.job.page_data.header import parted
+from service.job.page_data.header import split_header
 from tests.page import canned_job
 from tests.page.canned_job import shape
 from tests.page.machine_states import MACHINE
@@ -23,7 +23,7 @@ def test_the_canned_job_has_the_form_of_a_real_one(shop: Shop) -> None:
     with shop.client() as client:
         for name in ("focus.bin", "surface.bin", "pass-2.path"):
             content = client.get(f"/v1/jobs/{shop.job()}/artifacts/{name}").content
-            assert shape(parted(content)[0]) == shape(parted(canned_job.files()[name])[0]), name
+            assert shape(split_header(content)[0]) == shape(split_header(canned_job.files()[name])[0]), name
 
 
 def test_the_canned_mill_has_the_form_of_a_real_one(shop: Shop) -> None:

@@ -129,6 +129,6 @@ def test_an_older_word_of_a_run_is_not_told_after_a_newer_one(
         for state in ("running", "running", "finished"):
             yield SimpleNamespace(data=told(state))
 
-    monkeypatch.setattr(runs, "lasting", events)
+    monkeypatch.setattr(runs, "stream_events", events)
     runs.follow_run(SimpleNamespace(get=lambda _: told("running")), "a")  # type: ignore[arg-type]
     assert re.findall(r"([\d.]+) % of", capsys.readouterr().out) == ["10.0", "60.0"]

@@ -20,7 +20,7 @@ from service.job.files import (
     is_job_folder,
     program_name,
     require_usable_output,
-    staging_folder,
+    stage_folder,
     write_bytes,
     write_program,
 )
@@ -95,7 +95,7 @@ def test_a_name_appears_only_when_the_file_is_whole(tmp_path: Path) -> None:
 @pytest.mark.parametrize("error", [KeyboardInterrupt, ValueError, OSError])
 def test_a_failed_job_leaves_nothing(tmp_path: Path, error: type[BaseException]) -> None:
     """Neither the output, nor the staging folder, nor the parents made for it."""
-    with pytest.raises(error), staging_folder(tmp_path / "a" / "b" / "out") as folder:
+    with pytest.raises(error), stage_folder(tmp_path / "a" / "b" / "out") as folder:
         (folder / "spec.json").write_text("{}")
         raise error
     assert names(tmp_path) == set()
@@ -104,7 +104,7 @@ def test_a_failed_job_leaves_nothing(tmp_path: Path, error: type[BaseException])
 def test_a_failed_job_leaves_the_earlier_one_as_it_was(tmp_path: Path) -> None:
     out = job(tmp_path / "out", pass_1_rough__nc="G0", notes__txt="mine")
     before = {path.name: path.read_bytes() for path in out.iterdir()}
-    with pytest.raises(ValueError), staging_folder(out, keep=["pass-1-rough.nc"]) as folder:
+    with pytest.raises(ValueError), stage_folder(out, keep=["pass-1-rough.nc"]) as folder:
         write_bytes(folder / "pass-1-rough.nc", b"G1")
         write_bytes(folder / "report.json", b"{}")
         raise ValueError
@@ -114,7 +114,7 @@ def test_a_failed_job_leaves_the_earlier_one_as_it_was(tmp_path: Path) -> None:
 
 def test_a_new_job_replaces_the_old_one_s_files_and_keeps_foreign_ones(tmp_path: Path) -> None:
     out = job(tmp_path / "out", pass_3_finish__nc="old", notes__txt="mine", lens__stl="kept")
-    with staging_folder(out, keep=["lens.stl", "none.png"]) as folder:
+    with stage_folder(out, keep=["lens.stl", "none.png"]) as folder:
         assert names(folder) == {"lens.stl"}
         write_bytes(folder / "report.json", b"new")
         write_bytes(folder / "pass-1-rough.nc", b"new")
@@ -132,7 +132,7 @@ def test_a_killed_job_s_staging_folder_is_cleared_by_the_next(tmp_path: Path) ->
     require_usable_output(tmp_path / "out", force=False)
     mine = tmp_path / ".out.mine.part"
     mine.mkdir()
-    with staging_folder(tmp_path / "out") as folder, staging_folder(tmp_path / "other"):
+    with stage_folder(tmp_path / "out") as folder, stage_folder(tmp_path / "other"):
         (folder / "a").write_text("a")
     assert names(tmp_path) == {"out", "other", ".out.mine.part"}
 
@@ -142,9 +142,9 @@ def test_a_second_job_for_the_same_folder_is_refused_and_the_first_goes_on(tmp_p
     out = tmp_path / "out"
     if there_before:
         out.mkdir()
-    with staging_folder(out) as running:
+    with stage_folder(out) as running:
         (running / "spec.json").write_text("first")
-        with pytest.raises(InputError, match="another causticmill is working on"), staging_folder(out):
+        with pytest.raises(InputError, match="another causticmill is working on"), stage_folder(out):
             pytest.fail("the second job has begun")
     assert (out / "spec.json").read_text() == "first"
     assert names(tmp_path) == {"out"}
@@ -154,7 +154,7 @@ def test_a_second_job_for_the_same_folder_is_refused_and_the_first_goes_on(tmp_p
 def test_an_output_that_exists_is_worked_on_from_inside(tmp_path: Path) -> None:
     """It may be a mount of its own; a rename from outside would fail after hours of work."""
     out = job(tmp_path / "out")
-    with staging_folder(out) as folder:
+    with stage_folder(out) as folder:
         assert folder.parent == out
         assert names(tmp_path) == {"out"}
 
@@ -174,7 +174,7 @@ def test_a_signal_while_a_job_is_put_in_place_comes_too_late(tmp_path: Path, mon
         staging.rename(output)
 
     monkeypatch.setattr(job_files, "_put_in_place", put)
-    with staging_folder(tmp_path / "out") as folder:
+    with stage_folder(tmp_path / "out") as folder:
         (folder / "a").write_text("a")
     assert names(tmp_path / "out") == {"a"}
 

@@ -51,7 +51,7 @@ def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated cau
     white = float(target.max())
     difference = 100.0 * (caustic - target) / white
     rms = float(np.sqrt(np.mean(difference**2)))
-    limit = rounded_up(max(float(np.percentile(np.abs(difference), 99.5)), _LEAST_SCALE_PERCENT))
+    limit = round_up(max(float(np.percentile(np.abs(difference), 99.5)), _LEAST_SCALE_PERCENT))
     figure = new_figure(12.9, 0.55 + panel_height(4.0, *target.shape))
     panels = figure.subplots(1, 3)
     for axes, words, picture in zip(panels, ("Target", title), (target, caustic), strict=False):
@@ -64,7 +64,7 @@ def comparison_png(target: Array, caustic: Array, *, title: str = "Simulated cau
     return png_bytes(figure)
 
 
-def prepared_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes:
+def preparation_png(given: Array, prepared: Array, *, detail_mm: float) -> bytes:
     """The picture as it was given and as the lens aims at it, both with the same amount of light."""
     white = float(max(np.quantile(given, 0.999), np.quantile(prepared, 0.999)))
     figure = new_figure(9.0, 0.5 + panel_height(4.4, *given.shape))
@@ -109,7 +109,7 @@ def png_bytes(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
-def rounded_up(value: float) -> float:
+def round_up(value: float) -> float:
     """The next of 1, 2, 5, 10, ... at or above value; 1 for zero."""
     if value <= 0:
         return 1.0

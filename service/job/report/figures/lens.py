@@ -12,7 +12,7 @@ from matplotlib.colors import LightSource
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
 
-from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, rounded_up
+from service.job.report.figures.base import Array, new_figure, panel_height, png_bytes, round_up
 
 _LINES_SHOWN = 48
 _CONTOURED = 400  # vertices along a side for contour lines: about a pixel and a half each
@@ -49,7 +49,7 @@ def heightfield_png(
     image = heights.imshow(
         z_mm, extent=extent, origin="lower", cmap="viridis", vmin=middle_mm - half_mm, vmax=middle_mm + half_mm
     )
-    step_mm = rounded_up(depth_mm / 25)
+    step_mm = round_up(depth_mm / 25)
     title = f"Height z: relief {depth_mm:.2f} mm"
     if depth_mm > 1e-6:
         levels = np.arange(np.ceil(z_mm.min() / step_mm), np.floor(z_mm.max() / step_mm) + 1) * step_mm
@@ -62,7 +62,7 @@ def heightfield_png(
     bar = figure.colorbar(image, ax=heights, fraction=0.046, pad=0.03)
     bar.set_label("z [mm], 0 = top of the stock")
     heights.set_title(title, fontsize=11)
-    relief.imshow(raking_light(x_mm, y_mm, z_mm), extent=extent, origin="lower", cmap="gray", vmin=0, vmax=1)
+    relief.imshow(shade_by_raking_light(x_mm, y_mm, z_mm), extent=extent, origin="lower", cmap="gray", vmin=0, vmax=1)
     relief.set_title("Relief, lit from the upper left", fontsize=11)
     for axes in (heights, relief):
         axes.set_xlabel("x [mm]")
@@ -84,7 +84,7 @@ def _draw_outline(axes: Axes, outline_mm: Sequence[Sequence[float]], extent: tup
     axes.plot(*zip(*hole, strict=True), color="black", linewidth=1.2)
 
 
-def raking_light(x_mm: Array, y_mm: Array, z_mm: Array) -> Array:
+def shade_by_raking_light(x_mm: Array, y_mm: Array, z_mm: Array) -> Array:
     """Brightness 0 to 1 (ny, nx) of the surface z_mm (ny, nx) lit from the upper left, 40 degrees above the plane."""
     light = LightSource(azdeg=315, altdeg=40)
     dy_mm = float(y_mm[1] - y_mm[0])

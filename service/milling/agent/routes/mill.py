@@ -9,7 +9,7 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from service.milling.agent.agent import Agent
-from service.milling.agent.event_hub import EventStream
+from service.milling.agent.event_hub import HubStream
 
 
 class MillRoutes:
@@ -26,9 +26,9 @@ class MillRoutes:
     async def status(self, _request: Request) -> Response:
         return JSONResponse(self._agent.access.status())
 
-    async def events(self, request: Request) -> EventStream:
+    async def events(self, request: Request) -> HubStream:
         last = request.headers.get("last-event-id", "")
-        return EventStream(self._agent.hub, last, heartbeat_s=self._agent.settings.heartbeat_s)
+        return HubStream(self._agent.hub, last, heartbeat_s=self._agent.settings.heartbeat_s)
 
     async def machine(self, _request: Request) -> Response:
         settings = self._agent.settings

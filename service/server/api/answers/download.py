@@ -41,7 +41,7 @@ async def download(
     if matches(conditions.if_none_match, tag):
         return Response(status_code=304, headers=headers)
     asked = conditions.range if with_body else None  # RFC 9110, 14.2: GET is the only method that has ranges
-    part = wanted_range(asked, conditions.if_range, size=file.bytes, etag=tag)
+    part = parse_range(asked, conditions.if_range, size=file.bytes, etag=tag)
     if with_body and elsewhere and kind not in _INLINE:
         url = await asyncio.to_thread(store.url, file.sha256, file_name=file.name, media_type=kind)
         if url is not None:
@@ -99,7 +99,7 @@ def matches(if_none_match: str | None, etag: str) -> bool:
     return "*" in given or etag in given
 
 
-def wanted_range(range_header: str | None, if_range: str | None, *, size: int, etag: str) -> tuple[int, int] | None:
+def parse_range(range_header: str | None, if_range: str | None, *, size: int, etag: str) -> tuple[int, int] | None:
     """Start and end (exclusive); None for the whole file. Problem 416 where there is no such part.
 
     What is no range, or asks for several, is answered with the whole file, as the RFC allows. An If-Range that is not

@@ -21,7 +21,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from service.server.api.answers.times import iso_time
 from service.server.database.events import BATCH, MOST_NEWS
 from service.server.database.jobs import JobBook
-from service.server.database.records import Event, News, Progress
+from service.server.database.records import JobEvent, News, Progress
 
 _POLL_S = 0.25
 _AFTER_ERROR_S = 2.0
@@ -120,7 +120,7 @@ class Feed:
 
     def _hand_out(self, asked: Mapping[str, int], news: News, *, whole: bool) -> None:
         """To each follower what it has not seen. `whole`: nothing was left behind in the database."""
-        events: dict[str, list[Event]] = {}
+        events: dict[str, list[JobEvent]] = {}
         for event in news.events:
             events.setdefault(event.job_id, []).append(event)
         for follower in [each for each in self._followers if each.job_id in asked]:
@@ -128,7 +128,7 @@ class Feed:
             if whole and follower.job_id in news.progress:
                 self._hand_progress(follower, news.progress[follower.job_id])
 
-    def _hand_events(self, follower: Follower, events: Sequence[Event], *, whole: bool) -> None:
+    def _hand_events(self, follower: Follower, events: Sequence[JobEvent], *, whole: bool) -> None:
         for event in events:
             if event.seq > follower.seen:
                 last = whole and event.kind == "ended" and event is events[-1]  # else it was retried since
@@ -159,7 +159,7 @@ class Feed:
         follower.queue.put_nowait(None)
 
 
-def _text_of(event: Event) -> bytes:
+def _text_of(event: JobEvent) -> bytes:
     data = event.data | {"at": iso_time(event.at)}
     text = json.dumps(data, separators=(",", ":"))
     return f"id: {event.seq}\nevent: {event.kind}\ndata: {text}\n\n".encode()

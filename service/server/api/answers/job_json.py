@@ -13,7 +13,7 @@ from service.server.api.answers import job_json as views
 from service.server.api.answers.times import iso_or_none, iso_time
 from service.server.api.services import Services
 from service.server.database.jobs import MOST_POSITIONS
-from service.server.database.records import Artifact, Job, JobSummary, Progress, StageRun, priority_word
+from service.server.database.records import Artifact, Job, JobListRow, Progress, StageRun, priority_word
 from service.server.database.states import JobState
 
 Json = dict[str, Any]
@@ -31,7 +31,7 @@ _OTHER_TYPE = "application/octet-stream"
 MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values(), _PROGRAM_TYPE, _OTHER_TYPE)})
 
 
-def summary(job: JobSummary, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
+def summary(job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
     """A job as the list shows it; `picture` is the artifact to show for it."""
     address = f"/v1/jobs/{job.id}"
     links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
@@ -76,7 +76,7 @@ def whole(
     }
 
 
-def etag(job: JobSummary, *, position: int | None, progress: Progress | None) -> str:
+def etag(job: JobListRow, *, position: int | None, progress: Progress | None) -> str:
     """Changes with everything that the job's body shows."""
     share = round(_progress(job, progress) * 10_000)
     return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
@@ -110,7 +110,7 @@ def _program(job_id: str, number: int, file: Artifact) -> Json:
     return {"number": number, "name": file.name, "sha256": file.sha256, "bytes": file.bytes, "url": url}
 
 
-def _progress(job: JobSummary, progress: Progress | None) -> float:
+def _progress(job: JobListRow, progress: Progress | None) -> float:
     live = progress.progress if progress is not None and job.state is JobState.RUNNING else job.progress
     return round(min(1.0, max(0.0, job.progress, live)), 4)
 
@@ -141,7 +141,7 @@ def whole_job(services: Services, job: Job) -> dict[str, Any]:
     return views.whole(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
 
 
-def job_list(services: Services, jobs: Sequence[JobSummary]) -> list[dict[str, Any]]:
+def job_list(services: Services, jobs: Sequence[JobListRow]) -> list[dict[str, Any]]:
     book = services.book
     positions = book.queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
     running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
@@ -154,7 +154,7 @@ def job_list(services: Services, jobs: Sequence[JobSummary]) -> list[dict[str, A
     ]
 
 
-def _position(job: JobSummary, positions: Mapping[str, int]) -> int:
+def _position(job: JobListRow, positions: Mapping[str, int]) -> int:
     return positions.get(job.id, MOST_POSITIONS)
 
 

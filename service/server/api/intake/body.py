@@ -21,7 +21,7 @@ _LINGER_S = 2.0
 _LINGER_BYTES = 8_000_000
 
 
-class Body:
+class RequestBody:
     """Read once, by `pieces`."""
 
     def __init__(self, request: Request, *, wait_s: float = _CHUNK_WAIT_S) -> None:

@@ -20,7 +20,7 @@ from PIL import Image  # noqa: E402
 
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.planning.estimate import estimate  # noqa: E402
-from service.job.spec.loading import resolve_spec, validated  # noqa: E402
+from service.job.spec.loading import resolve_spec, validate_spec  # noqa: E402
 from service.processes.line_worker import answer_lines, answer_or_refuse  # noqa: E402
 
 _BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
@@ -43,12 +43,12 @@ def _answer(asked: dict[str, Any]) -> dict[str, Any]:
 def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
     if "prepare" in asked:
-        return _prepared(limits)
-    spec, path, exactly = validated(asked["spec"]), Path(asked["path"]), asked["exactly"]
+        return _prepare(limits)
+    spec, path, exactly = validate_spec(asked["spec"]), Path(asked["path"]), asked["exactly"]
     return {"estimate": estimate(spec, path, limits=limits, name=asked["name"], exactly=exactly)}
 
 
-def _prepared(limits: PictureLimits) -> dict[str, Any]:
+def _prepare(limits: PictureLimits) -> dict[str, Any]:
     """The usual job of a picture that goes from black to white."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "wedge.png"

@@ -23,7 +23,7 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.requests import Request
 
 from service.http.problems import Problem
-from service.server.api.intake.body import Body
+from service.server.api.intake.body import RequestBody
 from service.server.api.intake.disk_space import Space
 
 if TYPE_CHECKING:
@@ -49,7 +49,7 @@ class JobForm:
 
 
 @contextlib.asynccontextmanager
-async def received_form(
+async def receive_form(
     request: Request,
     folder: Path,
     *,
@@ -63,7 +63,7 @@ async def received_form(
     picture : name of the part that holds the picture
     small   : names of the other parts that are taken, and how many bytes each may have
     """
-    body = Body(request)
+    body = RequestBody(request)
     try:
         with _new_file(folder) as (path, file):
             yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space, picture, small))
@@ -72,7 +72,7 @@ async def received_form(
         raise
 
 
-async def _read(request: Request, body: Body, reader: _Reader) -> JobForm:
+async def _read(request: Request, body: RequestBody, reader: _Reader) -> JobForm:
     boundary, most = _boundary(request), reader.most + SPEC_BYTES + _OVERHEAD_BYTES
     _require_fitting(request, most, reader.picture)
     parser = MultipartParser(boundary, reader.callbacks(), max_header_count=8, max_header_size=2048)

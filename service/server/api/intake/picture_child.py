@@ -22,7 +22,7 @@ from PIL import (  # noqa: F401
 )
 
 from service.errors import PictureError
-from service.job.picture.decoding import checked
+from service.job.picture.decoding import check_picture
 from service.job.picture.limits import UPLOAD_FORMATS, PictureLimits
 from service.processes.line_worker import answer_lines
 
@@ -43,7 +43,7 @@ def main() -> None:
 def _answer(asked: dict[str, Any]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"], formats=UPLOAD_FORMATS)
     try:
-        return {"facts": dataclasses.asdict(checked(Path(asked["path"]), limits, asked["name"]))}
+        return {"facts": dataclasses.asdict(check_picture(Path(asked["path"]), limits, asked["name"]))}
     except PictureError as error:
         return {"refused": str(error).split("\n")}
 

@@ -29,7 +29,7 @@ class JobRequest:
 
 def job_request(form: JobForm) -> JobRequest:
     """SpecError or Problem for what cannot be used."""
-    spec = _resolved(bytes(form.texts.get("spec", b"")))
+    spec = _resolve(bytes(form.texts.get("spec", b"")))
     priority = _priority(form.texts.get("priority"))
     whole = [form.image_sha256, spec, priority]
     digest = hashlib.sha256(json.dumps(whole, sort_keys=True, separators=(",", ":")).encode())
@@ -46,8 +46,8 @@ def idempotency_key(header: str | None, principal: Principal) -> ClientKey | Non
     return ClientKey(principal.id, key)
 
 
-def _resolved(text: bytes) -> dict[str, Any]:
-    data = _parsed(text) if text.strip() else {}
+def _resolve(text: bytes) -> dict[str, Any]:
+    data = _parse(text) if text.strip() else {}
     try:
         return resolve_spec(base=data).model_dump(mode="json")
     except SpecError:
@@ -56,7 +56,7 @@ def _resolved(text: bytes) -> dict[str, Any]:
         raise Problem(422, "the spec is not made as a spec is", field="spec", kind=Kind.SPEC) from error
 
 
-def _parsed(text: bytes) -> dict[str, Any]:
+def _parse(text: bytes) -> dict[str, Any]:
     """The JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
 
     The values are counted before they are parsed: what each of them costs from here on is paid by this process.

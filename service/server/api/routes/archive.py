@@ -68,7 +68,7 @@ async def archive(
         return Response(headers=headers, media_type="application/zip")
     for file in files:
         await asyncio.to_thread(services.store.head, file.sha256)  # refused now, not in the middle
-    pieces = _zipped(services.store, files)
+    pieces = _zip(services.store, files)
     return StreamingResponse(in_threads(pieces), headers=headers, media_type="application/zip")
 
 
@@ -89,7 +89,7 @@ class _Outlet:
         return held
 
 
-def _zipped(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
+def _zip(store: Store, files: Sequence[Artifact]) -> Iterator[bytes]:
     outlet = _Outlet()
     with zipfile.ZipFile(outlet, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:  # type: ignore[call-overload]
         for file in files:

@@ -10,7 +10,7 @@ from starlette.responses import JSONResponse, Response
 
 from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
-from service.server.api.intake.form import JobForm, received_form
+from service.server.api.intake.form import JobForm, receive_form
 from service.server.api.intake.request import job_request
 from service.server.api.openapi import answers, example
 from service.server.api.routes.submit import JOB_FORM
@@ -36,7 +36,7 @@ Exactly = Annotated[bool, Query(description="from a lens as fine as the picture,
     responses=answers({200: example(ESTIMATE_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=JOB_FORM,
 )
-async def estimated(request: Request, principal: Writer, tab: Tab = "", exactly: Exactly = False) -> Response:
+async def post_estimate(request: Request, principal: Writer, tab: Tab = "", exactly: Exactly = False) -> Response:
     """Relief, hours and blur, from a coarse picture unless it is to be exact. A caller who asks again ends the requests
     before with 409, but an exact one lets a coarse one be; several windows of one caller name themselves, and do not
     end each other's.
@@ -45,7 +45,7 @@ async def estimated(request: Request, principal: Writer, tab: Tab = "", exactly:
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
     limit = int(settings.max_upload_mb * 1e6)
-    async with received_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
+    async with receive_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
         wanted = await asyncio.to_thread(job_request, form)
         async with services.accepting:
             await asyncio.to_thread(_check_picture, services, form)

@@ -49,14 +49,14 @@ async def pair(request: Request, body: PairingBody) -> Response:
 
     Five wrong tries may come at once from an address, then one a minute; 429 says when to try again.
     """
-    token, secret = await asyncio.to_thread(_paired, request, body)
+    token, secret = await asyncio.to_thread(_pair, request, body)
     told = {"token": secret, "name": token.name, "scopes": sorted(token.scopes)}
     return JSONResponse(
         told | {"expires_at": iso_or_none(token.expires_at)}, status_code=201, headers={"Cache-Control": "no-store"}
     )
 
 
-def _paired(request: Request, body: PairingBody) -> tuple[Token, str]:
+def _pair(request: Request, body: PairingBody) -> tuple[Token, str]:
     """In a thread: digests are slow, and a terminal may be, too."""
     services = services_of(request)
     address = address_of(request.scope, behind_proxy=services.settings.behind_proxy)

@@ -36,7 +36,7 @@ _JOB: Responses = {200: example(JOB_EXAMPLE)}
     response_model=JobList,
     responses=answers({200: example({"jobs": [SUMMARY_EXAMPLE], "next": None})}),
 )
-async def listed(
+async def list_jobs(
     request: Request,
     _: Reader,
     state: Annotated[list[State] | None, Query(description="only jobs in this state; may be repeated")] = None,
@@ -80,7 +80,7 @@ async def cancel(request: Request, principal: Writer, job_id: JobId) -> Response
             _tell_engine(services, job)
         return whole_job(services, job)
 
-    return _changed(await asyncio.to_thread(change), 200)
+    return _change(await asyncio.to_thread(change), 200)
 
 
 @router.post(
@@ -99,7 +99,7 @@ async def retry(request: Request, principal: Writer, job_id: JobId) -> Response:
         hand_to_engine(services, job)
         return whole_job(services, job)
 
-    return _changed(await asyncio.to_thread(change), 202)
+    return _change(await asyncio.to_thread(change), 202)
 
 
 @router.delete(
@@ -140,6 +140,6 @@ def _tell_engine(services: Services, job: Job) -> None:
         _log.warning("engine was not told", job=job.id, error=str(error)[:200])
 
 
-def _changed(body: dict[str, Any], status: int) -> Response:
+def _change(body: dict[str, Any], status: int) -> Response:
     headers = {"ETag": body["etag"], "Location": body["links"]["self"]}
     return JSONResponse(body, status_code=status, headers=headers)

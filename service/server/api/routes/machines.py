@@ -39,7 +39,7 @@ MachineName = Annotated[
     response_model=MachineList,
     responses=answers({200: example(MACHINES_EXAMPLE)}),
 )
-async def listed(request: Request, _: Reader) -> Response:
+async def list_machines(request: Request, _: Reader) -> Response:
     """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
     return JSONResponse(await services_of(request).fleet.machines())
 

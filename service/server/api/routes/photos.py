@@ -24,7 +24,7 @@ from service.job import files as job_files
 from service.job.photo.names import FORETOLD
 from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
-from service.server.api.intake.form import received_form
+from service.server.api.intake.form import receive_form
 from service.server.api.openapi import Responses, answers, example, refusals
 from service.server.api.routes.archive import ZIP
 from service.server.api.routes.jobs import JobId
@@ -71,7 +71,7 @@ _ZIP_ANSWERS: Responses = {
     responses=answers({200: example(LOOK_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=_PHOTO_FORM,
 )
-async def looked(request: Request, principal: Writer, job_id: JobId) -> Response:
+async def post_look(request: Request, principal: Writer, job_id: JobId) -> Response:
     """What is off: distance, tilt, turn, sharpness, surface, each with how surely it is told. A photograph that tells
     nothing is refused with what to do. A caller who asks again of the same job ends the request before with 409.
     """
@@ -143,7 +143,7 @@ async def _receive_photo(request: Request) -> AsyncIterator[dict[str, Any]]:
     await asyncio.to_thread(space.require)
     limit, most = int(settings.max_upload_mb * 1e6), int(settings.max_megapixels * 1e6)
     uploads = settings.data / "uploads"
-    async with received_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
+    async with receive_form(request, uploads, max_image_bytes=limit, space=space, picture=_PART, small={}) as form:
         try:
             async with services.accepting:
                 await asyncio.to_thread(services.pictures.check, form.path, form.image_name, most)

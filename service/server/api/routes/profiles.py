@@ -12,7 +12,7 @@ from fastapi import APIRouter, Request
 from starlette.responses import JSONResponse, Response
 
 from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
-from service.job.spec.minimal import asked_spec
+from service.job.spec.minimal import reduce_spec
 from service.server.api.access.scopes import Reader
 from service.server.api.openapi import answers, example
 from service.server.api.routes.artifacts import Asked, byte_answers, sent
@@ -65,10 +65,10 @@ async def profiles(request: Request, _: Reader) -> Response:
     response_model=RequestView,
     responses=answers({200: example(_REQUEST)}),
 )
-async def asked(request: Request, _: Reader, job_id: JobId) -> Response:
+async def get_request(request: Request, _: Reader, job_id: JobId) -> Response:
     """To be changed and posted as a new job: the spec is as short as it can be, and resolves to that of the job."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
-    spec = await asyncio.to_thread(asked_spec, job.spec)
+    spec = await asyncio.to_thread(reduce_spec, job.spec)
     return JSONResponse({"name": job.name, "spec": spec, "image": f"/v1/jobs/{job.id}/image"})
 
 

@@ -44,7 +44,7 @@ _STREAM: Responses = {
     response_model=RunList,
     responses=answers({200: example(RUNS_EXAMPLE)}),
 )
-async def listed(
+async def list_runs(
     request: Request,
     _: Reader,
     machine: Annotated[str | None, Query(max_length=100, pattern=PLAIN, description="only on this mill")] = None,

@@ -13,7 +13,7 @@ from service.http.problems import Problem
 from service.server.api.access.scopes import Writer
 from service.server.api.answers.job_json import whole_job
 from service.server.api.intake.disk_space import Space
-from service.server.api.intake.form import JobForm, received_form
+from service.server.api.intake.form import JobForm, receive_form
 from service.server.api.intake.request import JobRequest, idempotency_key, job_request
 from service.server.api.openapi import answers, example
 from service.server.api.schemas.jobs import JOB_EXAMPLE, JobView
@@ -89,7 +89,7 @@ async def submit(
     settings, space = services.settings, Space(services.settings)
     await asyncio.to_thread(space.require)
     limit = int(settings.max_upload_mb * 1e6)
-    async with received_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
+    async with receive_form(request, settings.data / "uploads", max_image_bytes=limit, space=space) as form:
         wanted = await asyncio.to_thread(job_request, form)
         await asyncio.to_thread(space.require_for_programs, wanted.spec)
         async with services.accepting:

@@ -31,7 +31,7 @@ TokenId = Annotated[
     response_model=TokenList,
     responses=answers({200: example(TOKENS_EXAMPLE)}),
 )
-async def listed(request: Request, _: Admin) -> Response:
+async def list_tokens(request: Request, _: Admin) -> Response:
     """All that were ever made, oldest first. The tokens themselves are known to nobody."""
     found = await asyncio.to_thread(services_of(request).tokens.listed)
     return JSONResponse({"tokens": [_view(token) for token in found]})

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
-from service.errors import InputError, JobError, PictureError, SpecError, printable, sentence_of_os_error
+from service.errors import InputError, PictureError, ServiceError, SpecError, printable, sentence_of_os_error
 from service.processes.linux import address_space_bytes, die_with_parent, name_process
 
 Entry = Callable[[dict[str, Any], Callable[[float], None]], dict[str, Any]]
@@ -154,7 +154,7 @@ def _work(given: ChildOrder, words: PipeOfWords) -> dict[str, Any]:
         return {"result": find_entry(given.entry)(order, words.share)}
     except InputError as error:
         return {"refused": str(error).split("\n"), "field": _field(error)}
-    except JobError as error:
+    except ServiceError as error:
         return {"failed": str(error).split("\n")}
     except BaseException as error:  # SystemExit of a library, too: the process has its say before it ends
         traceback.print_exc()

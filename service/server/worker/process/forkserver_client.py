@@ -179,7 +179,7 @@ class _Life:
         self._line.close()
         self._its_line.close()
         if self._process is not None:
-            code = _waited_for(self._process)
+            code = _wait_for(self._process)
             self.words = self.words or f"the stages' process ended (code {code})"
         with self.lock:
             self.over.set()
@@ -191,7 +191,7 @@ class _Life:
             child.gone.set()
 
 
-def _waited_for(process: subprocess.Popen[bytes]) -> int:
+def _wait_for(process: subprocess.Popen[bytes]) -> int:
     try:
         return process.wait(timeout=4.0)
     except subprocess.TimeoutExpired:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from service.errors import printable
-from service.processes.linux import living_members, signal_group, signal_stage
+from service.processes.linux import list_living_members, signal_group, signal_stage
 from service.server.worker.process.child import out_of_memory
 from service.server.worker.process.forkserver_client import Child, NurseryLink
 from service.server.worker.process.log import StageLog
@@ -100,7 +100,7 @@ class Supervision:
                 self._link.give_up(self._child)
                 self._child.gone.wait()
         if self._child.orphaned:
-            while living_members(self._child.pid):
+            while list_living_members(self._child.pid):
                 signal_group(self._child.pid, signal.SIGKILL)
                 time.sleep(0.01)
 

@@ -16,16 +16,16 @@ from optics.irradiance import picture_from_irradiance
 from optics.spline import Array
 from service.job.coupon.findings import (
     SENTENCES,
+    CouponFinding,
     CouponResult,
-    Finding,
     PhotoRefused,
-    finding_lines,
     measure_photo,
+    print_findings,
     snippet,
 )
 from service.job.coupon.photograph import Photo
 from service.job.coupon.piece import coupon_of, coupon_spec
-from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, Foretold
+from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, ForetoldPiece
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from tests.optics.coupon.pieces import smooth_piece
@@ -43,13 +43,13 @@ def spec() -> JobSpec:
 
 
 @cache
-def foretold() -> Foretold:
+def foretold() -> ForetoldPiece:
     piece = smooth_piece()
     finishes = [Finish(k0_rad_per_mm=k0, order=2.0) for k0 in TEMPLATES_RAD_PER_MM]
     right = piece.light("right", None, pixels=TEMPLATE_PIXELS)
     templates = tuple(piece.light("left", one, pixels=TEMPLATE_PIXELS) + right for one in finishes)
     y = np.linspace(-4.0, HEIGHT_MM + 4.0, 50)
-    return Foretold(profiles=piece.profiles, templates=templates, across=np.array([y, np.ones(50)]))
+    return ForetoldPiece(profiles=piece.profiles, templates=templates, across=np.array([y, np.ones(50)]))
 
 
 @cache
@@ -91,7 +91,7 @@ def test_k0_is_found_from_aside_whatever_the_exposure(k0: float, order: float, s
     assert result.fit.k0_rad_per_mm == pytest.approx(k0, rel=0.15)
     assert result.finished == "left"
     assert result.placed.registration.confidence > 0.9
-    assert len(list(finding_lines(result))) >= 4 + len(result.fit.ripples)
+    assert len(list(print_findings(result))) >= 4 + len(result.fit.ripples)
     report = result.report()
     assert report["finish"]["k0_rad_per_mm"] == result.fit.k0_rad_per_mm
     assert "k0_rad_per_mm = " in snippet(result)
@@ -139,6 +139,6 @@ def test_every_sentence_can_be_said() -> None:
     """The values that a sentence names are those of its finding: no braces are left."""
     for code, sentence in SENTENCES.items():
         values = {name: 1.0 for _, name, _, _ in Formatter().parse(sentence) if name}
-        said = Finding(code, values).sentence()
+        said = CouponFinding(code, values).sentence()
         assert "{" not in said
         assert not said[0].isupper()

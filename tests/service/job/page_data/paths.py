@@ -12,7 +12,7 @@ import numpy as np
 from cam.duration import Kinematics
 from cam.reading.gcode import MoveBatch
 from optics.heightfield import Array
-from service.job.page_data.header import parted
+from service.job.page_data.header import split_header
 from service.job.page_data.path import PathDrawing
 
 MILL = Kinematics(
@@ -97,7 +97,7 @@ def written(folder: Path, batches: list[MoveBatch], *, side_mm: float = 20.0) ->
 
 
 def header(data: bytes) -> dict[str, Any]:
-    return parted(data)[0]
+    return split_header(data)[0]
 
 
 def level(data: bytes, number: int) -> Drawn:

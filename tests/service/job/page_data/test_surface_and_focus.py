@@ -10,7 +10,7 @@ from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance
 from service.job.page_data.focus import FACTORS, focus_bytes
-from service.job.page_data.header import header_line, parted
+from service.job.page_data.header import header_line, split_header
 from service.job.page_data.surface import surface_bytes
 from service.job.report.figures.base import srgb_levels
 
@@ -30,12 +30,12 @@ def test_arrays_begin_at_a_multiple_of_eight(length: int) -> None:
     line = header_line({"name": "a" * length})
     assert len(line) % 8 == 0
     assert line.endswith(b"\n")
-    assert parted(line + b"\n123") == ({"name": "a" * length}, len(line))
+    assert split_header(line + b"\n123") == ({"name": "a" * length}, len(line))
 
 
 def test_the_surface_is_the_lens_to_its_step(lens: Heightfield) -> None:
     data = surface_bytes(lens, thickness_mm=20.0, margin_mm=5.0, outline_mm=None)
-    facts, start = parted(data)
+    facts, start = split_header(data)
     z = np.frombuffer(data, "<u2", offset=start).reshape(facts["ny"], facts["nx"])
     assert (facts["nx"], facts["ny"]) == (257, 172)
     x = facts["x0_mm"] + facts["dx_mm"] * np.arange(facts["nx"])
@@ -47,7 +47,9 @@ def test_the_surface_is_the_lens_to_its_step(lens: Heightfield) -> None:
 
 def test_a_flat_lens_has_no_steps() -> None:
     flat = Heightfield.on_aperture(np.full((9, 9), -0.5), width_mm=10.0, height_mm=10.0)
-    facts, start = parted(data := surface_bytes(flat, thickness_mm=9.0, margin_mm=1.0, outline_mm=[[0, 0], [1, 0]]))
+    facts, start = split_header(
+        data := surface_bytes(flat, thickness_mm=9.0, margin_mm=1.0, outline_mm=[[0, 0], [1, 0]])
+    )
     assert (facts["z0_mm"], facts["dz_mm"]) == (pytest.approx(-0.5), pytest.approx(0.0, abs=1e-15))
     assert len(data) == start + 2 * 257 * 257
 
@@ -56,7 +58,7 @@ def test_a_flat_lens_has_no_steps() -> None:
 def test_frames_are_the_light_at_each_distance_as_it_is_seen(lens: Heightfield, viewed_from: str) -> None:
     bench = Bench.centred(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
     data = focus_bytes(lens, bench, shape=(80, 120), white=2.0, viewed_from=viewed_from)
-    facts, start = parted(data)
+    facts, start = split_header(data)
     frames = np.frombuffer(data, np.uint8, offset=start).reshape(len(FACTORS), facts["ny"], facts["nx"])
     assert 13 <= len(FACTORS) <= 17
     assert (facts["factors"][0], facts["factors"][-1]) == (0.5, 1.6)
@@ -70,5 +72,5 @@ def test_frames_are_the_light_at_each_distance_as_it_is_seen(lens: Heightfield, 
 
 def test_large_pictures_are_made_smaller(lens: Heightfield) -> None:
     bench = Bench.centred(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
-    facts, _ = parted(focus_bytes(lens, bench, shape=(400, 600), white=2.0, viewed_from="lens"))
+    facts, _ = split_header(focus_bytes(lens, bench, shape=(400, 600), white=2.0, viewed_from="lens"))
     assert (facts["nx"], facts["ny"]) == (256, 171)

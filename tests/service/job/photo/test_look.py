@@ -18,9 +18,9 @@ from optics.spline import Array
 from service.cli import main as cli
 from service.errors import InputError, PictureError
 from service.job.arrays import heightfield_bytes, target_bytes
-from service.job.photo.findings import REFUSALS, SENTENCES, Finding, UselessPhotoError
+from service.job.photo.findings import REFUSALS, SENTENCES, PhotoFinding, UselessPhotoError
 from service.job.photo.foretold import foretold_of
-from service.job.photo.looking import _leaning, look_at
+from service.job.photo.looking import _find_tilt, look_at
 from service.job.photo.reading import WallPhoto, read_wall_photo
 from service.job.picture.limits import PictureLimits
 from service.job.report.figures.base import picture_png
@@ -197,7 +197,7 @@ def test_every_code_has_a_sentence_that_its_values_make(job: Path) -> None:
         "terms": [{"order_x": 2, "order_y": 1, "um": 4.0, "deviation_um": 0.5}],
     }
     for code in SENTENCES:
-        assert Finding(code=code, values=values).sentence()
+        assert PhotoFinding(code=code, values=values).sentence()
     for code in REFUSALS:
         assert str(UselessPhotoError("x", code, **values)).startswith("x: ")
 
@@ -207,7 +207,7 @@ def test_sides_are_those_of_the_viewer(job: Path) -> None:
     sure, none = (Estimate(value=value, deviation=0.001, expected=0.05) for value in (0.04, 0.0))
     here = foretold_of(job)
     there = replace(here, viewed_from="behind")
-    assert _leaning("wall_tilted", (sure, none), here)[0].values["sides"] == ["left"]
-    assert _leaning("wall_tilted", (sure, none), there)[0].values["sides"] == ["right"]
-    assert _leaning("wall_tilted", (none, sure), here)[0].values["sides"] == ["top"]
-    assert _leaning("wall_tilted", (none, none), here) == []
+    assert _find_tilt("wall_tilted", (sure, none), here)[0].values["sides"] == ["left"]
+    assert _find_tilt("wall_tilted", (sure, none), there)[0].values["sides"] == ["right"]
+    assert _find_tilt("wall_tilted", (none, sure), here)[0].values["sides"] == ["top"]
+    assert _find_tilt("wall_tilted", (none, none), here) == []

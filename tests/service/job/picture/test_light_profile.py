@@ -11,7 +11,7 @@ from PIL import Image
 
 from service.cli.main import run
 from service.client.submit import spec_text
-from service.errors import JobError
+from service.errors import ServiceError
 from service.job.picture.light_profile import light_rows
 from service.job.spec.loading import resolve_spec
 
@@ -58,10 +58,10 @@ def test_what_is_no_picture_of_light_is_one_line(tmp_path: Path) -> None:
     Image.new("L", (8, 8)).save(black)
     Image.new("L", (1, 9), 9).save(thin)
     for path, words in ((black, "black everywhere"), (thin, "at least 8 x 8"), (tmp_path / "none.png", "none.png")):
-        with pytest.raises(JobError, match=words) as caught:
+        with pytest.raises(ServiceError, match=words) as caught:
             light_rows(path, tone="srgb")
         assert "\n" not in str(caught.value)
-    with pytest.raises(JobError, match=r"gaussian_mm: 90 is not allowed beside profile"):
+    with pytest.raises(ServiceError, match=r"gaussian_mm: 90 is not allowed beside profile"):
         path = saved(np.full((8, 8), 9), tmp_path / "even.png")
         resolve_spec(overrides=["optics.light.gaussian_mm=90"], light_picture=path)
 

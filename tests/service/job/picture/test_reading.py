@@ -15,7 +15,7 @@ from PIL import Image
 
 from service.errors import PictureError
 from service.job.picture.reading import Picture, read_picture
-from service.job.picture.resampling import Span, resampling_weights
+from service.job.picture.resampling import Span, weights_to_resample
 from service.job.picture.tone import linear_to_srgb, srgb_to_linear
 from service.job.spec.model import ImageSpec
 
@@ -139,7 +139,7 @@ def test_invert_is_a_negative_in_the_picture_s_tones(tmp_path: Path) -> None:
 def test_shrinking_keeps_the_mean_light(width: int, height: int, seed: int) -> None:
     """Stretched to fewer pixels, whatever the ratio, total light is exact: area averages, in linear light."""
     values = np.random.default_rng(seed).random((height, width))
-    across, down = (resampling_weights(n, Span(0, n), 16) for n in (width, height))
+    across, down = (weights_to_resample(n, Span(0, n), 16) for n in (width, height))
     assert (down @ values @ across.T).mean() == pytest.approx(values.mean(), rel=1e-12)
     np.testing.assert_allclose(across.sum(axis=1), 1.0)
 
@@ -147,7 +147,7 @@ def test_shrinking_keeps_the_mean_light(width: int, height: int, seed: int) -> N
 @given(st.integers(8, 60), st.integers(61, 300))
 def test_enlarging_keeps_constants_and_places(size: int, count: int) -> None:
     """Weights sum to 1, and a straight ramp stays one away from the edges (Catmull-Rom)."""
-    weights = resampling_weights(size, Span(0, size), count)
+    weights = weights_to_resample(size, Span(0, size), count)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     centres = (np.arange(count) + 0.5) * size / count
     inner = (centres > 2) & (centres < size - 2)

@@ -115,10 +115,10 @@ def test_the_picture_is_decoded_once_for_all_that_is_asked_of_it(monkeypatch: py
 
     def counted(path: Path, limits: PictureLimits, name: str) -> Image.Image:
         seen.append(path)
-        return decoding.decoded(path, limits, name)
+        return decoding.decode_picture(path, limits, name)
 
     for module in (estimating, pictures):
-        monkeypatch.setattr(module, "decoded", counted)
+        monkeypatch.setattr(module, "decode_picture", counted)
     estimated(small())
     assert len(seen) == 1
 

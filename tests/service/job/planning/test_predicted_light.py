@@ -15,7 +15,7 @@ from cam.planning.planner import Marks
 from cam.planning.row_slopes import RowSlopes, SlopeSpread, even_slopes
 from optics.bench import Bench
 from optics.heightfield import Heightfield
-from optics.refraction import refracted_tangent
+from optics.refraction import tangent_per_slope
 from service.job.planning.predicted_light import PictureLight
 from service.job.planning.waves import Waves, lost_when_sharpened
 
@@ -65,7 +65,7 @@ def test_a_slope_error_sends_light_as_far_as_snell_says(slope: float, mirror: bo
     made = PictureLight(even(), replace(BENCH, mirror=mirror))
 
     def thrown(s: float) -> float:
-        return 2 * s / (1 - s * s) if mirror else s * float(refracted_tangent(s * s, INDEX))
+        return 2 * s / (1 - s * s) if mirror else s * float(tangent_per_slope(s * s, INDEX))
 
     small, drop = 1e-4, THROW - form.heights_mm.mean()
     along = (thrown(slope + small) - thrown(slope - small)) / (2 * small)

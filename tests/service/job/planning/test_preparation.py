@@ -24,8 +24,8 @@ from service.job.planning.preparation import (
     score_against,
     scores_against_original,
 )
-from service.job.report.finishing import finishing_card
-from service.job.report.optics import prepared_sentences
+from service.job.report.finishing import make_finishing_card
+from service.job.report.optics import sentences_of_preparation
 from service.job.report.setup_sheet import render_report
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
@@ -57,7 +57,7 @@ def test_two_tones_stay_and_it_is_said() -> None:
     aimed = aim_at_picture(resolve_spec(overrides=[DETAIL]), logo)
     assert aimed.original is None
     assert (aimed.target == target_irradiance(logo, viewed_from="lens")).all()
-    (sentence,) = prepared_sentences({"image": aimed.figures()})
+    (sentence,) = sentences_of_preparation({"image": aimed.figures()})
     assert "left as it is" in sentence
 
 
@@ -149,17 +149,17 @@ IMAGE: dict[str, Any] = {
 
 def test_the_sheet_says_what_was_done_and_which_picture_scores_are_against() -> None:
     milled = {"psnr_db": 24.0, "against_original": {"psnr_db": 18.2, "ssim": 0.5}}
-    (sentence,) = prepared_sentences({"image": IMAGE, "as_milled": milled})
+    (sentence,) = sentences_of_preparation({"image": IMAGE, "as_milled": milled})
     for words in ("1.3 mm", "6.0 % of the mean", "20.5 dB, SSIM 0.810", "as milled 18.2 dB"):
         assert words in sentence
     page = render_report({"image": IMAGE}, files=["prepared.png"])
     assert 'src="prepared.png"' in page and "contrast is raised" in page
-    assert prepared_sentences({}) == []
+    assert sentences_of_preparation({}) == []
 
 
 def test_words_compare_the_wall_with_the_picture_as_given() -> None:
     """A prepared picture of more contrast scores lower for the same wall; a person does not see it."""
     finished = {"psnr_db": 19.2, "against_original": {"psnr_db": 21.6, "ssim": 0.6}}
-    card = finishing_card({"finishing": {"process": "felt", "steps": ["Rub."]}, "as_finished": finished})
+    card = make_finishing_card({"finishing": {"process": "felt", "steps": ["Rub."]}, "as_finished": finished})
     assert card is not None
     assert card["rows"] == [("The wall as finished", "21.6 dB: recognisable, visibly soft or uneven")]

@@ -10,9 +10,9 @@ from PIL import Image
 
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.paper.flow import FlowSnapshot
-from service.job.report.figures.base import comparison_png, picture_png, rounded_up, srgb_levels, through_focus_png
+from service.job.report.figures.base import comparison_png, picture_png, round_up, srgb_levels, through_focus_png
 from service.job.report.figures.contour_sample import ContourSample
-from service.job.report.figures.lens import flow_png, heightfield_png, raking_light
+from service.job.report.figures.lens import flow_png, heightfield_png, shade_by_raking_light
 from service.job.report.figures.paths import PathSample, toolpath_png
 
 
@@ -61,7 +61,7 @@ def test_a_scaled_picture_repeats_whole_pixels():
 
 @given(st.floats(1e-6, 1e6))
 def test_a_rounded_scale_is_the_next_one_two_or_five(value):
-    limit = rounded_up(value)
+    limit = round_up(value)
     assert value <= limit * (1 + 1e-9)
     assert limit <= 2.5 * value * (1 + 1e-6)
     assert f"{limit:e}"[0] in "125"
@@ -100,7 +100,7 @@ def test_the_rounding_errors_of_a_flat_lens_have_no_colour():
 def test_light_from_the_upper_left_brightens_the_upper_left_flank_of_a_hill():
     axis = np.linspace(-5, 5, 41)
     hill = np.exp(-(axis[None, :] ** 2 + axis[:, None] ** 2) / 6)  # row 0 at the lowest y
-    shade = raking_light(axis, axis, hill)
+    shade = shade_by_raking_light(axis, axis, hill)
     assert shade[26, 14] > shade[20, 20] > shade[14, 26]
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from service.job.report.figures.light import as_milled_png, busiest_part
-from service.job.report.milled import CAUSES, detail_lost, milled_sentences
+from service.job.report.milled import CAUSES, detail_lost, sentences_as_milled
 from service.job.report.setup_sheet import render_report
 
 MILLED = {
@@ -17,19 +17,19 @@ MILLED = {
 
 
 def test_the_sheet_says_what_to_expect_and_what_costs_most():
-    told = " ".join(milled_sentences(MILLED))
+    told = " ".join(sentences_as_milled(MILLED))
     for word in ("24.4 dB", "41.0 dB", "11.9 mrad", "2.9 in Y", "2 µm", "0.5 µm", "3.2 dB", *CAUSES["steps"]):
         assert word in told
-    assert milled_sentences({}) == []
+    assert sentences_as_milled({}) == []
     quiet = {**MILLED, "gain_db_without": dict.fromkeys(CAUSES, 0.1)}
-    assert len(milled_sentences(quiet)) == 2
+    assert len(sentences_as_milled(quiet)) == 2
 
 
 @pytest.mark.parametrize("gain", [0.4, 2.3, 9.9, 15.0])
 def test_what_one_cause_brings_is_told_beside_what_all_of_them_cost(gain: float):
     """2.3 dB beside a loss of 15 dB reads as a contradiction unless it is said where the rest is."""
     lossy = {**MILLED, "psnr_db": 15.0, "psnr_db_designed": 30.0}
-    told = milled_sentences({**lossy, "gain_db_without": {"scallops": gain, "steps": gain / 2}})[1]
+    told = sentences_as_milled({**lossy, "gain_db_without": {"scallops": gain, "steps": gain / 2}})[1]
     assert f"{gain:.1f} dB" in told and CAUSES["scallops"][0] in told
     explains_it_all = gain > 0.7 * 15
     assert ("15.0 dB" in told and CAUSES["steps"][0] in told) is not explains_it_all
@@ -37,13 +37,13 @@ def test_what_one_cause_brings_is_told_beside_what_all_of_them_cost(gain: float)
 
 @pytest.mark.parametrize(("psnr_db", "words"), [(15.0, "hard to recognise"), (30.0, "plainly the picture")])
 def test_a_figure_never_stands_without_what_an_eye_makes_of_it(psnr_db: float, words: str):
-    assert f"({psnr_db} dB): {words}" in milled_sentences({**MILLED, "psnr_db": psnr_db})[0]
+    assert f"({psnr_db} dB): {words}" in sentences_as_milled({**MILLED, "psnr_db": psnr_db})[0]
 
 
 def test_a_lens_that_is_made_for_its_marks_is_not_to_be_polished():
-    sharpened = " ".join(milled_sentences({**MILLED, "psnr_db": 22.8, "psnr_db_designed": 16.8}))
+    sharpened = " ".join(sentences_as_milled({**MILLED, "psnr_db": 22.8, "psnr_db_designed": 16.8}))
     assert "Do not polish it" in sharpened and "16.8 dB" in sharpened
-    assert "Do not polish" not in " ".join(milled_sentences(MILLED))
+    assert "Do not polish" not in " ".join(sentences_as_milled(MILLED))
 
 
 def test_a_blur_of_more_than_a_pixel_is_a_warning():

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import InputError
-from service.job.report.finishing import finishing_card
+from service.job.report.finishing import make_finishing_card
 from service.job.report.setup_sheet import render_report
 from service.job.spec import finishing
 from service.job.spec.finishing import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
@@ -173,7 +173,7 @@ def test_instructions_take_the_job_s_own_figures_and_the_rest_from_the_library()
 @pytest.mark.parametrize("name", ["none", "magic"])
 def test_figures_without_a_process_are_told_and_that_nobody_knows_how(name: str) -> None:
     found = told(name, k0_rad_per_mm=4.0, order=2.0, minutes=5.0, depth_um=3.0)
-    card = finishing_card({"finishing": found})
+    card = make_finishing_card({"finishing": found})
     assert card is not None
     assert card["steps"] == []
     assert any("no library" in sentence for sentence in card["warnings"])
@@ -219,8 +219,8 @@ def test_what_the_sheet_says_is_made_anew_when_the_library_changes(
 
 def test_a_finish_that_makes_it_worse_is_said_first() -> None:
     worse = {**SEEN, "as_finished": {"psnr_db": 12.0}, "finishing": told()}
-    card = finishing_card(worse)
+    card = make_finishing_card(worse)
     assert card is not None
     assert "12.0 dB instead of 15.3 dB" in card["warnings"][0]
-    (outside,) = finishing_card({**SEEN, "finishing": told(minutes=0.2)})["warnings"]  # type: ignore[index]
+    (outside,) = make_finishing_card({**SEEN, "finishing": told(minutes=0.2)})["warnings"]  # type: ignore[index]
     assert "12 s lies outside" in outside

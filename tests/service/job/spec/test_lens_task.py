@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from optics.caustic import simulate_caustic
 from optics.heightfield import Heightfield
 from optics.light import meet, strength_on_face
-from service.job.spec.lens_task import bench_of, blocked_by_the_screen, lens_settings
+from service.job.spec.lens_task import bench_of, explain_blocked_light, lens_settings
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 
@@ -123,5 +123,5 @@ def test_the_thickness_of_the_block_is_left_out_where_light_goes_straight() -> N
     ],
 )
 def test_a_screen_in_the_light_of_a_mirror_is_told(optics: dict[str, Any], is_blocked: bool) -> None:
-    assert (blocked_by_the_screen(job(surface="mirror", **optics)) is not None) is is_blocked
-    assert blocked_by_the_screen(job(**optics)) is None
+    assert (explain_blocked_light(job(surface="mirror", **optics)) is not None) is is_blocked
+    assert explain_blocked_light(job(**optics)) is None

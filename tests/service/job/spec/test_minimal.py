@@ -12,7 +12,7 @@ from machines.profiles import load_profile
 from service.errors import SpecError
 from service.job.spec import minimal as module
 from service.job.spec.loading import resolve_spec
-from service.job.spec.minimal import asked_spec
+from service.job.spec.minimal import reduce_spec
 
 SIZE = st.floats(10, 300).map(lambda value: round(value, 1))
 PASS = st.fixed_dictionaries(
@@ -59,7 +59,7 @@ def test_it_resolves_to_the_same_and_is_no_longer_than_what_a_person_asked_for(s
         wanted = resolved(spec)
     except SpecError:
         return
-    asked = asked_spec(wanted)
+    asked = reduce_spec(wanted)
     assert resolved(asked) == wanted
     assert leaves(asked) <= leaves(spec)
 
@@ -74,7 +74,7 @@ def test_it_resolves_to_the_same_and_is_no_longer_than_what_a_person_asked_for(s
     ],
 )
 def test_it_is_exactly_what_stands_out(spec: dict[str, Any]) -> None:
-    assert asked_spec(resolved(spec)) == spec
+    assert reduce_spec(resolved(spec)) == spec
 
 
 def test_nothing_is_tried_twice(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,12 +85,12 @@ def test_nothing_is_tried_twice(monkeypatch: pytest.MonkeyPatch) -> None:
     resolve = resolve_spec
     monkeypatch.setattr(module, "resolve_spec", lambda base, load: tries.append(base) or resolve(base=base, load=load))
     whole = resolved({})
-    assert asked_spec(whole) == {}
+    assert reduce_spec(whole) == {}
     assert read == ["grbl"] and len(tries) == 1 + len(whole)
 
 
 def test_a_spec_of_another_time_is_given_back_whole() -> None:
     """It cannot be resolved any more: its keys may have gone, its machine may be unknown."""
     stale = resolved({}) | {"machine": {"profile": "sold-in-2025", "step_mm": None}}
-    assert asked_spec(stale)["machine"] == {"profile": "sold-in-2025"}
-    assert asked_spec(stale)["optics"]["width_mm"] == 100.0
+    assert reduce_spec(stale)["machine"] == {"profile": "sold-in-2025"}
+    assert reduce_spec(stale)["optics"]["width_mm"] == 100.0

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import SpecError
-from service.job.spec.loading import parse_override, require_same_lens, resolve_for_lens, resolve_spec, validated
+from service.job.spec.loading import parse_override, require_same_lens, resolve_for_lens, resolve_spec, validate_spec
 from service.job.spec.model import JobSpec
 
 BAD_VALUES = [
@@ -189,7 +189,7 @@ def test_a_resolved_spec_resolves_to_itself(preset: str, profile: str) -> None:
     spec = resolve_spec(preset=preset, overrides=[f"machine.profile={profile}", "optics.screen_width_mm=50"])
     stored = json.loads(json.dumps(spec.plain()))
     assert resolve_spec(base=stored) == spec
-    assert validated(stored) == spec
+    assert validate_spec(stored) == spec
 
 
 def test_filled_in_speeds_stay_within_the_mill() -> None:

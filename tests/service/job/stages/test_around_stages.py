@@ -13,13 +13,13 @@ import pytest
 
 from cam.reading.gcode import read_program
 from machines.profiles import load_profile
-from service.errors import JobError, SpecError
+from service.errors import ServiceError, SpecError
 from service.job.files import is_program, programs_in_order
 from service.job.files import run_order as running_order
 from service.job.report.around import around_sentences
 from service.job.report.setup_sheet import render_report
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolve import cut_out_of, facing_of, machine_of, without_derived
+from service.job.spec.resolve import cut_out_of, facing_task_of, machine_of, without_derived
 from service.job.stages.table import plan
 from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec
 
@@ -196,7 +196,7 @@ def test_what_moves_beside_the_block_must_fit_the_mill() -> None:
 
 def test_figures_left_out_follow_from_the_cutter_and_are_chosen_anew_for_another() -> None:
     spec = tiny_spec(FACE, CUT)
-    facing, cut_out = facing_of(spec), cut_out_of(spec)
+    facing, cut_out = facing_task_of(spec), cut_out_of(spec)
     assert facing is not None and cut_out is not None
     assert facing.pitch_mm == 1.2 and facing.shape == "flat"
     assert cut_out.step_down_mm == 1.0 and cut_out.feed_mm_per_min > 0
@@ -225,5 +225,5 @@ def test_a_faulty_program_fails_the_job(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(facing.Facing, "levels_mm", property(lambda self: (-0.02,)))
     job = staged_job(tmp_path, FACE)
-    with pytest.raises(JobError, match=r"pass-0-face\.nc: .*Z-0\.02"):
+    with pytest.raises(ServiceError, match=r"pass-0-face\.nc: .*Z-0\.02"):
         job.run("pass-face")

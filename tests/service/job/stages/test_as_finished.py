@@ -11,7 +11,7 @@ from PIL import Image
 from optics.finish import Finish
 from service.job.files import AS_FINISHED, COMPARED_FINISHED
 from service.job.spec.loading import resolve_spec
-from service.job.stages.as_finished import rounded_rim
+from service.job.stages.as_finished import warn_of_rounded_rim
 from service.job.stages.table import plan
 from tests.service.job.stages.jobs import StagedJob, run_job
 
@@ -50,7 +50,7 @@ def test_the_wall_as_finished_shows_more_than_as_milled(finished: StagedJob) -> 
 @given(radius_mm=st.floats(0.25, 6.0), k0_rad_per_mm=st.floats(0.7, 25.0))
 def test_a_rim_that_the_finish_reaches_from_beyond_the_cut_is_told(radius_mm: float, k0_rad_per_mm: float) -> None:
     finish = Finish(k0_rad_per_mm=k0_rad_per_mm, order=2.0)
-    told = rounded_rim(finish, radius_mm)
+    told = warn_of_rounded_rim(finish, radius_mm)
     assert (told is not None) == (finish.reach_mm >= radius_mm + 0.1)
     assert told is None or f"{radius_mm:g} mm are milled" in told
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from service.errors import FailedError, InputError, JobError, PictureError
+from service.errors import FailedError, InputError, PictureError, ServiceError
 from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
 from service.job.stages.run import run_order
 from tests.service.job.stages.jobs import StagedJob, save_picture, staged_job
@@ -26,7 +26,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
 def silent(_share: float) -> None: ...
 
 
-def refused(job: StagedJob, order: StageOrder, kind: type[JobError]) -> str:
+def refused(job: StagedJob, order: StageOrder, kind: type[ServiceError]) -> str:
     """The words of the refusal: one or more lines, no path, no hash; and nothing is left."""
     with pytest.raises(kind) as caught:
         run_order(order, job.store, silent)

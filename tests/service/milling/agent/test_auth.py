@@ -13,7 +13,7 @@ import pytest
 from starlette.types import Message, Receive, Scope, Send
 
 from service.errors import InputError
-from service.milling.agent.auth import Guard, make_token, read_token
+from service.milling.agent.auth import AgentGuard, make_token, read_token
 from service.milling.agent.settings import agent_settings, mill_folder, port_slug
 
 TOKEN = "a-token-of-some-length"
@@ -39,7 +39,7 @@ def status(path: str, *headers: tuple[str, str]) -> int:
         "method": "GET",
         "headers": [(name.lower().encode(), value.encode()) for name, value in headers],
     }
-    asyncio.run(Guard(app, token=TOKEN)(scope, receive, send))
+    asyncio.run(AgentGuard(app, token=TOKEN)(scope, receive, send))
     return answered[0]
 
 

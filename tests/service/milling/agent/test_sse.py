@@ -11,7 +11,7 @@ from starlette.types import Message as AsgiMessage
 from service.http import streaming as open_answer
 from service.http.problems import Problem
 from service.milling.agent import event_hub as sse
-from service.milling.agent.event_hub import EventStream, Hub
+from service.milling.agent.event_hub import Hub, HubStream
 
 
 def numbers(hub: Hub, last_id: str) -> list[int]:
@@ -92,7 +92,7 @@ def test_the_stream_has_ids_heartbeats_and_an_end() -> None:
             raise AssertionError
 
         hub.event({"n": 0})
-        stream = asyncio.ensure_future(EventStream(hub, f"{hub.life}-0", heartbeat_s=0.01)({}, receive, send))
+        stream = asyncio.ensure_future(HubStream(hub, f"{hub.life}-0", heartbeat_s=0.01)({}, receive, send))
         while b": still here" not in sent:
             await asyncio.sleep(0.005)
         hub.event({"n": 1})
@@ -119,7 +119,7 @@ def test_a_connection_that_is_stuck_is_given_up(monkeypatch: pytest.MonkeyPatch)
             await asyncio.Event().wait()
             raise AssertionError
 
-        await asyncio.wait_for(EventStream(hub, "", heartbeat_s=10)({}, receive, send), 5)
+        await asyncio.wait_for(HubStream(hub, "", heartbeat_s=10)({}, receive, send), 5)
         hub.join("")  # its place is free again
 
     asyncio.run(trial())

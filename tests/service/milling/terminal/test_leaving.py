@@ -16,7 +16,7 @@ import pytest
 from machines.driver import MillState, MillStatus
 from machines.mill.view import MillSnapshot
 from machines.runs import RunState, RunView
-from service.milling.terminal.follow import Ended, Follower
+from service.milling.terminal.follow import Ended, RunFollower
 from service.milling.terminal.leaving import STILL_HELD, Buffers
 from tests.service.mills import WITH_SWITCHES, Bench, bench, program
 from tests.service.terminal import ROOT, Terminal
@@ -46,14 +46,14 @@ class Watched:
         return self.snapshot
 
 
-def follow_watched() -> tuple[Any, Follower]:
+def follow_watched() -> tuple[Any, RunFollower]:
     """A thread whose snapshots a test says, and the follower of its run of ten lines."""
     thread: Any = Watched()
     buffers = Buffers(thread)
     buffers.fill("r")
     facts: Any = SimpleNamespace(lines=10)
     screen: Any = None
-    return thread, Follower(thread, buffers, "r", facts, screen, keyboard=None)
+    return thread, RunFollower(thread, buffers, "r", facts, screen, keyboard=None)
 
 
 @pytest.mark.parametrize("over", [RunState.INTERRUPTED, RunState.ABORTED])

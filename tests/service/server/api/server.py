@@ -20,7 +20,7 @@ from PIL import Image
 from service.http import listener as address
 from service.server.api.main import open_services, server_of
 from service.server.api.services import Services
-from service.server.database.connection import connect, writing
+from service.server.database.connection import begin_writing, connect
 from service.server.database.counters import Counter, add_to_counters
 from service.server.database.events import write_event
 from service.server.database.schema import upgrade_schema
@@ -57,24 +57,24 @@ class ApiServer:
         stored = self.services.store.put_file(path)
         path.unlink()
         row = {"job_id": job_id, "name": name, "sha256": stored.sha256, "bytes": stored.bytes, "stage": stage}
-        with writing(self.services.database) as connection:
+        with begin_writing(self.services.database) as connection:
             connection.execute(artifacts.insert().values(**row, created_at=time.time()))
         return stored.sha256
 
     def put_stage(self, job_id: str, stage: str, state: str = "committed") -> None:
         row = {"job_id": job_id, "attempt": 1, "number": 1, "stage": stage, "state": state, "key": "0" * 64}
         row |= {"executor": "test", "fence": 1, "started_at": time.time() - 1, "ended_at": time.time()}
-        with writing(self.services.database) as connection:
+        with begin_writing(self.services.database) as connection:
             connection.execute(stage_runs.insert().values(**row))
             add_to_counters(connection, {Counter("stage_runs", stage, state): 1})
 
     def put_state(self, job_id: str, state: str, **values: Any) -> None:
-        with writing(self.services.database) as connection:
+        with begin_writing(self.services.database) as connection:
             changed = {"state": state, "version": jobs.c.version + 1, **values}
             connection.execute(jobs.update().where(jobs.c.id == job_id).values(**changed))
 
     def put_event(self, job_id: str, kind: str, **data: Any) -> None:
-        with writing(self.services.database) as connection:
+        with begin_writing(self.services.database) as connection:
             write_event(connection, job_id, kind, data, at=time.time())
 
     def files(self) -> set[str]:

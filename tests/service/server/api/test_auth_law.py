@@ -20,7 +20,7 @@ from machines.mill.orders import Stop
 from machines.simulated import SimulatedMill
 from machines.simulated.endpoints import serve_pty
 from service.server.api.access.guard import STOP_SOCKET, STOPS
-from service.server.database.connection import writing
+from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from tests.service.mills import AT_ZERO, Bench, ends
 from tests.service.server.api.server import png
@@ -194,7 +194,7 @@ def test_revoked_and_expired_tokens(untouched: Guarded) -> None:
     book.revoke(token.id)
     send_all(untouched, bearer(secret))
     token, secret = book.create("old", ["machine:run", *OTHERS], expires_at=time.time() + 60)
-    with writing(untouched.floor.server.services.database) as connection:
+    with begin_writing(untouched.floor.server.services.database) as connection:
         connection.execute(tokens.update().where(tokens.c.id == token.id).values(expires_at=time.time() - 1))
     send_all(untouched, bearer(secret), but=STOPS)  # one that has ended may still stop
 
@@ -267,7 +267,7 @@ def test_anonymous_callers_of_this_computer(guarded: Guarded) -> None:
     """As long as there never was a token they may work with jobs; mills are never theirs."""
     place, heard = guarded.mill.physical_mm, len(guarded.mill.heard)
     database = guarded.floor.server.services.database
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         rows = [dict(row) for row in connection.execute(tokens.select()).mappings()]
         connection.execute(tokens.delete())
     try:
@@ -282,7 +282,7 @@ def test_anonymous_callers_of_this_computer(guarded: Guarded) -> None:
                     assert answer.status_code == 401, (method, address)
                 assert answer.status_code < 500 or address == "/readyz", (method, address)
     finally:
-        with writing(database) as connection:
+        with begin_writing(database) as connection:
             connection.execute(tokens.insert(), rows)
     assert guarded.floor.get(f"/v1/runs/{guarded.run['id']}")["state"] == "parked"
     assert set(guarded.mill.heard[heard:]) <= set(b"?") and guarded.mill.physical_mm == place

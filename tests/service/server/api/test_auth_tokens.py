@@ -15,7 +15,7 @@ import sqlalchemy as sa
 
 from service.errors import InputError
 from service.server.api.access.scopes import refuse_foreign_bind
-from service.server.database.connection import reading
+from service.server.database.connection import begin_reading
 from service.server.database.tokens import TokenBook
 from service.settings import ServerSettings
 from tests.service.server.api.server import ApiServer, api_server, png, problem
@@ -67,7 +67,7 @@ def test_a_new_token_of_an_old_name_sees_nothing_by_the_old_ones_keys(own: ApiSe
 def test_the_database_holds_no_token(database: sa.Engine) -> None:
     _, secret = TokenBook(database).create("a", ["admin"])
     assert secret.startswith("cm_") and len(secret) == 46
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         assert secret[3:] not in str(connection.execute(sa.text("SELECT * FROM tokens")).all())
 
 

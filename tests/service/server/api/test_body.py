@@ -9,7 +9,7 @@ from starlette.requests import Request
 from starlette.types import Message
 
 from service.http.problems import Problem
-from service.server.api.intake.body import Body
+from service.server.api.intake.body import RequestBody
 from tests.service.server.api.server import ApiServer
 
 
@@ -19,7 +19,7 @@ def test_a_client_that_stops_sending_is_given_up() -> None:
         raise AssertionError
 
     async def read() -> None:
-        body = Body(Request({"type": "http", "headers": []}, silence), wait_s=0.01)
+        body = RequestBody(Request({"type": "http", "headers": []}, silence), wait_s=0.01)
         async for _ in body.pieces():
             raise AssertionError
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from service.server.api.answers import event_feed as feed
-from service.server.database.connection import writing
-from service.server.database.records import Event
+from service.server.database.connection import begin_writing
+from service.server.database.records import JobEvent
 from service.server.database.tables import events, jobs, progress
 from tests.service.server.api.server import ApiServer, api_server, problem
 from tests.waiting import PATIENCE_S, until
@@ -62,7 +62,7 @@ def end(server: ApiServer, job_id: str) -> None:
 
 
 def put_progress(server: ApiServer, job_id: str, share: float) -> None:
-    with writing(server.services.database) as connection:
+    with begin_writing(server.services.database) as connection:
         connection.execute(jobs.update().where(jobs.c.id == job_id).values(state="running", stage="map"))
         connection.execute(progress.delete().where(progress.c.job_id == job_id))
         connection.execute(progress.insert().values(job_id=job_id, stage="map", share=share, at=time.time()))
@@ -164,7 +164,7 @@ def test_a_reader_that_does_not_read_is_dropped_and_holds_nobody_up(server: ApiS
         until(lambda: server.services.feed.followers == 1)
         thread, seen = following(server, job_id)
         words = "x" * 2000
-        with writing(server.services.database) as connection:
+        with begin_writing(server.services.database) as connection:
             rows = [
                 {"job_id": job_id, "seq": seq, "at": 0.0, "kind": "stage.started", "data": {"stage": words}}
                 for seq in range(2, 9000)
@@ -181,7 +181,7 @@ def test_a_reader_that_is_dropped_gets_nothing_out_of_order(monkeypatch: pytest.
     monkeypatch.setattr(feed, "_QUEUE", 10)
     follower, stream = feed.Follower("job", 0), feed.Feed(None)  # type: ignore[arg-type]
     stream._followers.add(follower)
-    events = [Event(job_id="job", seq=seq, at=0.0, kind="started", data={}) for seq in range(1, 16)]
+    events = [JobEvent(job_id="job", seq=seq, at=0.0, kind="started", data={}) for seq in range(1, 16)]
     stream._hand_events(follower, events, whole=True)
     got = [follower.queue.get_nowait() for _ in range(follower.queue.qsize())]
     assert [message and message.seq for message in got] == [None]

@@ -16,7 +16,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.server.api import readiness
-from service.server.database.connection import writing
+from service.server.database.connection import begin_writing
 from service.server.database.tables import executors
 from tests.service.server.api.server import ApiServer, api_server, png, problem
 from tests.waiting import PATIENCE_S, until
@@ -31,7 +31,7 @@ def own(tmp_path: Path) -> Iterator[ApiServer]:
 
 def beat(server: ApiServer, *, ago_s: float = 0) -> None:
     row = {"id": "w", "host": "h", "pid": 1, "boot": "b", "version": "1", "started_at": 0.0}
-    with writing(server.services.database) as connection:
+    with begin_writing(server.services.database) as connection:
         connection.execute(executors.delete())
         connection.execute(executors.insert().values(**row, seen_at=time.time() - ago_s))
 
@@ -56,9 +56,9 @@ def test_twenty_who_ask_while_the_database_is_locked_share_one_check(
 
     def noted_writing(database: sa.Engine) -> Any:
         checks.append(database)
-        return writing(database)
+        return begin_writing(database)
 
-    monkeypatch.setattr(readiness, "writing", noted_writing)
+    monkeypatch.setattr(readiness, "begin_writing", noted_writing)
     monkeypatch.setattr(readiness, "_WAIT_S", 1.0)
     with sqlite3.connect(own.services.settings.data / "causticmill.sqlite", isolation_level=None) as other:
         other.execute("BEGIN IMMEDIATE")

@@ -19,7 +19,7 @@ from service.errors import InputError
 from service.server.api.access.scopes import refuse_foreign_bind
 from service.server.api.access.terminal_code import CodeOnTerminal
 from service.server.api.schemas.control import PairingBody
-from service.server.database.connection import reading, writing
+from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.pairing import (
     ALL,
     CODE_LIFE_S,
@@ -238,7 +238,7 @@ def test_a_code_ends_after_a_day(database: sa.Engine) -> None:
 
 def test_the_database_holds_no_code(own: ApiServer) -> None:
     code = offered(own)
-    with reading(own.services.database) as connection:
+    with begin_reading(own.services.database) as connection:
         row = str(connection.execute(sa.select(pairings)).all())
     assert code not in row and code.replace("-", "") not in row
 
@@ -274,14 +274,14 @@ def test_a_pairing_outlives_a_restart_and_ends_after_a_day(tmp_path: Path) -> No
     with api_server(tmp_path / "data") as server:
         assert whoami(server, ada)["paired"]
         row = sa.select(tokens.c.expires_at - tokens.c.created_at)
-        with writing(server.services.database) as connection:
+        with begin_writing(server.services.database) as connection:
             assert connection.execute(row).scalar_one() == pytest.approx(86400)
             connection.execute(tokens.update().values(expires_at=tokens.c.created_at))
         assert whoami(server, ada) == 401
         assert server.client.get("/v1/jobs").status_code == 200
         bearer(paired(server, offered(server)))
         assert len(server.services.tokens.listed()) == 2, "what has just ended may still stop a mill"
-        with writing(server.services.database) as connection:
+        with begin_writing(server.services.database) as connection:
             connection.execute(tokens.update().values(expires_at=tokens.c.created_at - 15 * 86400))
         bearer(paired(server, offered(server)))
         assert len(server.services.tokens.listed()) == 1, "what ended long ago is forgotten"
@@ -302,7 +302,7 @@ def test_the_command_prints_a_code_that_works(own: ApiServer) -> None:
     arguments = ("token", "pair", "--data", str(own.services.settings.data))
     refused = subprocess.run([sys.executable, "-m", "service.cli.main", *arguments], capture_output=True, text=True)
     assert (refused.returncode, refused.stdout) == (2, "") and "terminals only" in refused.stderr
-    with reading(own.services.database) as connection:
+    with begin_reading(own.services.database) as connection:
         assert connection.execute(sa.select(pairings)).all() == []
     with Terminal(*arguments) as person:
         assert person.ends() == 0

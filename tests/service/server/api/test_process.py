@@ -151,7 +151,7 @@ def test_a_large_download_costs_no_memory(tmp_path: Path) -> None:
 
 def put_large(data: Path, job_id: str, size: int) -> None:
     """An artifact of zeros."""
-    from service.server.database.connection import writing
+    from service.server.database.connection import begin_writing
     from service.server.database.tables import artifacts
     from service.store.local import LocalStore
 
@@ -162,6 +162,6 @@ def put_large(data: Path, job_id: str, size: int) -> None:
     path.unlink()
     database = connect(ServerSettings(data=data).sqlalchemy_url)
     row = {"job_id": job_id, "name": "heightfield.npz", "sha256": stored.sha256, "bytes": size, "stage": "map"}
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         connection.execute(artifacts.insert().values(**row, created_at=0.0))
     database.dispose()

@@ -18,7 +18,7 @@ from service.errors import SpecError
 from service.http.problems import Problem
 from service.job.spec.errors import MOST_PROBLEMS
 from service.job.spec.loading import resolve_spec
-from service.job.spec.minimal import asked_spec
+from service.job.spec.minimal import reduce_spec
 from service.server.api.intake.form import JobForm
 from service.server.api.intake.request import job_request
 from tests.service.server.api.server import ApiServer, problem
@@ -109,8 +109,8 @@ def test_what_a_job_was_asked_with_is_found_without_its_light() -> None:
         return resolve_spec(base={"optics": {"light": {"profile": rows}}}).model_dump(mode="json")
 
     small, large = resolved(4), resolved(64)
-    assert asked_spec(large) == {"optics": {"light": {"profile": large["optics"]["light"]["profile"]}}}
-    assert lines_run(lambda: asked_spec(large)) <= 1.5 * lines_run(lambda: asked_spec(small))
+    assert reduce_spec(large) == {"optics": {"light": {"profile": large["optics"]["light"]["profile"]}}}
+    assert lines_run(lambda: reduce_spec(large)) <= 1.5 * lines_run(lambda: reduce_spec(small))
 
 
 def test_a_content_type_is_short(server: ApiServer) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 
 from service.job.spec.loading import resolve_spec
-from service.server.database.connection import is_sqlite, writing
+from service.server.database.connection import begin_writing, is_sqlite
 from service.server.database.counters import Counter, add_to_counters
 from service.server.database.tables import (
     artifacts,
@@ -58,16 +58,16 @@ def load(database: sa.Engine, count: int) -> None:
     for number in range(_BLOCK):
         for table, row in _rows(number, began + number * EVERY_S, spec, {"text": "x" * _REPORT_BYTES}):
             rows.setdefault(table, []).append(row)
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         for table, its_rows in rows.items():
             connection.execute(table.insert(), its_rows)
     for block in range(1, count // _BLOCK):
-        with writing(database) as connection:  # one for each: a log of gigabytes is slow to take over
+        with begin_writing(database) as connection:  # one for each: a log of gigabytes is slow to take over
             if is_sqlite(database):
                 connection.exec_driver_sql(f"PRAGMA cache_size = -{_CACHE_KB}")
             for table in rows:
                 connection.execute(_copy(table, block))
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         states = connection.execute(sa.select(jobs.c.state, sa.func.count()).group_by(jobs.c.state))
         counted = {Counter("jobs", state=state): number for state, number in states}
         tries = [Counter("stage_runs", row["stage"], row["state"]) for row in rows[stage_runs]]

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import Claim, StageClose, WorkBook
-from service.server.database.connection import writing
+from service.server.database.connection import begin_writing
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey, KeyReusedError, NewJob, UnknownArtifactError, UnknownJobError
 from service.server.database.runs import NewRun, RunBook
@@ -197,7 +197,7 @@ def test_a_dead_owner_changes_nothing_any_more(book: JobBook, work: WorkBook, da
     assert [run.state for run in book.stages(old.job.id)] == [StageState.INTERRUPTED]
     assert work.wanted([old])[old.job.id] == "fenced"
     assert work.wanted([new])[old.job.id] == "go"
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         assert connection.execute(sa.select(sa.func.count()).select_from(artifacts)).scalar() == 0
 
 

@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import StageClose, WorkBook, interrupt_tries
-from service.server.database.connection import clock, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.counters import Counter, read_counters
 from service.server.database.job_rows import end_job
 from service.server.database.jobs import JobBook
@@ -65,7 +65,7 @@ def run_a_stage(database: sa.Engine, work: WorkBook, book: JobBook, job_id: str,
             work.end_stage(claim, begun, StageClose(state=StageState.FAILED, words=""))
             work.finish(claim, JobState.FAILED)
         case 1:
-            with writing(database) as connection:
+            with begin_writing(database) as connection:
                 interrupt_tries(connection, claim.job, at=clock(connection))
         case 2:
             work.forget_result(key)
@@ -81,7 +81,7 @@ def test_counters_are_what_a_count_gives(database: sa.Engine) -> None:
     """Four at a time, so that their transactions meet at the counters' rows."""
     with ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda seed: live_through(database, seed), range(8)))
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         counted = {key: value for key, value in read_counters(connection).items() if value}
         expected = {key: value for key, value in count_rows(connection).items() if value}
         compared = {key: counted.get(key) for key in counted if key.name in ("jobs", "stage_runs", "stage_results")}
@@ -93,7 +93,7 @@ def test_a_change_that_is_not_made_is_not_counted(database: sa.Engine) -> None:
     """The counter belongs to the transaction of what it counts: a crash takes both or neither."""
     book = JobBook(database)
     job, _ = book.create(NEW)
-    with suppress(RuntimeError), writing(database) as connection:
+    with suppress(RuntimeError), begin_writing(database) as connection:
         end_job(connection, job, JobState.FAILED, at=1.0)
         raise RuntimeError
     assert book.counts()[JobState.QUEUED] == 1 and book.counts()[JobState.FAILED] == 0
@@ -112,5 +112,5 @@ def test_a_claim_beyond_the_first_is_a_recovery(database: sa.Engine) -> None:
     job, _ = book.create(NEW)
     for executor in ("first", "second", "third"):
         assert work.claim(Ticket(job.id, 1), executor) is not None
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         assert read_counters(connection)[Counter("recoveries")] == 2

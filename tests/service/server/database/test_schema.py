@@ -16,7 +16,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from service.errors import FailedError, InputError
-from service.server.database.connection import connect, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, connect
 from service.server.database.counters import Counter, read_counters
 from service.server.database.jobs import JobBook
 from service.server.database.schema import HEAD, alembic_config, await_schema, open_database, upgrade_schema
@@ -27,7 +27,7 @@ from tests.service.server.worker.postgres import Postgres
 
 def test_migrations_and_tables_agree(database: sa.Engine) -> None:
     """Nothing is left to do for alembic after an upgrade."""
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, metadata) == []
 
@@ -64,7 +64,7 @@ def test_workers_that_start_together_upgrade_once(empty_farm: ServerSettings) ->
 def put_at(database: sa.Engine, version: str) -> None:
     """Tables as an earlier program made them."""
     config = alembic_config()
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, version)
 
@@ -75,7 +75,7 @@ def put_job(database: sa.Engine) -> None:
     row |= {"image_bytes": 1, "created_by": "me", "created_at": 1.0, "queued_at": 1.0, "progress": 0.0}
     row |= {"cancel_requested": False, "attempt": 1, "fence": 0, "version": 1}
     columns = {column.name: column for column in jobs.columns if column.name in row}
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         connection.execute(sa.insert(sa.table("jobs", *(sa.column(n, c.type) for n, c in columns.items()))), row)
 
 
@@ -139,7 +139,7 @@ def test_waiting_for_a_schema_that_does_not_come_ends(empty_farm: ServerSettings
 
 
 def test_an_older_program_refuses_a_newer_database(database: sa.Engine) -> None:
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         connection.execute(sa.text("UPDATE alembic_version SET version_num = 'from-the-future'"))
     with pytest.raises(FailedError, match="newer causticmill"):
         upgrade_schema(database)
@@ -149,7 +149,7 @@ def test_what_was_acknowledged_is_on_disk(farm: ServerSettings, database: sa.Eng
     """SQLite: WAL, every commit synced, foreign keys kept."""
     if not farm.embedded:
         return
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         found = {
             name: connection.exec_driver_sql(f"PRAGMA {name}").scalar()
             for name in ("journal_mode", "synchronous", "foreign_keys", "busy_timeout")
@@ -161,13 +161,13 @@ def test_an_older_database_is_brought_up_to_date_with_what_is_in_it(empty_farm: 
     """From version 0003: the counters and the files of results are what a count of the old rows gives."""
     database = open_database(empty_farm)
     config = alembic_config()
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "0003")
         for statement in OLD_ROWS:
             connection.exec_driver_sql(statement)
     upgrade_schema(database, allowed=HEAD)
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         assert read_counters(connection) == {
             Counter("jobs", state="succeeded"): 2,
             Counter("jobs", state="queued"): 1,

@@ -211,7 +211,7 @@ def own_folders(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
     """And an agent in this process reads programs itself: pre-flight's process loads compiled kernels each time."""
     monkeypatch.setenv("XDG_STATE_HOME", str(folder / "state"))
     monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(folder / "config"))
-    monkeypatch.setattr(preflight, "_computed", _read_here)
+    monkeypatch.setattr(preflight, "_compute", _read_here)
 
 
 def _read_here(path: Path, limits: MillLimits, folder: Path, held_against: str, _: object) -> Preflight:

@@ -10,7 +10,7 @@ from typing import Any
 import httpx
 import pytest
 
-from service.server.database.connection import writing
+from service.server.database.connection import begin_writing
 from service.server.database.tables import runs
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import HANGS_S, Answer, Rogue, as_json, rogue_agent
@@ -40,7 +40,7 @@ def far(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Shop, Rogue]
             job = floor.job((10,))
             row = {"id": RUN, "machine": NAME, "job_id": job, "program": "pass-1-finish.nc", "number": 1}
             row |= {"sha256": "0" * 64, "agent_run": "r1", "state": "running", "open": True, "view": VIEW}
-            with writing(server.services.database) as connection:
+            with begin_writing(server.services.database) as connection:
                 connection.execute(runs.insert().values(**row, words="", created_by="t", created_at=1.0))
             with floor.client("jobs:read", "machine:run") as floor.operator:
                 yield floor, rogue

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 import sqlalchemy as sa
 
-from service.server.database.connection import reading, writing
+from service.server.database.connection import begin_reading, begin_writing
 from service.server.database.job_rows import open_run_of
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey, KeyReusedError, NewJob, UnknownJobError
@@ -28,7 +28,7 @@ def new(database: sa.Engine) -> NewRun:
     job, _ = JobBook(database).create(
         NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")
     )
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         connection.execute(jobs.update().values(state="succeeded"))
     return NewRun(machine="m", job_id=job.id, program="pass-1-a.nc", number=1, sha256="a" * 64, created_by="me")
 
@@ -109,7 +109,7 @@ def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
 
 @pytest.mark.parametrize("state", ["queued", "running", "failed", "cancelled"])
 def test_only_programs_that_have_been_checked(book: RunBook, new: NewRun, database: sa.Engine, state: str) -> None:
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         connection.execute(jobs.update().values(state=state))
     with pytest.raises(JobNotReadyError, match=state):
         book.create(new)
@@ -119,10 +119,10 @@ def test_only_programs_that_have_been_checked(book: RunBook, new: NewRun, databa
 
 def test_an_open_run_is_known_by_its_job(book: RunBook, new: NewRun, database: sa.Engine) -> None:
     run = made(book, new)
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         assert open_run_of(connection, new.job_id) == run.id
     book.told(run, view("finished"))
-    with reading(database) as connection:
+    with begin_reading(database) as connection:
         assert open_run_of(connection, new.job_id) is None
 
 

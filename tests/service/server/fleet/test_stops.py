@@ -18,7 +18,7 @@ from wsproto import ConnectionType, WSConnection
 from wsproto.events import AcceptConnection, CloseConnection, RejectConnection, Request, TextMessage
 
 from machines.mill.orders import suspend_aware_clock_s
-from service.server.database.connection import writing
+from service.server.database.connection import begin_writing
 from service.server.database.tables import tokens
 from tests.service.server.api.server import api_server, problem
 from tests.service.server.fleet.rogue import as_json, rogue_agent
@@ -91,11 +91,11 @@ def test_who_may(floor: Shop) -> None:
         problem(weak.post(f"{HERE}/hold", headers=ELSEWHERE), 403)
     authorization = dict(ada.http.headers) | ELSEWHERE
     assert httpx.post(hold, headers=authorization, timeout=PATIENCE_S).status_code == 202
-    with writing(floor.server.services.database) as connection:
+    with begin_writing(floor.server.services.database) as connection:
         connection.execute(tokens.update().values(expires_at=time.time() - 1))
     problem(ada.http.get(f"/v1/machines/{MACHINE}", headers=ELSEWHERE), 401)
     assert httpx.post(hold, headers=authorization, timeout=PATIENCE_S).status_code == 202
-    with writing(floor.server.services.database) as connection:
+    with begin_writing(floor.server.services.database) as connection:
         connection.execute(tokens.update().values(revoked_at=time.time()))
     press = lambda: httpx.post(hold, headers=authorization, timeout=PATIENCE_S).status_code  # noqa: E731
     seen(press, lambda code: code == 401, every_s=0.25)

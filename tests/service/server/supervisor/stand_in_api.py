@@ -5,12 +5,12 @@ from __future__ import annotations
 import signal
 import sys
 
-from service.processes.lifeline import inherited_socket
+from service.processes.lifeline import inherit_socket
 
 
 def main() -> None:
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
-    listener = inherited_socket()
+    listener = inherit_socket()
     assert listener is not None
     listener.listen(16)
     sys.stderr.write("api serves\n")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from service.server.pairing_code import framed
+from service.server.pairing_code import frame_rows
 from tests.service.server.supervisor.processes import CODE, HERE, STAND_INS
 from tests.waiting import PATIENCE_S, until
 
@@ -79,6 +79,6 @@ def test_on_a_terminal_address_and_code_stand_in_a_frame(tmp_path: Path) -> None
 
 @pytest.mark.parametrize("fine", [True, False])
 def test_a_frame_is_a_frame(fine: bool) -> None:
-    before, *box, after, end = framed(("short", "a longer row"), fine=fine).split("\n")
+    before, *box, after, end = frame_rows(("short", "a longer row"), fine=fine).split("\n")
     assert (before, after, end) == ("", "", "") and len({len(row) for row in box}) == 1
     assert fine or all(row.isascii() for row in box)

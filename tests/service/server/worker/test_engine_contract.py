@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import sqlalchemy as sa
 
-from service.server.database.connection import connect, writing
+from service.server.database.connection import begin_writing, connect
 from service.server.queue.dbos import DbosEngine
 from service.server.queue.engine import JobEngine, Ticket
 from service.settings import ServerSettings
@@ -199,7 +199,7 @@ def begin_unheard(settings: ServerSettings, ticket: Ticket, executor: str) -> No
     embedded = f"sqlite:///{settings.data / 'engine.sqlite'}"
     table = "workflow_status" if settings.embedded else "dbos.workflow_status"
     database = connect(embedded if settings.embedded else settings.sqlalchemy_url)
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         begun = sa.text(f"UPDATE {table} SET status = 'PENDING', executor_id = :e WHERE workflow_uuid = :t")
         assert connection.execute(begun, {"e": executor, "t": ticket.text}).rowcount == 1
     database.dispose()

@@ -8,7 +8,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.server.database.claims import WorkBook
-from service.server.database.connection import clock, writing
+from service.server.database.connection import begin_writing, clock
 from service.server.database.jobs import JobBook
 from service.server.database.records import NewJob
 from service.server.database.states import JobState
@@ -36,7 +36,7 @@ def lease(database: sa.Engine, name: str = "a", lease_s: float = 10.0, clock: Cl
 
 def age(database: sa.Engine, name: str, seconds: float) -> None:
     """As if the last beat had been so long ago, by the database's clock."""
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         seen_at = clock(connection) - seconds
         connection.execute(executors.update().where(executors.c.id == name).values(seen_at=seen_at))
 
@@ -81,13 +81,13 @@ def test_the_time_that_a_beat_took_counts_against_it(database: sa.Engine) -> Non
 
 def test_others_are_alive_for_a_whole_lease_by_the_databases_clock(database: sa.Engine) -> None:
     lease(database).take()
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         assert live_executors(connection, 10.0) == {"a"}
     age(database, "a", 9.0)
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         assert live_executors(connection, 10.0) == {"a"}
     age(database, "a", 11.0)
-    with writing(database) as connection:
+    with begin_writing(database) as connection:
         assert live_executors(connection, 10.0) == set()
 
 

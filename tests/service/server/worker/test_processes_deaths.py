@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from service.processes.linux import living_members
+from service.processes.linux import list_living_members
 from service.server.worker.process.pool import Crashed, Done, StageProcesses, Stopped
 from service.settings import ServerSettings
 from tests.service.server.worker.stage_bench import (
@@ -75,7 +75,7 @@ def test_a_killed_nursery_is_a_crash_and_the_next_stage_works(bench: Bench, do: 
         os.kill(nursery_pid(), signal.SIGKILL)
         assert isinstance(future.result(timeout=PATIENCE_S), Crashed)
     pids = pids_in(told)
-    assert not living_members(pids[0])
+    assert not list_living_members(pids[0])
     assert not any(map(lives, pids[:2]))
     assert isinstance(bench.run("echo"), Done)
     for pid in filter(lives, pids):  # the one that left the group has nobody any more who knows of it

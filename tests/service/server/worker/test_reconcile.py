@@ -6,7 +6,7 @@ import pytest
 import sqlalchemy as sa
 
 from service.server.database.claims import WorkBook
-from service.server.database.connection import clock, writing
+from service.server.database.connection import begin_writing, clock
 from service.server.database.jobs import JobBook
 from service.server.database.records import Job, NewJob
 from service.server.database.states import JobState, StageState
@@ -36,13 +36,13 @@ class Stand:
 
     def job(self, *, age_s: float = 60.0) -> Job:
         job, _ = self.book.create(NEW)
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             queued_at = clock(connection) - age_s
             connection.execute(jobs.update().where(jobs.c.id == job.id).values(queued_at=queued_at))
         return job
 
     def kill(self, executor: str) -> None:
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             connection.execute(executors.delete().where(executors.c.id == executor))
 
 

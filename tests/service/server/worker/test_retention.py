@@ -11,7 +11,7 @@ import sqlalchemy as sa
 
 from service.job.stages.order import FileRef, StageResult
 from service.server.database.claims import WorkBook
-from service.server.database.connection import clock, reading, writing
+from service.server.database.connection import begin_reading, begin_writing, clock
 from service.server.database.counters import ARTIFACT_BYTES, read_counters
 from service.server.database.jobs import JobBook
 from service.server.database.records import NewJob, UnknownJobError
@@ -69,7 +69,7 @@ class Stand:
         return job.id, made
 
     def age(self, job_id: str, key: str, days: float) -> None:
-        with writing(self.database) as connection:
+        with begin_writing(self.database) as connection:
             at = clock(connection) - days * DAY_S
             connection.execute(jobs.update().where(jobs.c.id == job_id).values(ended_at=at))
             connection.execute(stage_results.update().where(stage_results.c.key == key).values(used_at=at))
@@ -198,14 +198,14 @@ def test_the_bytes_of_all_artifacts_are_counted(stand: Stand) -> None:
     stand.job(2, ended_days_ago=1)
     stand.file(b"named by nobody")
     stand.turn()
-    with reading(stand.database) as connection:
+    with begin_reading(stand.database) as connection:
         assert read_counters(connection)[ARTIFACT_BYTES] == 2 * (1_000_000 + len(b"picture 1"))
 
 
 def test_files_that_another_job_names_stay(stand: Stand) -> None:
     """The same result was offered by both: it goes with the second of them."""
     (old, made), (young, _) = stand.job(1, ended_days_ago=8), stand.job(2, ended_days_ago=1)
-    with writing(stand.database) as connection:
+    with begin_writing(stand.database) as connection:
         row = {"job_id": young, "name": "b.png", "sha256": made.sha256, "bytes": made.bytes}
         connection.execute(artifacts.insert().values(**row, stage="image", created_at=0.0))
     stand.age_files()
