@@ -213,9 +213,9 @@ class DurationModel:
         self._waiting = np.empty((0, _COLUMNS))
 
     def add(self, batch: Moves) -> None:
-        self.timed(batch)
+        self.add_batch(batch)
 
-    def timed(self, batch: Moves) -> Array:
+    def add_batch(self, batch: Moves) -> Array:
         """Add a batch; ends [s] of the blocks that are certain now, each once: see `is_block`."""
         blocks = np.empty((len(self._waiting) + len(batch), _COLUMNS))
         sent = getattr(batch, "sent_bytes", _NOTHING)
@@ -230,8 +230,8 @@ class DurationModel:
         self._waiting = blocks[ready:n].copy()
         return done
 
-    def waiting_s(self) -> Array:
-        """Ends of the blocks that `timed` has not told of, if the program ended here."""
+    def list_waiting_s(self) -> Array:
+        """Ends of the blocks that `add_batch` has not told of, if the program ended here."""
         return self._to_the_end()[1]
 
     @property

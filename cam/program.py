@@ -98,7 +98,7 @@ def generate_parts(
     setup   : what programs switch on and off; trace: paths in the air that the first of them runs before it cuts
     shaped  : the lens will be finished by hand, so errors of these steps alternate from track to track (`cam.shaping`)
     """
-    rounding = Rounding(digits=post.digits.coarsened(step_mm), pitch_mm=spec.pitch_mm)
+    rounding = Rounding(digits=post.digits.coarsen(step_mm), pitch_mm=spec.pitch_mm)
     shaped = shaped and spec.finishes and rounding.matters
     paths = pass_paths(
         heightfield,

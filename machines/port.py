@@ -203,12 +203,12 @@ class SerialPort:
     def read(self, timeout_s: float) -> bytes:
         """Whatever has come; waits at most `timeout_s` for the first byte."""
         try:
-            return self._selected(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
+            return self._await_bytes(timeout_s) if self._file >= 0 else self._in_slices(timeout_s)
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             # pyserial raises TypeError from a port that was closed under it
             raise self._gone(error) from error
 
-    def _selected(self, timeout_s: float) -> bytes:
+    def _await_bytes(self, timeout_s: float) -> bytes:
         ready, _, _ = select.select([self._file, self._bell], [], [], max(timeout_s, 0.0))
         if self._bell in ready:
             os.read(self._bell, 64)

@@ -37,7 +37,7 @@ class Bench:
     branch: Branch = "direct"
 
     @classmethod
-    def centred(
+    def centre_on(
         cls,
         *,
         width_mm: float,

@@ -26,7 +26,7 @@ class TransportMap:
         for points in (self.screen_mm, self.lens_mm):
             points.setflags(write=False)
 
-    def collected_areas_mm2(self) -> Array:
+    def collect_areas_mm2(self) -> Array:
         """(ny, nx) area of the lens that lights each pixel: half the cross product of the quad's diagonals."""
         p = self.lens_mm
         rising = p[1:, 1:] - p[:-1, :-1]

@@ -122,7 +122,7 @@ class LensForm:
         """
         return round(float(np.sqrt(np.mean([steep**2 for steep, _ in self._across(spec)]))), 3)
 
-    def widening(self, spec: PassSpec, reach_mm: float) -> float:
+    def widen_factor(self, spec: PassSpec, reach_mm: float) -> float:
         """How much farther than their slope errors alone the grooves of a pass send light, rms.
 
         reach_mm : how far a slope of 1 sends light aside; negative where a hollow gathers it, on a mirror

@@ -49,16 +49,16 @@ class Roughing:
         return self._known[key]
 
     def _quickest(self, finish: PassSpec) -> Before | None:
-        rough = self._roughed(finish)
+        rough = self._plan_rough(finish)
         if rough is None:
             return None
-        ways = [rough, *self._leaving_less(rough, finish), *self._with_second(rough, finish)]
+        ways = [rough, *self._plan_leaving_less(rough, finish), *self._with_second(rough, finish)]
         return min(
             ways,
             key=lambda way: sum(way.seconds) + finish_layers_s(self.form, finish, way.depth_mm, self.shop.mill),
         )
 
-    def _roughed(self, finish: PassSpec) -> Before | None:
+    def _plan_rough(self, finish: PassSpec) -> Before | None:
         """By the ball that is quickest; beside its walls the shank of the finish must have room."""
         if finish.radius_mm not in self._rough:
             room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
@@ -79,7 +79,7 @@ class Roughing:
             self._firsts[tool] = self._way((), self._spec(tool, pitch_mm, _rough_leaves(tool)))
         return self._firsts[tool]
 
-    def _leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
+    def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
         """The same first pass, where the finish needs no layers if a little less is left. It takes as long."""
         spec = rough.passes[0]
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)

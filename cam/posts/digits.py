@@ -12,7 +12,7 @@ class Digits:
     xy_mm: float
     z_mm: float
 
-    def coarsened(self, step_mm: float) -> Digits:
+    def coarsen(self, step_mm: float) -> Digits:
         """The raster of a mill that moves in such steps: whole steps, where they are coarser than the digits."""
         return Digits(xy_mm=_coarser(self.xy_mm, step_mm), z_mm=_coarser(self.z_mm, step_mm))
 

@@ -110,7 +110,7 @@ class _Ground:
     rule: VertexRule
     x_mm: Array
 
-    def lifted(self, points_mm: Array) -> Array:
+    def lift_over(self, points_mm: Array) -> Array:
         points_mm[:, 2] += self.areas.lifts_mm(points_mm[:, 0], points_mm[:, 1])
         return points_mm
 
@@ -119,14 +119,14 @@ class _Ground:
         start, end = float(self.x_mm[run.start]), float(self.x_mm[run.end])
         out = np.empty((most_vertices(abs(end - start), self.rule), 3))
         filled = march_row(self.surface.kernel, self.rule, self.rows.y_mm[run.row], start, end, out, 0)
-        return self.lifted(out[:filled].copy())
+        return self.lift_over(out[:filled].copy())
 
     def turn(self, start: Array, end: Array) -> Array:
         """Half a turn from one row's end to the next one's start."""
         angle = np.linspace(0.0, pi, self._parts(start, end))[1:-1]
         x = on_ticks(start[0] + (end[0] - start[0]) * angle / pi)
         y = on_ticks(start[1] + (end[1] - start[1]) * (1 - np.cos(angle)) / 2)
-        return self.lifted(np.column_stack([x, y, self.surface.tip_heights_mm(x, y)]))
+        return self.lift_over(np.column_stack([x, y, self.surface.tip_heights_mm(x, y)]))
 
     def hop(self, start: Array, end: Array) -> Array:
         """Straight across, above all that stands there."""

@@ -124,12 +124,12 @@ class DripDriver(OneWayDriver):
     def _may_send(self) -> bool:
         return self._open
 
-    def _running_words(self) -> str:
+    def _word_running(self) -> str:
         if self._ever_open:
-            return super()._running_words()
+            return super()._word_running()
         return "waits for the control's first DC1: start reading (DNC or tape mode, cycle start) at the control"
 
-    def _received(self, data: bytes, now_s: float) -> None:
+    def _receive(self, data: bytes, now_s: float) -> None:
         for byte in data:
             if byte & 0x80 and not self._said_parity:
                 self._said_parity = True
@@ -148,7 +148,7 @@ class DripDriver(OneWayDriver):
         first = not self._ever_open
         self._open, self._ever_open, self._since_s, self._said_quiet = True, True, now_s, False
         if first and self._feed is not None and not self._held:
-            self._set(MillState.RUN, self._running_words())
+            self._set(MillState.RUN, self._word_running())
             self._events.append(Notice("the control has asked for the program (DC1)"))
 
     def _stop(self, now_s: float) -> None:

@@ -65,7 +65,7 @@ class OneWayDriver:
         """The far end takes bytes now."""
         return True
 
-    def _received(self, data: bytes, now_s: float) -> None:
+    def _receive(self, data: bytes, now_s: float) -> None:
         """Bytes that came from the far end."""
 
     def _tick(self, now_s: float) -> None:
@@ -74,7 +74,7 @@ class OneWayDriver:
     def _abort_bytes(self) -> bytes:
         return b""
 
-    def _running_words(self) -> str:
+    def _word_running(self) -> str:
         return "bytes go out; what the machine does with them is not visible on this link"
 
     def _still_held(self) -> str:
@@ -115,7 +115,7 @@ class OneWayDriver:
                 data = self._port.read(max(0.0, wait_s))
                 now_s = self._port.clock()
                 if data:
-                    self._received(data, now_s)
+                    self._receive(data, now_s)
             except PortError as error:
                 self._lost(str(error))
                 break
@@ -137,7 +137,7 @@ class OneWayDriver:
         head, tail = self._envelope()
         self._feed = ByteFeed(lines, self._encode, head, tail, self._buffer_bytes, self._planner_blocks)
         self._held = False
-        self._set(MillState.RUN, self._running_words())
+        self._set(MillState.RUN, self._word_running())
         self._book()
 
     def hold(self) -> None:
@@ -153,7 +153,7 @@ class OneWayDriver:
         if self._feed is None or not self._held:
             raise NotAllowedError(f"there is nothing to resume: the link is {self._status.state.value}")
         self._held = False
-        self._set(MillState.RUN, self._running_words())
+        self._set(MillState.RUN, self._word_running())
 
     def abort(self) -> None:
         if self._status.state is MillState.DISCONNECTED:

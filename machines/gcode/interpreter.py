@@ -52,7 +52,7 @@ class Interpreter:
 
     @property
     def state(self) -> ModalState:
-        return state_of(self._synced())
+        return state_of(self._sync())
 
     def take(self, text: bytes) -> Step:
         """Carry out one block. ProgramRefusedError with line 0 where it may not run."""
@@ -70,7 +70,7 @@ class Interpreter:
         if feed_text is not None:
             feed = float(feed_text)
             if not feed > 0.0:
-                raise self._refused(text, refusals.BAD_FEED)
+                raise self._refuse(text, refusals.BAD_FEED)
         else:
             feed = vector[language.FEED]
         start = self._position
@@ -91,13 +91,13 @@ class Interpreter:
         elif x_text is None and y_text is None:
             return self._general(text)  # no coordinates: a lone mode or feed
         if mode and not feed > 0.0:
-            raise self._refused(text, refusals.NO_FEED)
+            raise self._refuse(text, refusals.NO_FEED)
         vector[language.FEED] = feed
         vector[language.MOTION] = mode
         end: Position = (x, y, z)
         for value in end:
             if value is not None and not -_FAR_MM <= value <= _FAR_MM:
-                raise self._refused(text, refusals.OUT_OF_RANGE)
+                raise self._refuse(text, refusals.OUT_OF_RANGE)
         self._position = end
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         if mode:
@@ -127,11 +127,11 @@ class Interpreter:
                     seen |= 1 << place
                     values[place] = float(number)
         except BadTextError as error:
-            raise self._refused(text, error.code) from None
-        vector, out, dialect = self._synced(), self._out, self._dialect
+            raise self._refuse(text, error.code) from None
+        vector, out, dialect = self._sync(), self._out, self._dialect
         code = language.block(vector, values, seen, g, len(g), m, len(m), dialect.own, dialect.n_limit, out)
         if code:
-            raise self._refused(text, code)
+            raise self._refuse(text, code)
         self._settle()
         return self._step()
 
@@ -171,7 +171,7 @@ class Interpreter:
             arc,
         )
 
-    def _synced(self) -> list[float]:
+    def _sync(self) -> list[float]:
         """The vector with the position of the short way written back."""
         x, y, z = self._position
         self._vector[:3] = (
@@ -188,7 +188,7 @@ class Interpreter:
             and v[language.ENDED] == 0.0
         )  # fmt: skip
 
-    def _refused(self, text: bytes, code: int) -> ProgramRefusedError:
+    def _refuse(self, text: bytes, code: int) -> ProgramRefusedError:
         return ProgramRefusedError(0, shown(text), refusal_words.reason_for(self._dialect, code))
 
 

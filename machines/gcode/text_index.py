@@ -15,7 +15,7 @@ LONGEST_LINE = 500  # a line is the unit of feeding, of progress and of what is 
 
 
 class TextIndex:
-    """Fed by `passing`, which hands the chunks on; complete when they have ended."""
+    """Fed by `cut_into_pieces`, which hands the chunks on; complete when they have ended."""
 
     def __init__(self, dialect: str, *, piece_bytes: int = PIECE_BYTES) -> None:
         self.blocks = 0
@@ -35,7 +35,7 @@ class TextIndex:
             dialect=self._dialect,
         )
 
-    def passing(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
+    def cut_into_pieces(self, chunks: Iterable[bytes]) -> Iterator[bytes]:
         """The chunks as they are; on the way they are cut into pieces. ProgramRefusedError at a line too long."""
         rest = b""
         for chunk in chunks:

@@ -43,7 +43,7 @@ class AnswerCount:
         self.closed = True
         self._listen_s = min(LISTEN_S, covered_s / 3.0)
 
-    def emptied(self, now_s: float) -> None:
+    def empty_window(self, now_s: float) -> None:
         """Every line under way is answered."""
         if self.closed and self.poll_at_s == inf and not self._reports:
             self.poll_at_s = now_s + self._listen_s

@@ -67,7 +67,7 @@ class GrblDriver:
         except PortError as error:
             self.failure = error
             session.lost(str(error), port.clock())
-        return self._named(session.take_events())
+        return self._name_fault(session.take_events())
 
     def _write(self, now_s: float) -> None:
         session = self._session
@@ -76,7 +76,7 @@ class GrblDriver:
         if data:
             self._port.write(data)
 
-    def _named(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
+    def _name_fault(self, events: tuple[Event, ...]) -> tuple[Event, ...]:
         """A link that no controller answers on: the error carries the name of the port."""
         for event in events:
             if isinstance(event, Faulted) and event.cause is FaultCause.DEVICE:

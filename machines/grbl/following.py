@@ -15,7 +15,7 @@ IDLE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its 
 class SessionFollowing(SessionStopping):
     """Reports while a program runs."""
 
-    def _running_on(self, now_s: float) -> None:
+    def _note_running(self, now_s: float) -> None:
         """The mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
         if self._hold_seen and now_s > self._hold_at_s + HOLD_AGAIN_S:
             self._hold_wanted = self._paused = False

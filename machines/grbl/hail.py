@@ -31,7 +31,7 @@ class Hail:
         if not isinstance(reply, Empty) and not self._text:
             self._text = line[:60]
 
-    def unended(self, rest: bytes) -> None:
+    def count_unended(self, rest: bytes) -> None:
         """What came after the last line end."""
         self._rest = rest
 

@@ -26,19 +26,19 @@ class SessionHearing(SessionFollowing):
     def _line(self, line: bytes, now_s: float) -> None:
         reply = replies.parse(line)
         if isinstance(reply, replies.Banner):
-            self._restarted(reply.text, now_s)
+            self._note_restart(reply.text, now_s)
         elif self.phase is Phase.HAILING:
-            self._hailed(reply, line, now_s)
+            self._take_greeting(reply, line, now_s)
         elif isinstance(reply, replies.Status):
-            self._reported(reply, now_s)
+            self._take_report(reply, now_s)
         elif isinstance(reply, replies.Ok):
             self._answered(0, now_s)
         elif isinstance(reply, replies.ErrorReply):
             self._answered(reply.number, now_s)
         elif isinstance(reply, replies.AlarmReply):
-            self._alarmed(reply.number, now_s)
+            self._note_alarm(reply.number, now_s)
         elif isinstance(reply, replies.Echo):
-            self._echoed(reply.text, now_s)
+            self._take_echo(reply.text, now_s)
         elif isinstance(reply, replies.Message):
             self._told(reply.text, now_s)
         elif isinstance(reply, replies.Push | replies.Setting):
@@ -47,13 +47,13 @@ class SessionHearing(SessionFollowing):
         elif isinstance(reply, replies.Garbled):
             self._garbled(reply.raw, now_s)
 
-    def _hailed(self, reply: replies.Reply, line: bytes, now_s: float) -> None:
+    def _take_greeting(self, reply: replies.Reply, line: bytes, now_s: float) -> None:
         """Before the handshake only a status report, an alarm or a banner means anything."""
         self._hail.heard(reply, line)
         if isinstance(reply, replies.Message):
             self._told(reply.text, now_s)
         elif isinstance(reply, replies.AlarmReply):
-            self._alarmed(reply.number, now_s)
+            self._note_alarm(reply.number, now_s)
         elif isinstance(reply, replies.Status):
             self._patience.report_came()
             self._offers_reset = False
@@ -89,7 +89,7 @@ class SessionHearing(SessionFollowing):
             return
         stream = self._stream
         if stream is None or self.phase is not Phase.STREAMING:
-            self._answered_late(stream, error)
+            self._take_late_answer(stream, error)
             return
         self._sign_heard_s = self._patience.heard_s
         self._idle_reports = self._standing_reports = 0
@@ -111,7 +111,7 @@ class SessionHearing(SessionFollowing):
         else:
             stream.answered()
 
-    def _answered_late(self, stream: Stream | None, error: int) -> None:
+    def _take_late_answer(self, stream: Stream | None, error: int) -> None:
         """An answer to a line of a stream that is dead already, or of a command that a hold has ended."""
         self._held_line = ""
         if stream is None or not self._late_answers or not stream.window.used:
@@ -121,7 +121,7 @@ class SessionHearing(SessionFollowing):
         else:
             stream.answered()
 
-    def _echoed(self, text: bytes, now_s: float) -> None:
+    def _take_echo(self, text: bytes, now_s: float) -> None:
         stream = self._stream
         if stream is None or self.phase is not Phase.STREAMING:
             self._echoes = True
@@ -140,7 +140,7 @@ class SessionHearing(SessionFollowing):
         else:
             self._echoes = stream.echoed = True
 
-    def _alarmed(self, number: int, now_s: float) -> None:
+    def _note_alarm(self, number: int, now_s: float) -> None:
         self.view.alarmed(number)
         words = alarm_words(number)
         if self._errand is not None:
@@ -167,7 +167,7 @@ class SessionHearing(SessionFollowing):
         elif self.phase is not Phase.CLEARING:
             self._events.append(Notice(f"not understood: '{shown(raw)}'"))
 
-    def _restarted(self, banner: str, now_s: float) -> None:
+    def _note_restart(self, banner: str, now_s: float) -> None:
         """A banner: a new epoch. Everything the controller held is gone."""
         self._tell_restart()
         ours, report = self.phase is Phase.CLEARING, self.view.report
@@ -196,7 +196,7 @@ class SessionHearing(SessionFollowing):
             words = f"the controller restarted by itself ('{banner}'): reset button, power or a reset line"
             self._events.append(Faulted(FaultCause.RESET, words, line, now_s))
 
-    def _reported(self, report: replies.Status, now_s: float) -> None:
+    def _take_report(self, report: replies.Status, now_s: float) -> None:
         view = self.view
         self._patience.report_came()
         self._offers_reset = self._silence_told = False
@@ -224,7 +224,7 @@ class SessionHearing(SessionFollowing):
             if self.phase is Phase.IDENTIFYING:
                 self._hail_again(now_s)  # no line is read now
         elif report.state == "Run" and self._hold_wanted and self.phase is Phase.STREAMING:
-            self._running_on(now_s)
+            self._note_running(now_s)
         elif report.state in ("Run", "Idle") and self._paused and not self._hold_wanted:
             self._paused = False
         if self.phase is Phase.STREAMING:
@@ -244,7 +244,7 @@ class SessionHearing(SessionFollowing):
                 self._modes = outcome.settings.parser_state or self._modes
             self.view.vouch(outcome.vouched)
         if self.phase is Phase.IDENTIFYING:
-            self._identified(errand, now_s)
+            self._note_identity(errand, now_s)
             return
         if self.phase is Phase.ERRAND:
             self._move(Phase.READY, now_s)
@@ -252,7 +252,7 @@ class SessionHearing(SessionFollowing):
             answer = outcome.answer if outcome is not None else {}
             self._events.append(CommandDone(errand.command, errand.failure, answer))
 
-    def _identified(self, errand: ErrandRunner, now_s: float) -> None:
+    def _note_identity(self, errand: ErrandRunner, now_s: float) -> None:
         if errand.failure:
             words = f"something answers, but it is not a GRBL controller: {errand.failure}"
             self._close(words, now_s, Faulted(FaultCause.DEVICE, words, 0, now_s))

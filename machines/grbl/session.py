@@ -105,7 +105,7 @@ class GrblSession(SessionWatching):
                 self._line(line, now_s)
                 stream = self._stream
         if self.phase is Phase.HAILING:
-            self._hail.unended(self._splitter.rest)
+            self._hail.count_unended(self._splitter.rest)
 
     def tick(self, now_s: float) -> None:
         """Time has passed."""
@@ -115,7 +115,7 @@ class GrblSession(SessionWatching):
         asks = False
         if stream is not None and stream.count.closed:
             if not stream.window.used:
-                stream.count.emptied(now_s)
+                stream.count.empty_window(now_s)
             asks = stream.count.asks(now_s, self._patience.unanswered)
         if (asks or now_s >= self._poll_at_s) and phase is not Phase.CLOSED:
             self._urgent += b"?"

@@ -103,7 +103,7 @@ class MachineView:
     def _unit_mm(self) -> float | None:
         return self.settings.unit_mm if self.identified else None
 
-    def _scaled(self, numbers: tuple[float, ...]) -> Triple | None:
+    def _scale(self, numbers: tuple[float, ...]) -> Triple | None:
         unit_mm = self._unit_mm()
         return None if unit_mm is None else (numbers[0] * unit_mm, numbers[1] * unit_mm, numbers[2] * unit_mm)
 
@@ -113,10 +113,10 @@ class MachineView:
         if report is None:
             return None
         if report.machine is not None:
-            return self._scaled(report.machine)
+            return self._scale(report.machine)
         if report.work is None or self.work_offset is None:
             return None
-        return self._scaled(tuple(w + o for w, o in zip(report.work, self.work_offset, strict=False)))
+        return self._scale(tuple(w + o for w, o in zip(report.work, self.work_offset, strict=False)))
 
     @property
     def work_mm(self) -> Triple | None:
@@ -125,14 +125,14 @@ class MachineView:
         if report is None:
             return None
         if report.work is not None:
-            return self._scaled(report.work)
+            return self._scale(report.work)
         if report.machine is None or self.work_offset is None:
             return None
-        return self._scaled(tuple(m - o for m, o in zip(report.machine, self.work_offset, strict=False)))
+        return self._scale(tuple(m - o for m, o in zip(report.machine, self.work_offset, strict=False)))
 
     @property
     def work_offset_mm(self) -> Triple | None:
-        return None if self.work_offset is None else self._scaled(self.work_offset)
+        return None if self.work_offset is None else self._scale(self.work_offset)
 
     @property
     def feed_mm_per_min(self) -> float | None:

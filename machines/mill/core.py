@@ -170,7 +170,7 @@ class MillCore:
     def _to_touch_off(self) -> list[Run]:
         return [run for run in self._runs.values() if run.record.get("touch_off")]
 
-    def _touched_off(self) -> None:
+    def _note_touch_off(self) -> None:
         for run in self._to_touch_off():
             run.write("touched off", touch_off="")
             self._rest(run)

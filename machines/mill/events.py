@@ -51,15 +51,15 @@ class MillEvents(MillFollowing):
         run = self._driven
         try:
             if isinstance(event, Faulted):
-                self._faulted(event, run)
+                self._note_fault(event, run)
             elif isinstance(event, ProgramDone) and run is not None and run.live:
                 self._ended(run, RunState.FINISHED, "", touch_off=_TOUCH_OFF)
             elif isinstance(event, Stopped):
                 self._stopped(event)
             elif isinstance(event, Restarted):
-                self._restarted(event)
+                self._note_restart(event)
             elif isinstance(event, CommandDone):
-                self._commanded(event)
+                self._note_command(event)
             elif isinstance(event, Notice):
                 self._say("notice", event.words)
             elif isinstance(event, StateChanged):
@@ -70,7 +70,7 @@ class MillEvents(MillFollowing):
             else:
                 self._journal_failed(run, error)
 
-    def _faulted(self, event: Faulted, run: Run | None) -> None:
+    def _note_fault(self, event: Faulted, run: Run | None) -> None:
         words = f"{event.cause.value}: {event.words}"
         self._say("fault", words)
         lost = event.cause is FaultCause.PORT_LOST
@@ -114,11 +114,11 @@ class MillEvents(MillFollowing):
         if run is not None and (run.state is RunState.STOPPING or (asked and run.state is RunState.INTERRUPTED)):
             self._ended(run, RunState.ABORTED, "aborted by the operator")
 
-    def _restarted(self, event: Restarted) -> None:
+    def _note_restart(self, event: Restarted) -> None:
         """All runs that could be recovered learn that the controller has forgotten its position."""
         self._parser_state = None
         self._say("link", f"controller restarted: {event.banner}")
-        self._touched()
+        self._note_touch()
         if not self.status.position_trusted:
             self._forget_place()
             for run in self._recoverable():
@@ -128,7 +128,7 @@ class MillEvents(MillFollowing):
     def _forget_place(self) -> None:
         self._zeroed, self._homed = "", False
 
-    def _commanded(self, event: CommandDone) -> None:
+    def _note_command(self, event: CommandDone) -> None:
         command = event.command
         words = command_words(event, from_mm=self._jog_from_mm, at_mm=self.status.machine_mm)
         given = self._commander
@@ -142,7 +142,7 @@ class MillEvents(MillFollowing):
         if isinstance(command, Home):
             self._homed = True
         if "Z" in axes:
-            self._touched_off()
+            self._note_touch_off()
         if axes:
             self._zeroed = "".join(sorted({*self._zeroed, *axes}))
             for run in self._recoverable():

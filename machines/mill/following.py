@@ -138,7 +138,7 @@ class MillFollowing(MillCore):
             ashore(run)
         self._rest(run)
 
-    def _touched(self, but: Run | None = None) -> None:
+    def _note_touch(self, but: Run | None = None) -> None:
         """Something is done to the mill that may move it or its zero."""
         for run in adrift(self._recoverable()):
             if run is not but:

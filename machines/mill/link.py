@@ -70,7 +70,7 @@ class MillLink:
         except MachineError as error:
             if driver is not None:
                 driver.close()
-            self._failed(str(error))
+            self._fail(str(error))
             return False
         self.driver = driver
         if self.latched:
@@ -103,9 +103,9 @@ class MillLink:
         driver, self.driver = self.driver, None
         if driver is not None:
             driver.close()
-        self._failed(words)
+        self._fail(words)
 
-    def _failed(self, words: str) -> None:
+    def _fail(self, words: str) -> None:
         if words != self.problem:
             self._say("link", words)
         self.problem = words

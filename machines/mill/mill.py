@@ -131,7 +131,7 @@ class Mill(MillStarting):
         if not isinstance(command, _MOVES_NOTHING) and self._live() is None:
             self._watch_adrift(driver.status)
             try:
-                self._touched()
+                self._note_touch()
             except JournalError as error:
                 raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
         stood_mm = driver.status.machine_mm

@@ -167,7 +167,7 @@ class MillStarting(MillEvents):
             self._active.let_go()
         before = {name: run.record.get(name) for name in ("state", "words", *baseline)}
         try:
-            self._touched(but=run)
+            self._note_touch(but=run)
             run.journal.repair()
             run.move(state, "", **baseline)
             run.journal.sync()
@@ -184,7 +184,7 @@ class MillStarting(MillEvents):
         self._journal_words = ""
         self._say("run", f"{run.view.name}: {run.state.value}, confirmed by {run.record['operator']}")
         try:
-            self._touched_off()
+            self._note_touch_off()
         except JournalError as error:
             self._say("journal", str(error))
         self._look()

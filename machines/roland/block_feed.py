@@ -70,7 +70,7 @@ class BlockFeed:
 
     def turn(self, device: Mdx40aDevice, *, may_send: bool) -> None:
         """Take back what the mill has counted; then, if it may be, send the next block. FeedFault ends the feed."""
-        if self.block is not None and not self._counted(device, self.block):
+        if self.block is not None and not self._count(device, self.block):
             return
         if may_send and not self.ended:
             try:
@@ -80,7 +80,7 @@ class BlockFeed:
             except (MachineError, RmlFault, OSError) as error:
                 raise FeedFault(FaultCause.PROGRAM_CHANGED, str(error), self.sent_line) from error
 
-    def _counted(self, device: Mdx40aDevice, block: ByteBlock) -> bool:
+    def _count(self, device: Mdx40aDevice, block: ByteBlock) -> bool:
         counter, now_s = device.read_counter(), device.clock()
         if (block.counter_after - counter) % COUNTER_MODULUS > len(block.data):
             words = f"the byte counter is {counter}, at most {block.counter_after} can be right: blocks do not match"
@@ -99,7 +99,7 @@ class BlockFeed:
         line = next(self._lines, None)
         if line is not None and not self._opened:
             self._opened = True
-            self._lines = chain(self._opening(line), [line], self._lines)
+            self._lines = chain(self._begin_program(line), [line], self._lines)
             line = next(self._lines)
         if line is None:
             self.ended = True
@@ -130,7 +130,7 @@ class BlockFeed:
                 "the top (0): the mill would run all that follows as rapids; lower the safe Z or the stock"
             )
 
-    def _opening(self, first: ProgramLine) -> tuple[ProgramLine, ...]:
+    def _begin_program(self, first: ProgramLine) -> tuple[ProgramLine, ...]:
         """NC code must begin with % and O and eight digits; a program read from the middle has lost them."""
         if self._is_rml or first.text[:1] in (b"%", b"("):
             return ()

@@ -111,7 +111,7 @@ class RolandSerialDriver(OneWayDriver):
                 self._pace.written(len(query), now_s)
                 self._asked.append(query)
 
-    def _received(self, data: bytes, now_s: float) -> None:
+    def _receive(self, data: bytes, now_s: float) -> None:
         *replies, self._reply = (self._reply + data)[-_MOST_REPLY:].split(b"\r")
         for reply in replies:
             if not self._asked or not reply.strip().isdigit():

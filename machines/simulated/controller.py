@@ -110,12 +110,12 @@ class Controller:
         sx, sy, sz = self.shift
         return (x + sx, y + sy, z + sz)
 
-    def suspended(self) -> bool:
+    def is_suspended(self) -> bool:
         return self.critical or self.alarm != 0 or self.state in _SUSPENDED
 
     def busy(self) -> bool:
         """No line is read now."""
-        return self.task is not None or self.suspended()
+        return self.task is not None or self.is_suspended()
 
     # -- the task of a line ----------------------------------------------------------------------------------------
     def begin(self, task: Task) -> None:
@@ -127,7 +127,7 @@ class Controller:
         """Let the waiting task go on as far as it can."""
         if self.alarm and self.now_s >= self.alarm_until_s:
             self.end_alarm()
-        while self.task is not None and not self.suspended():
+        while self.task is not None and not self.is_suspended():
             waiting = self.waiting
             if waiting is ROOM:
                 if len(self.stepper.planner.blocks) >= self.stepper.planner.capacity:
@@ -151,7 +151,7 @@ class Controller:
         """When the waiting task wants to go on by the clock, or an alarm has been said."""
         if self.alarm:
             return self.alarm_until_s
-        if self.task is None or not isinstance(self.waiting, float) or self.suspended():
+        if self.task is None or not isinstance(self.waiting, float) or self.is_suspended():
             return inf
         return self.waiting
 

@@ -229,9 +229,9 @@ class SimulatedMill:
         self._off = was
 
     def _boot(self, *, first: bool, off_s: float = 0.0) -> None:
-        self.at(self.now_s + off_s + self.traits.boot_s, lambda: self._booted(first=first))
+        self.at(self.now_s + off_s + self.traits.boot_s, lambda: self._finish_boot(first=first))
 
-    def _booted(self, *, first: bool) -> None:
+    def _finish_boot(self, *, first: bool) -> None:
         self.serial.clear_received(self.now_s)
         self._off = False
         fw = self.firmware

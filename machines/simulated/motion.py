@@ -69,7 +69,7 @@ class Stepper:
         left = end + (start - end) * min(1.0, max(0.0, share))
         return (b.tx - b.ux * left, b.ty - b.uy * left, b.tz - b.uz * left)
 
-    def executing(self) -> PlannedBlock | None:
+    def executing_block(self) -> PlannedBlock | None:
         return self._queue[0][0] if self._queue else None
 
     def place(self, x: float, y: float, z: float) -> None:
@@ -97,7 +97,7 @@ class Stepper:
     def stop_dead(self, at_s: float) -> tuple[float, float, float, PlannedBlock | None]:
         """Steppers off in the middle of a motion: where it stood, and in which block. All buffers are gone."""
         x, y, z = self.where(at_s)
-        b = self.executing()
+        b = self.executing_block()
         if b is not None:
             self._on_piece(b, x, y, z, at_s, False)
         self.x, self.y, self.z = x, y, z

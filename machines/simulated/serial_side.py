@@ -64,7 +64,7 @@ class SerialSide:
 
     def _chunk(self, data: bytes, first: float) -> None:
         if first < self.deaf_until_s:
-            count = self._arrived(first, len(data), self.deaf_until_s, strictly=True)
+            count = self._count_arrived(first, len(data), self.deaf_until_s, strictly=True)
             self.lost_deaf += count
             data, first = data[count:], first + count * self.byte_s
         if b"\r" in data or self._after_cr:
@@ -81,7 +81,7 @@ class SerialSide:
         self._after_cr = data.endswith(b"\r")
         return data.replace(b"\r\n", NEWLINE).replace(b"\r", NEWLINE)
 
-    def _arrived(self, first: float, length: int, at_s: float, *, strictly: bool = False) -> int:
+    def _count_arrived(self, first: float, length: int, at_s: float, *, strictly: bool = False) -> int:
         if first > at_s or (strictly and first >= at_s):
             return 0
         if self.byte_s == 0.0:
@@ -129,7 +129,7 @@ class SerialSide:
             first, data = incoming[0]
             if first > at_s:
                 break
-            count = self._arrived(first, len(data), at_s)
+            count = self._count_arrived(first, len(data), at_s)
             if count == len(data):
                 incoming.popleft()
             else:
@@ -151,7 +151,7 @@ class SerialSide:
 
     def used(self, at_s: float) -> int:
         """Bytes in the ring now, as Bf: reports."""
-        waiting = sum(self._arrived(first, len(data), at_s) for first, data in self.incoming)
+        waiting = sum(self._count_arrived(first, len(data), at_s) for first, data in self.incoming)
         return min(self.rx_bytes, len(self.ring) + waiting)
 
     def go_deaf(self, from_s: float, until_s: float) -> None:

@@ -21,7 +21,7 @@ _PAD_MM = 6.0
 
 def screen_bench(throw_mm: float, refractive_index: float, half: Half) -> Bench:
     """One half by itself, its lower left corner the origin, before the screen of the whole piece."""
-    return Bench.centred(
+    return Bench.centre_on(
         width_mm=HALF_MM,
         height_mm=HEIGHT_MM,
         throw_mm=throw_mm,

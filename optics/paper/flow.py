@@ -86,7 +86,7 @@ def _plain_flow(
 ) -> PaperFlow:
     ny, nx = target.shape
     x_mm, y_mm = pixel_vertices(nx, size_mm[0]), pixel_vertices(ny, size_mm[1])
-    rest = TriangleMesh.structured(x_mm, y_mm)
+    rest = TriangleMesh.build_regular(x_mm, y_mm)
     faces, weights = rest.dual_areas(), rest.areas()
     wanted, lifted = face_intensities(target, faces, settings.floor)
 

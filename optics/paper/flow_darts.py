@@ -30,7 +30,7 @@ def flow_with_darts(
     ny, nx = target.shape
     wanted, lifted = raise_to_floor(target, settings.floor)
     x_mm, y_mm = pixel_vertices(nx, size_mm[0]), pixel_vertices(ny, size_mm[1])
-    rest = TriangleMesh.structured(x_mm, y_mm)
+    rest = TriangleMesh.build_regular(x_mm, y_mm)
     pair = MeshPair(screen=rest, lens=rest)
     rng = np.random.default_rng(settings.seed)
     pixel_mm = (size_mm[0] / nx, size_mm[1] / ny)

@@ -63,25 +63,25 @@ class _Even:
         return cls(x_mm=x_mm, y_mm=y_mm, screen_mm=np.stack(np.meshgrid(x_mm, y_mm), axis=-1))
 
     def pair(self) -> MeshPair:
-        lens = TriangleMesh.structured(self.x_mm, self.y_mm)
+        lens = TriangleMesh.build_regular(self.x_mm, self.y_mm)
         return MeshPair(screen=lens.moved(self.screen_mm.reshape(-1, 2)), lens=lens)
 
     def again(self, moved_mm: Array) -> _Even:
         """The even grid once more, after its vertices had moved to moved_mm (my, mx, 2) on the lens."""
         at = screen_positions(moved_mm[..., 0], moved_mm[..., 1], self.x_mm, self.y_mm)
-        return self._carrying(_read(self.screen_mm, *at))
+        return self._carry_over(_read(self.screen_mm, *at))
 
     def finer(self, cells: tuple[int, int]) -> _Even:
         """The same map on another even grid."""
         grown = self.identity((float(self.x_mm[-1]), float(self.y_mm[-1])), cells)
         u = np.linspace(0.0, self.x_mm.size - 1.0, grown.x_mm.size)
         v = np.linspace(0.0, self.y_mm.size - 1.0, grown.y_mm.size)
-        return grown._carrying(_read(self.screen_mm, *np.meshgrid(u, v), order=3))
+        return grown._carry_over(_read(self.screen_mm, *np.meshgrid(u, v), order=3))
 
-    def _carrying(self, screen_mm: Array) -> _Even:
+    def _carry_over(self, screen_mm: Array) -> _Even:
         screen_mm[:, 0, 0], screen_mm[:, -1, 0] = 0.0, self.x_mm[-1]
         screen_mm[0, :, 1], screen_mm[-1, :, 1] = 0.0, self.y_mm[-1]
-        triangles = TriangleMesh.structured(self.x_mm, self.y_mm).triangles
+        triangles = TriangleMesh.build_regular(self.x_mm, self.y_mm).triangles
         return replace(self, screen_mm=_turn_back(screen_mm, triangles))
 
     def on_lattice(self, values: Array, x_mm: Array, y_mm: Array) -> Array:

@@ -21,7 +21,7 @@ class TriangleMesh:
     triangles: Triangles
 
     @classmethod
-    def structured(cls, x_mm: Array, y_mm: Array) -> TriangleMesh:
+    def build_regular(cls, x_mm: Array, y_mm: Array) -> TriangleMesh:
         """Right triangles over the grid of x_mm (nx,) and y_mm (ny,), both ascending; vertex (j, i) is j nx + i.
 
         Every cell is cut along the diagonal from its lower left to its upper right corner.

@@ -66,7 +66,7 @@ class Preimages:
                 c, rim_x, rim_y, *self._arguments, self.across, self.along, self.mixed, self._top,
             )  # fmt: skip
             return self._greatest_height(c)
-        ghosts, rims = self._bordered(c)
+        ghosts, rims = self._add_border(c)
         over_rows(
             face_areas, c.shape[0],
             ghosts, rims.points_x, rims.points_y, self._beam, *self._frame, *self._units,
@@ -87,7 +87,7 @@ class Preimages:
         if self.even:
             over_rows(preimages_of_corners, ny + 1, c, *rim_slopes(c, self.bench), *self._arguments, px, py)
             return px, py
-        ghosts, rims = self._bordered(c)
+        ghosts, rims = self._add_border(c)
         over_rows(corner_points, ny + 1, ghosts, self._beam, *self._frame, px, py)
         for points, of in ((px, 3), (py, 4)):
             for side in (0, -1):
@@ -111,9 +111,9 @@ class Preimages:
         """Of the rows and of the corners, where a prism or a diverging lens is highest."""
         return float(max(self._top.max(), corner_rays(c, self.bench, self._beam)[2].max()))
 
-    def _bordered(self, c: Array) -> tuple[Array, Rims]:
+    def _add_border(self, c: Array) -> tuple[Array, Rims]:
         rims = solve_rims(c, self.bench, self._beam, self._curves)
-        return rims.bordered(c, *self._frame[3:]), rims
+        return rims.add_border(c, *self._frame[3:]), rims
 
 
 def _between(middles: Array) -> Array:

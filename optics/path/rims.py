@@ -36,7 +36,7 @@ class Rims:
     points_x: Array
     points_y: Array
 
-    def bordered(self, c: Array, dx: float, dy: float) -> Array:
+    def add_border(self, c: Array, dx: float, dy: float) -> Array:
         """c (ny, nx) with one ghost row and column around it, which continue it by its slope on the frame."""
         ghosts = np.pad(c, 1, mode="edge")
         for side, sign in ((0, -dx), (-1, dx)):

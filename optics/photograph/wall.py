@@ -266,7 +266,7 @@ class _WallFit:
                 finer = self._scene(side)
                 spread = state.fit.spread_px2 * (finer.share / scene.share) ** 2
                 scene, state = finer, replace(state, fit=replace(state.fit, spread_px2=spread))
-            state, deviation = self._improved(scene, state)
+            state, deviation = self._improve(scene, state)
             report((number + 1) / len(_SIDES))
         return self._told(scene, state, deviation, scene.correlation(self._begin(scene)))
 
@@ -285,7 +285,7 @@ class _WallFit:
         )
         return _State(fit=fit, setting=np.zeros(SETTINGS), shade=np.zeros(SHADES), odd_blur=np.zeros(_ODD.size))
 
-    def _improved(self, scene: _Scene, state: _State) -> tuple[_State, Array]:
+    def _improve(self, scene: _Scene, state: _State) -> tuple[_State, Array]:
         """One Gauss-Newton step, halved until it helps; and the deviations of the settings there."""
         view = scene.lit(state)
         off, model, is_open, counts = scene.residual(state, view)
@@ -311,7 +311,7 @@ class _WallFit:
         deviation = np.sqrt(np.diag(inverse)[-SETTINGS:])
         now = self._loss(scene, state, view, scale, certainty)
         for factor in (1.0, 0.5, 0.25, 0.1):
-            trial = self._moved(state, factor * step)
+            trial = self._move(state, factor * step)
             if self._loss(scene, trial, scene.lit(trial), scale, certainty) < now:
                 return trial, deviation
         return state, deviation
@@ -349,7 +349,7 @@ class _WallFit:
             prior += ((self._width - scene.rays.width(state.setting)) / _WIDTH) ** 2
         return data + 0.5 * prior
 
-    def _moved(self, state: _State, step: Array) -> _State:
+    def _move(self, state: _State, step: Array) -> _State:
         own, odd, shade, setting = np.split(step, np.cumsum([PARAMETERS + 4, _ODD.size, SHADES]))
         most = 2.0 * self._expected
         return _State(

@@ -74,7 +74,7 @@ def pair(data: DataOption = None) -> None:
 def list_(data: DataOption = None) -> None:
     """List the tokens that were made, and what became of them. The tokens themselves are not known."""
     with _token_book(data) as book:
-        found = book.listed()
+        found = book.list_rows()
     if all(token.paired for token in found):
         print("no token was ever made; on this computer, jobs need none")
     for token in found:

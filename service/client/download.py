@@ -113,10 +113,12 @@ def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
     if have:
         headers |= {"Range": f"bytes={have}-", "If-Range": f'"{file.sha256}"'}
     with contextlib.ExitStack() as stack:
-        answer = stack.enter_context(server.streamed(file.url, headers=headers, read_s=_READ_S))
+        answer = stack.enter_context(server.stream_answer(file.url, headers=headers, read_s=_READ_S))
         if answer.is_redirect:  # to the object itself, at the artifact store; its ETag is its own affair
             headers.pop("If-Range", None)
-            answer = stack.enter_context(server.streamed(answer.headers["Location"], headers=headers, read_s=_READ_S))
+            answer = stack.enter_context(
+                server.stream_answer(answer.headers["Location"], headers=headers, read_s=_READ_S)
+            )
         if answer.status_code == 416:
             part.unlink(missing_ok=True)
             raise GoneError("the server did not go on where this file ends", begun=True)

@@ -56,7 +56,7 @@ def stream_events(
     while True:
         try:
             headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last_id} if last_id else {})
-            with server.streamed(path, headers=headers, read_s=_SILENCE_S) as answer:
+            with server.stream_answer(path, headers=headers, read_s=_SILENCE_S) as answer:
                 server.demand_good(answer)
                 if lost_s is not None:
                     on_back()

@@ -99,7 +99,7 @@ class ServerClient:
         return answer
 
     @contextlib.contextmanager
-    def streamed(self, url: str, *, headers: Mapping[str, str], read_s: float) -> Iterator[httpx.Response]:
+    def stream_answer(self, url: str, *, headers: Mapping[str, str], read_s: float) -> Iterator[httpx.Response]:
         """An answer read piece by piece. Inside, a lost connection is a GoneError, too.
 
         Another server than ours (an artifact store) is not shown the token.

@@ -130,7 +130,7 @@ def _read_rml(path: Path, limits: MillLimits, on_share: Callable[[float], None])
         spindle_rpm=limits.spindle_rpm,
         safe_z_mm=0.0,
     )
-    facts = check_rml(index.passing(_chunks(path, digest, on_share)), profile)
+    facts = check_rml(index.cut_into_pieces(_chunks(path, digest, on_share)), profile)
     box = Bounds(*facts.bounds_mm) if facts.bounds_mm else None
     return Preflight(
         sha256=digest.hexdigest(),

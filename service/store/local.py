@@ -59,7 +59,7 @@ class LocalStore:
                 if self._link(path, sha256, facts.st_size):
                     return self.head(sha256)
                 file.seek(0)
-            with self._arriving() as (part, copy):
+            with self._begin_arrival() as (part, copy):
                 sha256 = _copy(file, copy)
                 _require_unchanged(path, file, facts)
                 os.fchmod(copy.fileno(), 0o400)
@@ -104,7 +104,7 @@ class LocalStore:
         return place if place.is_file() else None
 
     def delete(self, sha256: str, *, stored_before: float | None = None) -> None:
-        with contextlib.suppress(MissingObjectError), _told("cannot delete"), self._locked(fcntl.LOCK_EX):
+        with contextlib.suppress(MissingObjectError), _told("cannot delete"), self._lock(fcntl.LOCK_EX):
             if stored_before is None or self.head(sha256).stored_at < stored_before:
                 self._place(sha256).unlink(missing_ok=True)
 
@@ -117,7 +117,7 @@ class LocalStore:
 
     def check(self) -> None:
         word = secrets.token_bytes(32)
-        with _told("cannot write to the artifact store"), self._arriving() as (part, file):
+        with _told("cannot write to the artifact store"), self._begin_arrival() as (part, file):
             file.write(word)
             os.fsync(file.fileno())
             if part.read_bytes() != word:
@@ -134,7 +134,7 @@ class LocalStore:
     def _link(self, path: Path, sha256: str, size: int) -> bool:
         """False where this file system does not link."""
         target = self._ready_place(sha256)
-        with self._locked(fcntl.LOCK_SH):
+        with self._lock(fcntl.LOCK_SH):
             if not _renew(target, size):
                 try:
                     os.link(path, target)
@@ -150,7 +150,7 @@ class LocalStore:
 
     def _rename(self, part: Path, sha256: str, size: int) -> None:
         target = self._ready_place(sha256)
-        with self._locked(fcntl.LOCK_SH):
+        with self._lock(fcntl.LOCK_SH):
             if not _renew(target, size):
                 part.rename(target)
         _sync_folder(target.parent)
@@ -163,13 +163,13 @@ class LocalStore:
         return target
 
     @contextlib.contextmanager
-    def _locked(self, kind: int) -> Iterator[None]:
+    def _lock(self, kind: int) -> Iterator[None]:
         with self._guard.open("rb") as guard:
             fcntl.flock(guard, kind)
             yield
 
     @contextlib.contextmanager
-    def _arriving(self) -> Iterator[tuple[Path, IO[bytes]]]:
+    def _begin_arrival(self) -> Iterator[tuple[Path, IO[bytes]]]:
         """A new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
         while True:
             part = self._incoming / f"{secrets.token_hex(8)}.part"

@@ -29,7 +29,7 @@ def _piece(name: str, rows: int, columns: int) -> np.ndarray:
 
 
 def _bench(width_mm: float = 100.0, height_mm: float = 100.0, throw_mm: float = 100.0, **others: object) -> Bench:
-    return Bench.centred(
+    return Bench.centre_on(
         width_mm=width_mm, height_mm=height_mm, throw_mm=throw_mm, refractive_index=1.49, **others  # type: ignore[arg-type]
     )  # fmt: skip
 

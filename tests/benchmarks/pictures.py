@@ -15,7 +15,7 @@ from optics.settings import LensSettings
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAPER_SETTING = LensSettings(
-    bench=Bench.centred(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49), skim_mm=0.1
+    bench=Bench.centre_on(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49), skim_mm=0.1
 )
 
 

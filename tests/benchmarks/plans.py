@@ -106,7 +106,7 @@ def _tracks(lens: Heightfield, finish: PassSpec) -> Tracks:
 
 def _on_whole_steps(tracks: Tracks, mill: MachineProfile, finish: PassSpec) -> Tracks:
     """The same rows with their vertices where a program for that mill has them."""
-    digits = POSTS[mill.dialect].digits.coarsened(mill.step_mm)
+    digits = POSTS[mill.dialect].digits.coarsen(mill.step_mm)
     start, way = rapid(tracks.tips_mm[0]), cut(tracks.tips_mm[1:], finish.feed_mm_per_min)
     paths = on_raster([start, way], Rounding(digits=digits, pitch_mm=finish.pitch_mm))
     tips = np.concatenate([path.points_mm for path in paths])

@@ -44,7 +44,7 @@ def ending(hard: Hard, *, side_mm: float = 100.0, throw_mm: float = 100.0, corre
     target = target_irradiance(hard.picture, viewed_from="lens")
     ny, nx = target.shape
     scale = side_mm / max(ny, nx)
-    bench = Bench.centred(width_mm=nx * scale, height_mm=ny * scale, throw_mm=throw_mm, refractive_index=1.49)
+    bench = Bench.centre_on(width_mm=nx * scale, height_mm=ny * scale, throw_mm=throw_mm, refractive_index=1.49)
     started = time.process_time()
     try:
         path = solve_transport(target, bench, skim_mm=0.1)

@@ -18,7 +18,7 @@ def screen() -> Screen:
 @pytest.fixture
 def settings() -> LensSettings:
     """A 20 mm lens for a picture of the same size."""
-    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49)
+    bench = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49)
     return LensSettings(bench=bench, skim_mm=0.1)
 
 

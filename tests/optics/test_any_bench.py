@@ -53,7 +53,7 @@ def benches(draw: st.DrawFn) -> Bench:
     width, height = of_size(draw, 8.0, 60.0), of_size(draw, 8.0, 60.0)
     outline = draw(st.none() | st.sampled_from(sorted(OUTLINES)))
     shifts = st.floats(-40.0, 40.0)
-    return Bench.centred(
+    return Bench.centre_on(
         width_mm=width,
         height_mm=height,
         throw_mm=of_size(draw, 15.0, 400.0),
@@ -122,7 +122,7 @@ def test_a_lens_or_a_reason(bench: Bench, target: np.ndarray, corrections: int, 
 def test_a_mirror_whose_lamp_stands_as_far_away_as_its_screen() -> None:
     """The solver divided by zero here; other distances of the lamp, or of the screen, always ended in a lens."""
     light = Light(kind="point", distance_mm=10**2.25, profile=np.array([[0.5, 1.0, 1.0], [0.5, 0.5, 1.0]]))
-    bench = Bench.centred(
+    bench = Bench.centre_on(
         width_mm=10**1.5,
         height_mm=10.0,
         throw_mm=10**2.25,

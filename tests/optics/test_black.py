@@ -19,7 +19,7 @@ from optics.metrics import score_caustic
 from optics.screen import Screen
 from optics.settings import LensSettings
 
-BENCH = Bench.centred(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49)
+BENCH = Bench.centre_on(width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49)
 
 
 def ring(pixels: int = 128) -> np.ndarray:
@@ -45,7 +45,7 @@ def test_light_from_the_bottom_of_a_valley_is_what_the_estimate_says(
     light: Light, screen_mm: tuple[float, float]
 ) -> None:
     """A trough of curvature 1/r, bent lengthwise to spread as the screen asks: 1 % for what is not paraxial."""
-    bench = Bench.centred(
+    bench = Bench.centre_on(
         width_mm=100.0, height_mm=100.0, throw_mm=100.0, refractive_index=1.49, screen_mm=screen_mm, light=light
     )
     spread, flat = screen_mm[0] / 100, 1.0 if light.kind != "point" else 1 + 100 / (90 + bench.thickness_mm / 1.49)

@@ -163,7 +163,7 @@ def test_a_plate_shows_the_lights_own_profile() -> None:
     """A profile that rises evenly in x and y: pixels whose rims lie on the lattice hold its exact mean."""
     profile = np.array([[1.0, 4.0], [3.0, 6.0]])
     plate = Heightfield.on_aperture(np.full((9, 9), -1.0), width_mm=20.0, height_mm=20.0)
-    bench = Bench.centred(
+    bench = Bench.centre_on(
         width_mm=20.0, height_mm=20.0, throw_mm=30.0, refractive_index=N, light=Light(profile=profile)
     )
     middle = (np.arange(8) + 0.5) / 8
@@ -188,7 +188,7 @@ def test_the_sun_makes_an_image_of_itself() -> None:
     screen = Screen(width_mm=2.0, height_mm=2.0, centre_x_mm=10.0, centre_y_mm=10.0)
     pupil = 10 + 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     light = Light(kind="sun", size_deg=0.53)
-    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=27.0, refractive_index=N, light=light)
+    bench = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=27.0, refractive_index=N, light=light)
     bench = replace(bench, screen=screen, outline_mm=pupil)
     light_at = simulate_caustic(lens, bench, pixels=(200, 200), beams=60).irradiance
     axis = (np.arange(200) + 0.5) / 100 - 1
@@ -202,7 +202,7 @@ def test_a_paraboloid_mirror_focuses_on_one_point() -> None:
     axis, focal = np.linspace(0.0, 20.0, 81), 60.0
     z = ((axis[None, :] - 9.95) ** 2 + (axis[:, None] - 10.05) ** 2) / (4 * focal)
     mirror = Heightfield.on_aperture(z - 4.0, width_mm=20.0, height_mm=20.0)
-    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=focal - 4.0, refractive_index=N, mirror=True)
+    bench = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=focal - 4.0, refractive_index=N, mirror=True)
     light = simulate_caustic(mirror, bench, pixels=(200, 200)).irradiance
     assert light[100, 99] == pytest.approx(200 * 200, rel=1e-6)
 

@@ -108,7 +108,7 @@ def test_a_lens_that_foresees_its_finish_shows_more_behind_it() -> None:
         1.0 + 0.6 * np.sin(2 * np.pi * 5 * x) * np.sin(2 * np.pi * 4 * y) + 0.8 * (np.hypot(x - 0.5, y - 0.5) < 0.2)
     )
     target /= target.mean()
-    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=60.0, refractive_index=1.49)
+    bench = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=60.0, refractive_index=1.49)
     finish = Finish(k0_rad_per_mm=3.5, order=1.0)
     plain = LensSettings(bench=bench, skim_mm=0.1, min_radius_mm=0.5)
     seen = [

@@ -28,7 +28,7 @@ CIRCLE = 10 + 10 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 
 def bench_of(**changes: Any) -> Bench:
     sizes: dict[str, Any] = {"width_mm": 20.0, "height_mm": 20.0, "throw_mm": 60.0, "refractive_index": 1.49}
-    return Bench.centred(**(sizes | changes))
+    return Bench.centre_on(**(sizes | changes))
 
 
 BENCHES = {
@@ -133,7 +133,7 @@ def test_a_convex_outline_gets_all_of_the_frame(outline: np.ndarray, soft_pictur
     solution = solve_transport(target, bench, skim_mm=0.1)
     assert solution.converged
     lens, corners = lens_of(solution), solution.transport_map()
-    area = corners.collected_areas_mm2()
+    area = corners.collect_areas_mm2()
     x, y = outline.T
     whole = 0.5 * abs(x @ np.roll(y, -1) - y @ np.roll(x, -1))
     assert area.sum() == pytest.approx(whole, rel=0.01)  # the rim is followed by chords of a pixel's width

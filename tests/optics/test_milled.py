@@ -17,7 +17,7 @@ from optics.milled_blur import deviations, predict_light
 
 SIDE_MM = 10.0
 PIXELS = (32, 32)
-BENCH = Bench.centred(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=30.0, refractive_index=1.49)
+BENCH = Bench.centre_on(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=30.0, refractive_index=1.49)
 
 
 def lens():

@@ -22,7 +22,7 @@ def beams(draw: st.DrawFn) -> Beam:
     kind = draw(st.sampled_from(["collimated", "point"]))
     light = Light(kind=kind, distance_mm=draw(st.floats(60.0, 3000.0)), tilt_rad=tilt)  # type: ignore[arg-type]
     index, mirror = draw(st.floats(1.3, 2.0)), draw(st.booleans())
-    return Bench.centred(
+    return Bench.centre_on(
         width_mm=WIDTH, height_mm=WIDTH, throw_mm=THROW, refractive_index=index, mirror=mirror, light=light
     ).beam()
 
@@ -81,5 +81,5 @@ def test_the_surface_normal_is_what_snell_asks(
 def test_no_place_has_no_light(x: float, y: float) -> None:
     """A ray that was lost on its way names no cell of a profile: reading one would leave the array."""
     light = Light(profile=np.ones((3, 4)))
-    bench = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49, light=light)
+    bench = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49, light=light)
     assert np.isnan(strength_on_face(bench.beam(), x, y))

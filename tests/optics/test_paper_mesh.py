@@ -11,7 +11,7 @@ from optics.paper.smooth_map import SmoothGridMap
 
 def shaken_mesh(seed: int, *, nx: int = 9, ny: int = 7) -> TriangleMesh:
     """A grid of 8 x 6 mm, its inner vertices moved by up to a quarter cell: no triangle flips."""
-    mesh = TriangleMesh.structured(np.arange(float(nx)), np.arange(float(ny)))
+    mesh = TriangleMesh.build_regular(np.arange(float(nx)), np.arange(float(ny)))
     shake = np.random.default_rng(seed).uniform(-0.25, 0.25, (ny, nx, 2))
     shake[[0, -1]] = 0.0
     shake[:, [0, -1]] = 0.0

@@ -10,7 +10,7 @@ from optics.paper.poisson import NeumannPoisson, divergence_load
 def moved_square(n: int) -> TriangleMesh:
     """(n + 1)^2 vertices over the unit square, moved by a smooth map that keeps the frame."""
     x = np.linspace(0.0, 1.0, n + 1)
-    mesh = TriangleMesh.structured(x, x)
+    mesh = TriangleMesh.build_regular(x, x)
     p = mesh.points_mm
     return mesh.moved(p + 0.06 * np.sin(2 * np.pi * p) * np.cos(np.pi * p[:, ::-1]))
 
@@ -85,7 +85,7 @@ def test_thin_and_sheared_triangles_do_not_stop_the_solver():
     """A mesh squeezed 1:50 and sheared, as the flow leaves it before it sticks: 35 cycles at most for six digits."""
     n = 64
     x = np.linspace(0.0, 1.0, n + 1)
-    mesh = TriangleMesh.structured(x, x)
+    mesh = TriangleMesh.build_regular(x, x)
     u, v = mesh.points_mm.T
     squeezed, sheared = u - 0.98 * np.sin(2 * np.pi * u) / (2 * np.pi), v - 0.2 * np.sin(np.pi * u) * np.sin(np.pi * v)
     mesh = mesh.moved(np.stack([squeezed, sheared], axis=1))

@@ -14,7 +14,7 @@ from optics.paper.remesh import without_short_lived
 
 def shaken(seed: int, *, nx: int = 13, ny: int = 10, by: float = 0.25) -> TriangleMesh:
     """A grid of 12 x 9 mm whose inner vertices are moved by up to `by` cells."""
-    mesh = TriangleMesh.structured(np.arange(float(nx)), np.arange(float(ny)))
+    mesh = TriangleMesh.build_regular(np.arange(float(nx)), np.arange(float(ny)))
     shake = np.random.default_rng(seed).uniform(-by, by, (ny, nx, 2))
     shake[[0, -1]] = 0.0
     shake[:, [0, -1]] = 0.0
@@ -134,5 +134,5 @@ def test_clean_remeshing_ends_on_the_lenss_own_even_grid():
     flow = solve_paper_map(
         spot_on_dark(), width_mm=40.0, height_mm=40.0, settings=FlowSettings(remeshing="clean"), lens_cells=(60, 50)
     )
-    rest = TriangleMesh.structured(np.linspace(0, 40, 61), np.linspace(0, 40, 51))
+    rest = TriangleMesh.build_regular(np.linspace(0, 40, 61), np.linspace(0, 40, 51))
     np.testing.assert_array_equal(flow.pair.lens.points_mm, rest.points_mm)

@@ -28,7 +28,7 @@ def soft_picture(ny: int = 40, nx: int = 40):
 def lens_for(
     picture, *, width_mm=40.0, height_mm=40.0, throw_mm=60.0, screen=(40.0, 40.0), skim_mm=0.2, remeshing="none"
 ):
-    bench = Bench.centred(
+    bench = Bench.centre_on(
         width_mm=width_mm, height_mm=height_mm, throw_mm=throw_mm, refractive_index=INDEX, screen_mm=screen
     )
     settings = LensSettings(bench=bench, skim_mm=skim_mm)
@@ -37,7 +37,7 @@ def lens_for(
 
 def score(lens, picture, *, throw_mm=60.0, screen=(40.0, 40.0)):
     made = lens.heightfield
-    bench = Bench.centred(
+    bench = Bench.centre_on(
         width_mm=made.width_mm, height_mm=made.height_mm, throw_mm=throw_mm, refractive_index=INDEX, screen_mm=screen
     )
     caustic = simulate_caustic(made, bench, pixels=picture.shape)
@@ -77,7 +77,7 @@ def test_an_even_magnification_gives_the_closed_form_of_a_weak_lens():
     """q = c + m (p - c): for slight m the lens is the parabola of focal length H / (1 - m), sag r^2 / (2 (n - 1) f)."""
     x = np.linspace(0.0, 10.0, 21)
     points = np.stack(np.meshgrid(x, x), axis=-1)
-    mesh = TriangleMesh.structured(x, x)
+    mesh = TriangleMesh.build_regular(x, x)
     screen = 5 + 0.99 * (mesh.points_mm - 5)
     surface = solve_paper_surface(screen, mesh, throw_mm=100.0, refractive_index=INDEX, skim_mm=0.0)
     h_mm = surface.h_mm.reshape(21, 21)
@@ -118,7 +118,7 @@ def test_a_stuck_mesh_still_gives_a_lens_whose_picture_is_recognisable():
     lens = lens_for(picture)
     assert not lens.converged and "stuck" in lens.message
     assert lens.heightfield.z_mm.max() <= -0.2 + 1e-12
-    bench = Bench.centred(width_mm=40.0, height_mm=40.0, throw_mm=60.0, refractive_index=INDEX)
+    bench = Bench.centre_on(width_mm=40.0, height_mm=40.0, throw_mm=60.0, refractive_index=INDEX)
     caustic = simulate_caustic(lens.heightfield, bench, pixels=(48, 48))
     assert np.corrcoef(caustic.irradiance.ravel(), picture.ravel())[0, 1] > 0.8
     assert lens.history()[-1]["stage"] == "surface"
@@ -132,7 +132,7 @@ def test_light_that_would_be_reflected_is_an_error_with_its_numbers():
 
 
 def test_light_that_the_paper_has_not_is_an_error():
-    bench = Bench.centred(
+    bench = Bench.centre_on(
         width_mm=40.0, height_mm=40.0, throw_mm=60.0, refractive_index=INDEX, light=Light(kind="point", distance_mm=500)
     )
     with pytest.raises(UnsupportedBenchError, match="a lamp at a finite distance"):
@@ -157,7 +157,7 @@ def test_remeshing_brings_the_contrast_to_that_of_the_picture():
     misplaced, contrast = {}, {}
     for remeshing in ("none", "simple", "clean"):
         lens = lens_for(picture, remeshing=remeshing)
-        bench = Bench.centred(width_mm=40.0, height_mm=40.0, throw_mm=60.0, refractive_index=INDEX)
+        bench = Bench.centre_on(width_mm=40.0, height_mm=40.0, throw_mm=60.0, refractive_index=INDEX)
         made = simulate_caustic(lens.heightfield, bench, pixels=picture.shape).irradiance
         contrast[remeshing] = (made[bright].mean() - made[~bright].mean()) / np.ptp(picture)
         misplaced[remeshing] = score_caustic(made, picture).misplaced_light

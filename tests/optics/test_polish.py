@@ -21,7 +21,7 @@ from optics.spline import _fit_all_columns
 from optics.tubes.picture import TubePicture
 from optics.tubes.rays import fit_transposed
 
-BENCH = Bench.centred(
+BENCH = Bench.centre_on(
     width_mm=20.0,
     height_mm=16.0,
     throw_mm=40.0,

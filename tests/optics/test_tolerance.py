@@ -32,7 +32,7 @@ from optics.tolerance import (
     source_rad,
 )
 
-BENCH = Bench.centred(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49)
+BENCH = Bench.centre_on(width_mm=20.0, height_mm=20.0, throw_mm=40.0, refractive_index=1.49)
 
 
 @cache

@@ -27,7 +27,7 @@ def on_screen(settings: LensSettings, screen_mm: tuple[float, float], **changes:
     """The same lens, or one of another height or throw, before a centred screen of that size."""
     of = settings.bench
     sizes = {"width_mm": of.width_mm, "height_mm": of.height_mm, "throw_mm": of.throw_mm} | changes
-    return replace(settings, bench=Bench.centred(refractive_index=of.refractive_index, screen_mm=screen_mm, **sizes))
+    return replace(settings, bench=Bench.centre_on(refractive_index=of.refractive_index, screen_mm=screen_mm, **sizes))
 
 
 def scored(target: np.ndarray, settings: LensSettings) -> CausticScore:
@@ -46,7 +46,7 @@ def test_each_pixel_collects_its_share(settings: LensSettings, soft_picture: np.
     target = target_irradiance(soft_picture, viewed_from="lens")
     solution = solve_transport(target, settings.bench, skim_mm=0.1, tolerance=1e-4)
     assert solution.converged
-    areas = solution.transport_map().collected_areas_mm2() / (400 / target.size)
+    areas = solution.transport_map().collect_areas_mm2() / (400 / target.size)
     assert areas.min() > 0  # no quad turned over
     assert areas.mean() == pytest.approx(1.0, abs=1e-12)  # the frame stays on the frame
     # corner quads see a wider stencil than the solver's midpoint quads: second-order difference on 48 pixels
@@ -180,7 +180,9 @@ def test_random_pictures_never_fold_or_fail(seed: int, contrast: float, shape: t
     rng = np.random.default_rng(seed)
     target = target_irradiance(contrast ** rng.random(shape), viewed_from="lens")
     task = LensSettings(
-        bench=Bench.centred(width_mm=20.0, height_mm=20.0 * shape[0] / shape[1], throw_mm=60.0, refractive_index=1.49),
+        bench=Bench.centre_on(
+            width_mm=20.0, height_mm=20.0 * shape[0] / shape[1], throw_mm=60.0, refractive_index=1.49
+        ),
         skim_mm=0.2,
         corrections=1,
     )

@@ -23,10 +23,10 @@ def summary(number: int, state: str, **more: Any) -> dict[str, Any]:
 def answer_with(page: Page, jobs: list[dict[str, Any]]) -> None:
     """The server of this page has just these jobs, and no files of them."""
 
-    def listed(route: Route) -> None:
+    def answer_list(route: Route) -> None:
         route.fulfill(json={"jobs": [job for job in jobs if _asked(route, job["state"])], "next": None})
 
-    page.route("**/v1/jobs?*", listed)
+    page.route("**/v1/jobs?*", answer_list)
     page.route("**/v1/jobs/*/artifacts", lambda route: route.fulfill(json={"artifacts": []}))
 
 

@@ -50,7 +50,7 @@ class Stub:
         self.url = url
         self.pictures: dict[str, bytes] = {}  # of more jobs in its list
         self._said: list[tuple[str, str, int, str, str, str | None]] = []
-        self._checked: set[tuple[str, ...]] = set()
+        self._check: set[tuple[str, ...]] = set()
         self._streams: set[asyncio.Queue[str]] = set()
         self._numbers = itertools.count(2)
 
@@ -175,8 +175,8 @@ class Stub:
             return
         body = bytes(answer.body).decode()
         known = (request.method, request.url.path, body, asked or "")
-        if known not in self._checked:
-            self._checked.add(known)
+        if known not in self._check:
+            self._check.add(known)
             self._said.append((request.method, request.url.path, answer.status_code, kind, body, asked))
 
     def lies(self) -> list[str]:

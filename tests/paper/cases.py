@@ -31,7 +31,7 @@ INDEX = 1.49
 def setting(side_mm: float) -> LensSettings:
     """The paper's set-up, all of it as many times smaller as the lens is."""
     throw_mm = side_mm * THROW_MM / SIDE_MM
-    bench = Bench.centred(width_mm=side_mm, height_mm=side_mm, throw_mm=throw_mm, refractive_index=INDEX)
+    bench = Bench.centre_on(width_mm=side_mm, height_mm=side_mm, throw_mm=throw_mm, refractive_index=INDEX)
     return LensSettings(bench=bench, skim_mm=0.1)
 
 
@@ -139,7 +139,7 @@ def by_transport(name: str, pixels: int, side_mm: float = SIDE_MM) -> Result:
 def first_step(name: str, pixels: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the first step sees: D (n, n), phi (n, n) [mm^2], grad phi (n, n, 2) [mm]."""
     vertices = pixel_vertices(pixels, SIDE_MM)
-    mesh, shape = TriangleMesh.structured(vertices, vertices), (pixels, pixels)
+    mesh, shape = TriangleMesh.build_regular(vertices, vertices), (pixels, pixels)
     faces = mesh.dual_areas()
     wanted, _ = face_intensities(target(name, pixels), faces, FlowSettings().floor)
     phi = NeumannPoisson(mesh).solve(mesh, (1.0 - wanted) * faces, tolerance=1e-6).values

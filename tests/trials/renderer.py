@@ -61,7 +61,7 @@ def figures() -> Iterator[Figure]:
         yield Figure("renderer", 0.0, "lenses", "not done: mitsuba is not installed (pip install mitsuba)")
         return
     for name, (picture, light) in CASES.items():
-        bench = Bench.centred(
+        bench = Bench.centre_on(
             width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=THROW_MM, refractive_index=INDEX,
             thickness_mm=THICKNESS_MM, light=light,
         )  # fmt: skip

@@ -57,7 +57,7 @@ def coupon_spec(*, machine: str | None, throw_mm: float | None, file: Path | Non
 def coupon_of(spec: JobSpec) -> Coupon:
     """The piece for this mill, wall and material; its ripples are whole steps of the mill high where it has steps."""
     machine = machine_of(spec)
-    digits = POSTS[machine.dialect].digits.coarsened(machine.step_mm if machine.whole_steps else 0.0)
+    digits = POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)
     return Coupon(
         throw_mm=spec.optics.throw_mm,
         refractive_index=spec.optics.refractive_index,

@@ -112,12 +112,12 @@ class PathDrawing:
     def _glance(self) -> Level:
         """The level for a picture of the whole."""
         tolerance_mm = self._side_mm * _GLANCE
-        while (level := self._thinned(tolerance_mm)).points > MOST_POINTS:
+        while (level := self._thin(tolerance_mm)).points > MOST_POINTS:
             level.close()
             tolerance_mm *= 2
         return level
 
-    def _thinned(self, tolerance_mm: float) -> Level:
+    def _thin(self, tolerance_mm: float) -> Level:
         """From a level fine enough that neighbouring rows still are alike: half of the tolerance for what is left out,
         the rest for that level's error and for chords.
         """

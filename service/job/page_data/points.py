@@ -151,7 +151,7 @@ class MovePoints:
         )
         first = Points.none() if self._begun else _begin_points(batch)
         self._begun = True
-        ends_s = self._model.timed(batch)
+        ends_s = self._model.add_batch(batch)
         held = Points.joined([self._waiting, made])
         self._waiting = held[len(ends_s) :]
         return Points.joined([first, _set_times(held[: len(ends_s)], ends_s)])
@@ -159,7 +159,7 @@ class MovePoints:
     def rest(self) -> Points:
         """What was waiting for moves that do not come any more."""
         waiting, self._waiting = self._waiting, Points.none()
-        return _set_times(waiting, self._model.waiting_s())
+        return _set_times(waiting, self._model.list_waiting_s())
 
     @property
     def seconds(self) -> float:

@@ -118,8 +118,8 @@ def _spans(width: int, height: int, fit: str, aspect: float) -> tuple[Span, Span
     if fit == "stretch" or width == height * aspect:
         return across, down
     if (fit == "crop") == too_wide:
-        return Span.centred(width / 2, height * aspect), down
-    return across, Span.centred(height / 2, width / aspect)
+        return Span.centre_on(width / 2, height * aspect), down
+    return across, Span.centre_on(height / 2, width / aspect)
 
 
 def resample_picture(

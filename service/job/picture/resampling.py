@@ -19,7 +19,7 @@ class Span:
     high: float
 
     @classmethod
-    def centred(cls, middle: float, length: float) -> Span:
+    def centre_on(cls, middle: float, length: float) -> Span:
         return cls(middle - length / 2, middle + length / 2)
 
 

@@ -126,7 +126,7 @@ class PictureLight:
         """Slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
         form = self.lenses[marks.radius_mm].form
         reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
-        wider = marks.slopes.across.times(form.widening(marks.spec, reach_mm))
+        wider = marks.slopes.across.times(form.widen_factor(marks.spec, reach_mm))
         return replace(marks.slopes, across=wider)
 
     def reach_mm(self, form: LensForm) -> float:

@@ -30,7 +30,7 @@ def bench_of(spec: JobSpec) -> Bench:
     optics = spec.optics
     corners = optics.outline_mm
     block = {"thickness_mm": spec.stock.thickness_mm} if optics.light_crosses_block else {}
-    return Bench.centred(
+    return Bench.centre_on(
         width_mm=optics.width_mm,
         height_mm=optics.height_mm,
         throw_mm=optics.throw_mm,

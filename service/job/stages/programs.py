@@ -125,7 +125,7 @@ def simulate(
 
 def _digits(machine: MachineProfile) -> Digits:
     """The raster on which programs for this mill state positions."""
-    return POSTS[machine.dialect].digits.coarsened(_step_mm(machine))
+    return POSTS[machine.dialect].digits.coarsen(_step_mm(machine))
 
 
 def _step_mm(machine: MachineProfile) -> float:

@@ -100,9 +100,9 @@ class RunFollower:
             sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
             ready, _, _ = select.select(sources, [], [], _LOOK_S)
             for number in signals.came() if signals.descriptor in ready else ():
-                if (over := self._signalled(number)) is not None:
+                if (over := self._obey_signal(number)) is not None:
                     return self._outcome(over)
-            if self._keyboard is not None and self._keyboard in ready and (over := self._typed()) is not None:
+            if self._keyboard is not None and self._keyboard in ready and (over := self._obey_key()) is not None:
                 return self._outcome(over)
 
     def _outcome(self, ended: Ended) -> Outcome:
@@ -157,7 +157,7 @@ class RunFollower:
             return True
         return time.monotonic() > self._over_s + CLEAR_WAIT_S
 
-    def _signalled(self, number: int) -> Ended | None:
+    def _obey_signal(self, number: int) -> Ended | None:
         if self._keyboard is not None and number == signal.SIGINT:
             return self._do(self._keys.interrupt())
         if number == signal.SIGHUP:
@@ -167,7 +167,7 @@ class RunFollower:
             return self._do(Wish.ABORT)
         return None
 
-    def _typed(self) -> Ended | None:
+    def _obey_key(self) -> Ended | None:
         assert self._keyboard is not None
         try:
             data = os.read(self._keyboard, 256)

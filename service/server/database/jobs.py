@@ -112,7 +112,7 @@ class JobBook:
         with begin_reading(self.database) as connection:
             return get_job(connection, job_id)
 
-    def listed(
+    def list_rows(
         self, *, states: Collection[JobState] = (), limit: int = 50, before: str | None = None
     ) -> list[JobListRow]:
         """Jobs, newest first; those older than the job `before` (UnknownJobError where it is gone).

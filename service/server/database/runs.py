@@ -149,7 +149,7 @@ class RunBook:
         with begin_reading(self._database) as connection:
             return [RunRow.of(row) for row in connection.execute(sa.select(runs).where(runs.c.open)).mappings()]
 
-    def listed(
+    def list_rows(
         self, *, machine: str | None = None, job: str | None = None, limit: int = 50, before: str | None = None
     ) -> list[RunRow]:
         """Runs, newest first; those older than the run `before`. UnknownRunError where that is gone."""
@@ -166,9 +166,9 @@ class RunBook:
 
     def finished(self, job_id: str, machine: str) -> frozenset[str]:
         """Hashes of the job's programs that this mill has finished."""
-        return self.finished_by_mill([job_id]).get((job_id, machine), frozenset())
+        return self.list_finished_by_mill([job_id]).get((job_id, machine), frozenset())
 
-    def finished_by_mill(self, job_ids: Collection[str]) -> dict[tuple[str, str], frozenset[str]]:
+    def list_finished_by_mill(self, job_ids: Collection[str]) -> dict[tuple[str, str], frozenset[str]]:
         """By job and mill: hashes of the job's programs that the mill has finished."""
         query = sa.select(runs.c.job_id, runs.c.machine, runs.c.sha256).distinct()
         found: dict[tuple[str, str], frozenset[str]] = {}
@@ -180,7 +180,7 @@ class RunBook:
 
     # ------------------------------------------------------------------ what happens to a run
 
-    def parked(self, run_id: str, view: Json) -> bool:
+    def confirm_parked(self, run_id: str, view: Json) -> bool:
         """The agent has it. False where the run was closed meanwhile."""
         values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view, "words": _words(view)}
         with begin_writing(self._database) as connection:

@@ -96,7 +96,7 @@ class TokenBook:
             token = Token(id=_new_id(), name=name, scopes=wanted, created_at=now, expires_at=now + life_s, paired=True)
             return token, _insert(connection, token)
 
-    def listed(self) -> list[Token]:
+    def list_rows(self) -> list[Token]:
         """All that were ever made, oldest first."""
         with begin_reading(self.engine) as connection:
             return [_token(row) for row in connection.execute(_ALL).mappings()]
@@ -171,7 +171,7 @@ class TokenBook:
     def any_live(self) -> bool:
         """A token that an administrator has made and that opens something."""
         now = self._clock()
-        return any(token.live(now) and not token.paired for token in self.listed())
+        return any(token.live(now) and not token.paired for token in self.list_rows())
 
 
 _ALL = select(tokens).order_by(tokens.c.created_at, tokens.c.id)

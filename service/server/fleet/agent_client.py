@@ -95,13 +95,11 @@ class AgentLink:
             async with asyncio.timeout(within_s):
                 if self._last_address is not None:
                     with contextlib.suppress(AgentAwayError):
-                        return await self._asked_at(
+                        return await self._ask_at(
                             self._last_address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
                         )
                 self._address = self._last_address = await self._found()
-                return await self._asked_at(
-                    self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers
-                )
+                return await self._ask_at(self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers)
         except TimeoutError:
             words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
             raise AgentAwayError(words, sent=True) from None
@@ -160,7 +158,7 @@ class AgentLink:
     async def _require_right(self, url: str, token: str) -> None:
         """Who answers there? After a crash a card points to nobody, or to somebody else."""
         try:
-            status, content = await self._exchanged("GET", f"{url}/v1/machine", token, within_s=ASK_S)
+            status, content = await self._exchange("GET", f"{url}/v1/machine", token, within_s=ASK_S)
             said = json_object(content, self.machine.name).get("name") if status == 200 else None
         except (*_HTTP_ERRORS, TimeoutError, Problem) as error:
             raise AgentAwayError(self._words(error)) from None
@@ -183,14 +181,12 @@ class AgentLink:
             return await self._asked(method, path, timeout_s=timeout_s, **more)
 
     async def _asked(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
-        return await self._asked_at(await self.address(), method, path, timeout_s=timeout_s, **more)
+        return await self._ask_at(await self.address(), method, path, timeout_s=timeout_s, **more)
 
-    async def _asked_at(
-        self, address: tuple[str, str], method: str, path: str, *, timeout_s: float, **more: Any
-    ) -> Json:
+    async def _ask_at(self, address: tuple[str, str], method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         url, token = address
         try:
-            status, content = await self._exchanged(method, url + path, token, within_s=timeout_s, **more)
+            status, content = await self._exchange(method, url + path, token, within_s=timeout_s, **more)
         except (*_HTTP_ERRORS, TimeoutError) as error:
             self._address = None
             unsent = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.PoolTimeout)
@@ -201,7 +197,7 @@ class AgentLink:
             self._address = None
         raise self._refusal(status, content)
 
-    async def _exchanged(
+    async def _exchange(
         self, method: str, url: str, token: str, *, within_s: float, headers: Json | None = None, **more: Any
     ) -> tuple[int, bytes]:
         """Status and content of one answer. The time is for all of it, but a program takes as long as it takes."""

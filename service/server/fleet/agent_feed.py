@@ -42,7 +42,7 @@ class AgentFeed:
             for message in first:
                 last_id = message.get("id") or last_id
                 yield message
-            self._read()
+            self._start_reading()
             while isinstance(news := await queue.get(), dict):
                 if not _is_known(news.get("id", ""), last_id):
                     yield news
@@ -52,11 +52,11 @@ class AgentFeed:
             if not self._queues and self._reader is not None:
                 self._reader.cancel()
 
-    def _read(self) -> None:
+    def _start_reading(self) -> None:
         if self._reader is None or self._reader.done():
-            self._reader = asyncio.create_task(self._reading(), name="agent feed")
+            self._reader = asyncio.create_task(self._read(), name="agent feed")
 
-    async def _reading(self) -> None:
+    async def _read(self) -> None:
         words = "the event stream of the agent has ended"
         try:
             async with self._opened("") as lines:
@@ -85,7 +85,7 @@ class AgentFeed:
         """What has happened since, and how things stand, with which the agent ends what it tells at first."""
         found: list[Message] = []
         async with self._catching_up, self._opened(last_id) as lines, contextlib.aclosing(_parse(lines)) as messages:
-            self._read()
+            self._start_reading()
             async for message in messages:
                 found.append(message)
                 if message.get("event") == "status" or not message:

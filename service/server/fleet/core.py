@@ -88,7 +88,7 @@ class FleetCore:
         """The link used before, without a look at any file."""
         return self.links.get(machine)
 
-    async def renewed_link(self, machine: str) -> AgentLink:
+    async def renew_link(self, machine: str) -> AgentLink:
         """The link by the profiles as they are now, read by a thread that nothing else uses. Problem 404."""
         known, _ = await asyncio.get_running_loop().run_in_executor(self._looking, known_machines, self.settings)
         if machine not in known:
@@ -140,7 +140,7 @@ class FleetCore:
             return Seen(await self.do(self.runs.get, run.id))
         return Seen(await self.do(self.runs.told, run, view))
 
-    async def ended_within(self, seconds: float) -> bool:
+    async def await_end(self, seconds: float) -> bool:
         """Wait so long, or until the server ends: then True."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(seconds):

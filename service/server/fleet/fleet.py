@@ -54,7 +54,7 @@ class Fleet:
 
     async def watch(self, every_s: float = WATCH_S) -> None:
         """Look at every open run now and then: one that ends while nobody asks is closed all the same."""
-        while not await self._core.ended_within(every_s):
+        while not await self._core.await_end(every_s):
             try:
                 rows = await self._core.do(self._core.runs.open_ones)
                 await asyncio.gather(*map(self._now, rows))
@@ -95,7 +95,7 @@ class Fleet:
     async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
         """What a mill does and what happens at it, as server-sent events without an end."""
         machine = await self._core.machine(name)
-        return self._followed(MachineEvents(self._core, machine, known_id(last_id)).stream())
+        return self._follow(MachineEvents(self._core, machine, known_id(last_id)).stream())
 
     # ------------------------------------------------------------------ runs
 
@@ -119,7 +119,7 @@ class Fleet:
     async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> Json:
         """Newest first; open ones as their agents have them now."""
         try:
-            rows = await self._core.do(self._core.runs.listed, machine=machine, job=job, limit=limit, before=before)
+            rows = await self._core.do(self._core.runs.list_rows, machine=machine, job=job, limit=limit, before=before)
         except UnknownRunError as error:
             raise Problem(422, str(error), field="cursor") from None
         seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
@@ -158,16 +158,16 @@ class Fleet:
         seen = await self._now(await self._core.row(run_id))
         if last_id and not seen.run.open and not seen.away:
             return None
-        return self._followed(RunEvents(self._core, seen, known_id(last_id)).stream())
+        return self._follow(RunEvents(self._core, seen, known_id(last_id)).stream())
 
     # ------------------------------------------------------------------
 
-    def _followed(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+    def _follow(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
         if self._followers >= _MOST_FOLLOWERS:
             raise Problem(503, "too many followers already; ask again later", headers={"Retry-After": "5"})
-        return self._counted(stream)
+        return self._count(stream)
 
-    async def _counted(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
+    async def _count(self, stream: AsyncGenerator[bytes]) -> AsyncIterator[bytes]:
         self._followers += 1
         try:
             async with contextlib.aclosing(stream) as pieces:
@@ -177,7 +177,7 @@ class Fleet:
             self._followers -= 1
 
     async def _now(self, run: RunRow) -> Seen:
-        return await self._core.seen((await self._handovers.repaired(Seen(run))).run)
+        return await self._core.seen((await self._handovers.repair(Seen(run))).run)
 
     async def _shown(self, seen: Seen) -> Json:
         return run_json(seen, await self._around(seen.run))
@@ -190,7 +190,7 @@ class Fleet:
         """What each of the runs is part of, by as many queries for a hundred of them as for one."""
         job_ids = {run.job_id for run in rows}
         found = self._core.jobs.with_programs(job_ids)
-        finished = self._core.runs.finished_by_mill(job_ids)
+        finished = self._core.runs.list_finished_by_mill(job_ids)
         programs = {job_id: programs_of(files) for job_id, (_, files) in found.items()}
         return [
             Surroundings(

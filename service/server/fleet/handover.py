@@ -88,7 +88,7 @@ class Handovers:
             task.add_done_callback(_look_at)
         return task
 
-    async def repaired(self, seen: Seen) -> Seen:
+    async def repair(self, seen: Seen) -> Seen:
         """A run whose hand-over was cut short goes on; what it is now is told without waiting for that."""
         if seen.run.state != PREPARING or not seen.run.open:
             return seen
@@ -138,19 +138,19 @@ class Handovers:
             body = {"program": run.sha256, "name": name, "key": run.id}
             view = run_view(await link.post("/v1/runs", body, timeout_s=_PREFLIGHT_S), run.machine)
         except Problem as problem:
-            await self._refused(run, problem.detail)
+            await self._refuse(run, problem.detail)
             raise
         except AgentAwayError as away:
             if (posted and away.sent) or run.id not in self._untried:
                 raise
-            await self._refused(run, away.words)  # nothing of it is there, certainly
+            await self._refuse(run, away.words)  # nothing of it is there, certainly
             raise away.problem() from None
         finally:
             self._untried.discard(run.id)
-        if not await self._core.do(self._core.runs.parked, run.id, view):
+        if not await self._core.do(self._core.runs.confirm_parked, run.id, view):
             await link.post(f"/v1/runs/{view['id']}:abort")  # taken back while it was on its way
 
-    async def _refused(self, run: RunRow, words: str) -> None:
+    async def _refuse(self, run: RunRow, words: str) -> None:
         await self._core.do(self._core.runs.close, run.id, REFUSED, words, forget_key=True)
 
     async def _bring(self, link: AgentLink, run: RunRow) -> None:
@@ -167,9 +167,9 @@ class Handovers:
             pieces = await self._core.do(store.open_range, run.sha256)
         except MissingObjectError as error:
             raise Problem(409, f"the program is no longer there: {error}", field="program") from None
-        await link.put(f"/v1/programs/{run.sha256}", self._streamed(pieces), size)
+        await link.put(f"/v1/programs/{run.sha256}", self._stream(pieces), size)
 
-    async def _streamed(self, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+    async def _stream(self, pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
         while (piece := await self._core.do(next, pieces, b"")) != b"":
             yield piece
 

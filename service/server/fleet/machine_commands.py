@@ -89,11 +89,11 @@ class Orders:
 
     async def _ask_first_grant(self, machine: str, context: OrderContext) -> Json:
         """From where the agent was met last, as long as it is there; where it has moved to is looked up afterwards."""
-        link = self._core.known_link(machine) or await self._core.renewed_link(machine)
+        link = self._core.known_link(machine) or await self._core.renew_link(machine)
         try:
             return await self._ask_grant(link, context)
         except AgentAwayError:
-            present = await self._core.renewed_link(machine)
+            present = await self._core.renew_link(machine)
             if present is link:
                 raise
             return await self._ask_grant(present, context)

@@ -54,7 +54,7 @@ class MachineEvents:
                 away = str(error)
             self._status = None
             yield await self._state(away, fresh=True) or PING
-            if await core.ended_within(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):
+            if await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):
                 return
             self._failures += 1
             with contextlib.suppress(Problem):  # its profile is gone: it is told of as it was

@@ -49,7 +49,7 @@ class RunEvents:
                     return
             except (AgentAwayError, Problem) as error:
                 away = str(error)
-            await core.ended_within(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
+            await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
             self._failures += 1
             seen = self._seen = await self._now()
             now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else "")))
@@ -67,7 +67,7 @@ class RunEvents:
                     yield PING
                 elif kind != "run":
                     yield event_bytes(kind, data, self._last_id)
-                elif (now := data or await self._looked()) != self._shown:
+                elif (now := data or await self._look()) != self._shown:
                     self._shown = now
                     if not now["open"]:
                         await self._now()  # written down before the reader learns of it
@@ -75,7 +75,7 @@ class RunEvents:
             if not self._shown["open"]:
                 return
 
-    async def _looked(self) -> Json:
+    async def _look(self) -> Json:
         """The mill's next run is there, so the end of this one may never be told; asked for once a second."""
         if time.monotonic() - self._looked_s < _LOOK_S:
             return self._shown

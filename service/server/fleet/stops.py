@@ -109,7 +109,7 @@ class Stops:
 
     async def _present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
         """The link by the profiles as they are now; the known one where that takes too long."""
-        looking = self._go_on(self._core.renewed_link(machine))
+        looking = self._go_on(self._core.renew_link(machine))
         await asyncio.wait({looking}, timeout=_RENEW_S if known is not None else None)
         if not looking.done() or (known is not None and looking.exception() is not None):
             assert known is not None

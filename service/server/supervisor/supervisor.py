@@ -72,7 +72,7 @@ class Supervisor:
 
     def run(self) -> int:
         """Until told to stop, or until a child refuses its configuration; returns the exit code."""
-        with _wakeups(self._signalled) as wake, selectors.DefaultSelector() as selector:
+        with _wakeups(self._obey_signal) as wake, selectors.DefaultSelector() as selector:
             selector.register(wake, selectors.EVENT_READ)
             for child in self._children:
                 child.start()
@@ -88,7 +88,7 @@ class Supervisor:
                 self._look()
             return self._code
 
-    def _signalled(self, _number: int, _frame: FrameType | None) -> None:
+    def _obey_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._signals += 1
 
     def _heed(self) -> None:

@@ -65,7 +65,7 @@ class Walk:
             image_name=self._claim.job.name,
             outputs=self._files(),
         )
-        if (result := self._reused(stage, key)) is not None:
+        if (result := self._reuse(stage, key)) is not None:
             return result
         while True:
             if (reason := self._watched.reason()) is not None:
@@ -77,17 +77,17 @@ class Walk:
             record = self._log_of(path)
             match end:
                 case Done(plain):
-                    return self._committed(begun, StageResult.from_plain(plain), record)
+                    return self._commit(begun, StageResult.from_plain(plain), record)
                 case Crashed(words) if self._crashes(stage) < TRIES - 1:
                     self._close(begun, StageState.INTERRUPTED, words, record)
                 case Stopped(reason):
                     self._stopped(reason, begun, record)
                     return None
                 case _:
-                    self._failed(begun, end, record)
+                    self._fail(begun, end, record)
                     return None
 
-    def _reused(self, stage: str, key: str) -> StageResult | None:
+    def _reuse(self, stage: str, key: str) -> StageResult | None:
         found = self._bench.work.result(key)
         if found is None:
             return None
@@ -129,7 +129,7 @@ class Walk:
         log.info("stage ends", number=begun.number, end=type(end).__name__)
         return end
 
-    def _committed(self, begun: StageTry, result: StageResult, record: FileRef | None) -> StageResult:
+    def _commit(self, begun: StageTry, result: StageResult, record: FileRef | None) -> StageResult:
         whole = self._whole(begun.stage, 1.0)
         insist(lambda: self._bench.work.commit_stage(self._claim, begun, result, log=record, whole=whole))
         return result
@@ -145,7 +145,7 @@ class Walk:
             self._close(begun, StageState.INTERRUPTED, STOPPED, record)
         raise Fenced(reason)
 
-    def _failed(self, begun: StageTry, end: StageEnd, record: FileRef | None) -> None:
+    def _fail(self, begun: StageTry, end: StageEnd, record: FileRef | None) -> None:
         field: str | None = None
         match end:
             case Refused(lines, name):

@@ -17,7 +17,7 @@ BIG, SMALL = (2.5, 0.1), (0.5, 0.05)
 """Radius and pitch. On a slope of 0.6 tips that touch one place lie 1 mm apart."""
 
 
-def lifted(tracks: Tracks, by_mm: float) -> Tracks:
+def lift_over(tracks: Tracks, by_mm: float) -> Tracks:
     return replace(tracks, tips_mm=tracks.tips_mm + np.array([0.0, 0.0, by_mm]))
 
 
@@ -26,7 +26,7 @@ def test_the_deeper_program_makes_the_whole_surface(big_mm: float, small_mm: flo
     """The other one, 20 micrometres higher, leaves no trace: one layer of facets, all at the height of the deeper."""
     over = lens(tilt=(0.5, -0.33), bend=(0.05, -0.08))
     big, small = (
-        lifted(row_tracks(over, radius_mm=radius, pitch_mm=pitch), by)
+        lift_over(row_tracks(over, radius_mm=radius, pitch_mm=pitch), by)
         for (radius, pitch), by in ((BIG, big_mm), (SMALL, small_mm))
     )
     surface = MilledSurface.of_tracks([big, small], over, pitch_mm=BIG[1])

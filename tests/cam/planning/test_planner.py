@@ -245,7 +245,7 @@ def test_rows_leave_the_same_slopes_in_a_hollow_and_on_a_hill(bend_per_mm: float
 def test_grooves_spread_their_own_width_too(bend_per_mm: float, reach_mm: float) -> None:
     """Rows p apart touch a hollow of curvature k at p / (1 - kR); |1 + R / reach| of that by where light starts."""
     form, spec = LensForm.of(valley(bend_per_mm)), replace(PAPER_PASSES[0], radius_mm=3.0)
-    wide, along = (form.widening(replace(spec, direction=direction), reach_mm) for direction in ("x", "y"))
+    wide, along = (form.widen_factor(replace(spec, direction=direction), reach_mm) for direction in ("x", "y"))
     assert along == pytest.approx(abs(1 + 3.0 / reach_mm), abs=0.002)
     assert wide == pytest.approx(along / (1 - 3.0 * bend_per_mm), rel=0.02)
 

@@ -20,7 +20,7 @@ JOB = b"".join(b"Z%d,%d,-50;\r\n" % (n, 2 * n) for n in range(2000))
 
 def indexed(text: bytes, chunk: int, piece: int) -> TextIndex:
     index = TextIndex("rml-1", piece_bytes=piece)
-    assert b"".join(index.passing(text[at : at + chunk] for at in range(0, len(text), chunk))) == text
+    assert b"".join(index.cut_into_pieces(text[at : at + chunk] for at in range(0, len(text), chunk))) == text
     return index
 
 

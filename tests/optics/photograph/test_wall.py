@@ -29,7 +29,7 @@ SIDE_MM, THROW_MM, PIXELS, FINE, RIM = 25.0, 100.0, 96, 3, 16  # RIM: pixels aro
 
 @pytest.fixture(scope="module")
 def bench() -> Bench:
-    return Bench.centred(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=THROW_MM, refractive_index=1.49)
+    return Bench.centre_on(width_mm=SIDE_MM, height_mm=SIDE_MM, throw_mm=THROW_MM, refractive_index=1.49)
 
 
 @pytest.fixture(scope="module")

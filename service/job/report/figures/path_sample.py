@@ -118,7 +118,7 @@ class PathSample:
     def rapids_mm(self) -> Array:
         return self._jumps.segments()
 
-    def zoomed_mm(self) -> tuple[Array, Array]:
+    def zoom_mm(self) -> tuple[Array, Array]:
         """Cutting and rapid moves (k, 2, 3) that meet the window; of very many, the last ones."""
         return self._zoomed_cuts.segments(), self._zoomed_jumps.segments()
 

@@ -122,7 +122,7 @@ def _draw_whole_part(axes: Axes, sample: PathSample, norm: Normalize, part: _Par
 
 
 def _draw_window(axes: Axes, sample: PathSample, norm: Normalize, part: _Part) -> None:
-    cuts, jumps = sample.zoomed_mm()
+    cuts, jumps = sample.zoom_mm()
     _draw_moves(axes, cuts, jumps, norm, width=1.1)
     window = sample.window
     drawn = "every move; no vertex drawn"

@@ -60,12 +60,12 @@ class PictureChecker:
         while (request := self._requests.get()) is not None:
             asked, answer = request
             try:
-                answer.set_result(self._checked(asked))
+                answer.set_result(self._check(asked))
             except Exception as error:
                 answer.set_exception(error)
         self._drop()
 
-    def _checked(self, asked: dict[str, Any]) -> PictureFacts:
+    def _check(self, asked: dict[str, Any]) -> PictureFacts:
         """A child that dies is no proof against the picture: it is tried once more in a new one."""
         name = asked["name"]
         for _ in range(2):

@@ -123,7 +123,7 @@ async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
 
 def _page(services: Services, states: list[JobState], limit: int, before: str | None) -> dict[str, Any]:
     try:
-        found = services.book.listed(states=states, limit=limit + 1, before=before)
+        found = services.book.list_rows(states=states, limit=limit + 1, before=before)
     except UnknownJobError:
         raise Problem(422, "the job of this cursor is gone; begin again without it", field="cursor") from None
     page = found[:limit]

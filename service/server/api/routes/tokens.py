@@ -33,7 +33,7 @@ TokenId = Annotated[
 )
 async def list_tokens(request: Request, _: Admin) -> Response:
     """All that were ever made, oldest first. The tokens themselves are known to nobody."""
-    found = await asyncio.to_thread(services_of(request).tokens.listed)
+    found = await asyncio.to_thread(services_of(request).tokens.list_rows)
     return JSONResponse({"tokens": [_view(token) for token in found]})
 
 

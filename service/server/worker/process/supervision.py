@@ -58,7 +58,7 @@ class Supervision:
             self._leave_nobody()
         self._task.log.end()
         self._words.drain()
-        return self._verdict or self._told() or self._unexpected()
+        return self._verdict or self._told() or self._explain_unexpected()
 
     def _wait(self) -> None:
         """For a word, the end of the words, the child's end, or the next beat."""
@@ -116,7 +116,7 @@ class Supervision:
                 return Crashed(printable(words))
         return None
 
-    def _unexpected(self) -> StageEnd:
+    def _explain_unexpected(self) -> StageEnd:
         child = self._child
         if child.silent:
             return Stopped("fenced")

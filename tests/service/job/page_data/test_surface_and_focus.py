@@ -56,7 +56,7 @@ def test_a_flat_lens_has_no_steps() -> None:
 
 @pytest.mark.parametrize("viewed_from", ["lens", "behind"])
 def test_frames_are_the_light_at_each_distance_as_it_is_seen(lens: Heightfield, viewed_from: str) -> None:
-    bench = Bench.centred(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
+    bench = Bench.centre_on(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
     data = focus_bytes(lens, bench, shape=(80, 120), white=2.0, viewed_from=viewed_from)
     facts, start = split_header(data)
     frames = np.frombuffer(data, np.uint8, offset=start).reshape(len(FACTORS), facts["ny"], facts["nx"])
@@ -71,6 +71,6 @@ def test_frames_are_the_light_at_each_distance_as_it_is_seen(lens: Heightfield, 
 
 
 def test_large_pictures_are_made_smaller(lens: Heightfield) -> None:
-    bench = Bench.centred(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
+    bench = Bench.centre_on(width_mm=WIDTH_MM, height_mm=HEIGHT_MM, throw_mm=60.0, refractive_index=1.49)
     facts, _ = split_header(focus_bytes(lens, bench, shape=(400, 600), white=2.0, viewed_from="lens"))
     assert (facts["nx"], facts["ny"]) == (256, 171)

@@ -23,7 +23,7 @@ SIDE, PIXELS, INDEX, THROW = 40.0, 64, 1.49, 80.0
 BALL = 3.0
 SPEC = ball_pass("finish", radius_mm=BALL, pitch_mm=0.2, stock_to_leave_mm=0.0, step_down_mm=1.0)
 NONE = SlopeSpread(slope=np.zeros(1), share=np.ones(1))
-BENCH = Bench.centred(width_mm=SIDE, height_mm=SIDE, throw_mm=THROW, refractive_index=INDEX)
+BENCH = Bench.centre_on(width_mm=SIDE, height_mm=SIDE, throw_mm=THROW, refractive_index=INDEX)
 
 
 def slanted(slope_x: float, slope_y: float = 0.0) -> LensForm:

@@ -156,7 +156,7 @@ def test_thinning_keeps_the_extremes_and_the_limit(rows, per_row, batch, limit, 
 def test_the_sample_does_not_depend_on_the_size_of_the_batches():
     points, rapid = serpentine(100, 50, pitch_mm=0.2)
     one, many = (sampled(points, rapid, batch=batch, pitch_mm=0.2, limit=100_000) for batch in (10**6, 7))
-    assert np.array_equal(one.zoomed_mm()[0], many.zoomed_mm()[0])
+    assert np.array_equal(one.zoom_mm()[0], many.zoom_mm()[0])
     assert np.array_equal(one.bounds_mm(), many.bounds_mm())
     assert np.array_equal(one.entry_points_mm(), many.entry_points_mm())
     assert set(one.cuts_mm()[:-6, 0, 1]) == set(many.cuts_mm()[:-6, 0, 1])
@@ -165,7 +165,7 @@ def test_the_sample_does_not_depend_on_the_size_of_the_batches():
 def test_the_window_holds_every_move_that_meets_it_and_no_other():
     points, rapid = serpentine(100, 400, pitch_mm=0.2)
     sample = sampled(points, rapid, batch=1000, pitch_mm=0.2, limit=100_000)
-    window, cuts = sample.window, sample.zoomed_mm()[0]
+    window, cuts = sample.window, sample.zoom_mm()[0]
     low = np.minimum(points[:-2], points[1:-1])[:, :2]
     high = np.maximum(points[:-2], points[1:-1])[:, :2]
     inside = (low <= [window.x1_mm, window.y1_mm]).all(axis=1) & (high >= [window.x0_mm, window.y0_mm]).all(axis=1)

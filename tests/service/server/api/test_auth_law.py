@@ -137,7 +137,9 @@ def untouched(guarded: Guarded) -> Iterator[Guarded]:
     assert set(guarded.mill.heard[heard:]) <= set(b"?"), guarded.mill.heard[heard:]
     assert guarded.mill.physical_mm == place and guarded.floor.bench.cut == []
     assert len(guarded.floor.get("/v1/runs")["runs"]) == 1
-    holders = [token.name for token in guarded.floor.server.services.tokens.listed() if "machine:run" in token.scopes]
+    holders = [
+        token.name for token in guarded.floor.server.services.tokens.list_rows() if "machine:run" in token.scopes
+    ]
     assert not [name for name in holders if name.startswith("n")]
 
 

@@ -80,7 +80,7 @@ def test_its_use_is_written_down_once_a_minute(database: sa.Engine) -> None:
         token = book.find(secret)
         assert token is not None
         book.note_use(token)
-        assert book.listed()[0].last_used_at == 1_000_000.0 + noted
+        assert book.list_rows()[0].last_used_at == 1_000_000.0 + noted
 
 
 @pytest.mark.parametrize(

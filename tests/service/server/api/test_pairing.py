@@ -280,11 +280,11 @@ def test_a_pairing_outlives_a_restart_and_ends_after_a_day(tmp_path: Path) -> No
         assert whoami(server, ada) == 401
         assert server.client.get("/v1/jobs").status_code == 200
         bearer(paired(server, offered(server)))
-        assert len(server.services.tokens.listed()) == 2, "what has just ended may still stop a mill"
+        assert len(server.services.tokens.list_rows()) == 2, "what has just ended may still stop a mill"
         with begin_writing(server.services.database) as connection:
             connection.execute(tokens.update().values(expires_at=tokens.c.created_at - 15 * 86400))
         bearer(paired(server, offered(server)))
-        assert len(server.services.tokens.listed()) == 1, "what ended long ago is forgotten"
+        assert len(server.services.tokens.list_rows()) == 1, "what ended long ago is forgotten"
 
 
 def test_two_pages_of_one_name_are_two_callers(own: ApiServer) -> None:

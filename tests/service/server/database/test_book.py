@@ -58,7 +58,7 @@ def test_twenty_requests_with_one_key_make_one_job(book: JobBook) -> None:
         made = list(pool.map(lambda _: book.create(new), range(20)))
     assert len({job.id for job, _ in made}) == 1
     assert [first for _, first in made].count(True) == 1
-    assert len(book.listed()) == 1
+    assert len(book.list_rows()) == 1
 
 
 def test_a_key_is_for_one_request_of_one_token(book: JobBook) -> None:
@@ -122,10 +122,10 @@ def test_a_job_that_a_mill_has_in_hand_is_not_deleted(book: JobBook, work: WorkB
 
 def test_the_list_goes_from_new_to_old_in_pages(book: JobBook) -> None:
     ids = [book.create(NEW)[0].id for _ in range(5)]
-    first = book.listed(limit=2)
-    rest = book.listed(limit=5, before=first[-1].id)
+    first = book.list_rows(limit=2)
+    rest = book.list_rows(limit=5, before=first[-1].id)
     assert [job.id for job in first + rest] == ids[::-1]
-    assert book.listed(states=[JobState.RUNNING]) == []
+    assert book.list_rows(states=[JobState.RUNNING]) == []
     assert book.counts()[JobState.QUEUED] == 5
 
 

@@ -251,5 +251,5 @@ def test_no_step_of_a_worker_reads_a_table_from_end_to_end(many: sa.Engine) -> N
 
 def test_a_list_does_not_carry_specs_and_reports(many: sa.Engine) -> None:
     with recorded(many) as queries:
-        assert len(JobBook(many).listed(limit=200)) == 200
+        assert len(JobBook(many).list_rows(limit=200)) == 200
     assert all("jobs.spec" not in statement and "jobs.report" not in statement for statement, _ in queries)

@@ -180,7 +180,7 @@ def test_an_older_database_is_brought_up_to_date_with_what_is_in_it(empty_farm: 
         assert [tuple(row) for row in files] == [("k1", "a.png", "aa"), ("k1", "b.npz", "bb")]
         context = MigrationContext.configure(connection, opts={"compare_type": True})
         assert compare_metadata(context, metadata) == []
-    assert [job.id for job in JobBook(database).listed()] == ["j3", "j2", "j1"]
+    assert [job.id for job in JobBook(database).list_rows()] == ["j3", "j2", "j1"]
     database.dispose()
 
 

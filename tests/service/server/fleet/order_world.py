@@ -405,7 +405,7 @@ class World:
     def _try_to_make_ready(self, what: str) -> str:
         mill = self.mill
         self._until(lambda: not self.on_the_way)
-        known = self.loop.run_until_complete(self.core.renewed_link(MACHINE))
+        known = self.loop.run_until_complete(self.core.renew_link(MACHINE))
         self.loop.run_until_complete(known.address())  # else the first press of a server would have messages of its own
         if mill._live() is not None:
             mill.abort()
@@ -538,7 +538,7 @@ class _Core(FleetCore):
         known = KnownMachine(name=MACHINE, profile=self._world.profile, url="http://127.0.0.1:1", token_file=token)
         return {MACHINE: known}, []
 
-    async def renewed_link(self, machine: str) -> Any:
+    async def renew_link(self, machine: str) -> Any:
         return self.link((await self.machines())[0][machine])
 
 

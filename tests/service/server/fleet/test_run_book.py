@@ -39,7 +39,7 @@ def view(state: str, **more: Any) -> dict[str, Any]:
 
 def made(book: RunBook, new: NewRun, state: str = "parked") -> RunRow:
     run, _ = book.create(new)
-    assert book.parked(run.id, view("parked"))
+    assert book.confirm_parked(run.id, view("parked"))
     return book.told(book.get(run.id), view(state))
 
 
@@ -95,7 +95,7 @@ def test_what_was_given_up_stays_so(book: RunBook, new: NewRun) -> None:
     run = made(book, new, "interrupted")
     book.close(run.id, "aborted", "given up")
     assert book.told(book.get(run.id), view("interrupted")).open is False
-    assert not book.parked(run.id, view("parked"))
+    assert not book.confirm_parked(run.id, view("parked"))
 
 
 def test_news_only_are_written(book: RunBook, new: NewRun) -> None:
@@ -128,12 +128,12 @@ def test_an_open_run_is_known_by_its_job(book: RunBook, new: NewRun, database: s
 
 def test_pages_are_newest_first_and_do_not_overlap(book: RunBook, new: NewRun) -> None:
     ids = [made(book, new, "finished").id for _ in range(5)]
-    first = [run.id for run in book.listed(machine="m", limit=2)]
-    second = [run.id for run in book.listed(machine="m", limit=3, before=first[-1])]
+    first = [run.id for run in book.list_rows(machine="m", limit=2)]
+    second = [run.id for run in book.list_rows(machine="m", limit=3, before=first[-1])]
     assert set(first + second) == set(ids) and len(first + second) == 5
-    assert book.listed(job="none") == [] == book.listed(machine="none")
+    assert book.list_rows(job="none") == [] == book.list_rows(machine="none")
     with pytest.raises(UnknownRunError):
-        book.listed(before="none")
+        book.list_rows(before="none")
 
 
 def test_what_cannot_be_written_down_is_told_all_the_same(book: RunBook, new: NewRun, database: sa.Engine) -> None:
