@@ -274,7 +274,8 @@ def test_an_interrupt_leaves_nothing(picture: Path, tmp_path: Path, kind: signal
 
 INTERRUPTED_LOADING = """
 import signal, sys
-from service import cli, kernel_cache
+from service.cli import main as cli
+from service.processes import kernel_cache
 kernel_cache.use_current_kernels()
 from numba.core.codegen import CPUCodeLibrary
 loaded = CPUCodeLibrary._object_getbuffer_hook.__func__

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from PIL import Image
 from playwright.sync_api import Page, Route, expect
-from tests.page.list_rows import answer_with, summary
 
 from service.job.page_data.thumbnail import thumbnail_png
 from service.job.picture.tone import srgb_to_linear
 from tests.page import form
 from tests.page.browser import NOWHERE, Watched
 from tests.page.conftest import Opened
+from tests.page.listed import answer_with, summary
 from tests.page.shop import PICTURE
 from tests.page.stub import Stub
 

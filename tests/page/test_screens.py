@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 from playwright.sync_api import Page, expect
-from tests.page.list_rows import answer_with, summary
 
 from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
@@ -16,6 +15,7 @@ from tests.page import jobs
 from tests.page.browser import NOWHERE, Scheme, layout_faults, open_blank, serious_faults
 from tests.page.conftest import Opened
 from tests.page.form import refuse_picture
+from tests.page.listed import answer_with, summary
 from tests.page.machine_states import NAME as MILL
 from tests.page.machine_states import STATES, USED, machine_in, told, with_control
 from tests.page.shop import PICTURE

@@ -17,7 +17,7 @@ _KINDS = (
     ("service.server.worker.process.forkserver", "nursery"),
     ("service.server.worker.main", "worker"),
     ("service.server.api.main", "api"),
-    ("service.server.api.picture", "picture"),
+    ("service.server.api.intake.picture_child", "picture"),
     (" serve", "host"),
     (" worker", "worker"),
 )

@@ -17,7 +17,7 @@ from tests.waiting import PATIENCE_S, until
 BEGIN_AND_DIE = """
 import sys, time
 from pathlib import Path
-from service.server.worker import preparing
+from service.server.worker import warmup as preparing
 process = preparing.begin()
 while not list(Path(sys.argv[1]).iterdir()):
     time.sleep(0.05)
