@@ -77,7 +77,7 @@ def _in(services: Services) -> None:
     _set(services.book, "create", "create")
     _set(services.engine, "submit", "engine")
     _set(services.fleet._core.runs, "create", "row")
-    _set(services.fleet._core.runs, "parked", "parked")
+    _set(services.fleet._core.runs, "confirm_parked", "parked")
 
 
 if __name__ == "__main__":
