@@ -41,8 +41,8 @@ class MillProcess:
 
     def hold_after(self, at_s: float, within_s: float) -> float | None:
         """When the first feed hold after `at_s` arrived; None where none does in time."""
-        with self._count_arrived:
-            self._count_arrived.wait_for(lambda: bool(self.holds) and self.holds[-1] >= at_s, within_s)
+        with self._arrived:
+            self._arrived.wait_for(lambda: bool(self.holds) and self.holds[-1] >= at_s, within_s)
             return next((hold_s for hold_s in self.holds if hold_s >= at_s), None)
 
     def held(self, within_s: float = 20.0) -> bool:
@@ -76,9 +76,9 @@ class MillProcess:
     def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            with self._count_arrived:
+            with self._arrived:
                 self.holds.append(float(line))
-                self._count_arrived.notify_all()
+                self._arrived.notify_all()
 
 
 def main() -> None:

@@ -21,7 +21,7 @@ from tests.waiting import until
 PROMPT_S = 20.0  # on a busy computer; the figure itself, some hundredths of a second, is for the benchmarks
 
 HERE = Path(__file__).parent
-ROOT = HERE.parents[2]
+ROOT = HERE.parents[3]
 
 
 class Bench:

@@ -70,7 +70,7 @@ class Storm:
         }
         with (self.folder / f"{name}.log").open("ab") as log:
             self._workers[name] = subprocess.Popen(
-                [sys.executable, *self.script], env=environment, stdout=log, stderr=log, cwd=HERE.parents[2]
+                [sys.executable, *self.script], env=environment, stdout=log, stderr=log, cwd=HERE.parents[3]
             )
 
     def kill(self, name: str) -> None:
