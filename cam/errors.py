@@ -15,16 +15,6 @@ class PassValueError(CamError):
         super().__init__(f"{name} = {value!r} is not allowed: {allowed}")
 
 
-class GougeError(CamError):
-    """A program cuts below the surface it may reach."""
-
-    def __init__(self, *, x_mm: float, y_mm: float, depth_mm: float, allowed_mm: float) -> None:
-        self.x_mm, self.y_mm, self.depth_mm, self.allowed_mm = x_mm, y_mm, depth_mm, allowed_mm
-        super().__init__(
-            f"the pass cuts {depth_mm:.5f} mm too deep at X{x_mm:.3f} Y{y_mm:.3f} (allowed {allowed_mm:.5f} mm)"
-        )
-
-
 class CutterTooLargeError(CamError):
     """A finishing ball that cannot touch too much of the surface."""
 

@@ -9,7 +9,7 @@ import sqlalchemy as sa
 from service.server.database.counters import Counter, add_to_counters
 from service.server.database.events import write_event
 from service.server.database.records import Job, UnknownJobError
-from service.server.database.states import JobState
+from service.server.database.states import JobState, require_move
 from service.server.database.tables import jobs, progress, runs
 
 
@@ -27,9 +27,10 @@ def lock_job(connection: sa.Connection, job_id: str) -> Job:
 
 
 def change_job(connection: sa.Connection, job: Job, **values: Any) -> None:
-    """Write columns of a locked job, and count its version."""
+    """Write columns of a locked job, and count its version. JobStateError for a move that the table does not allow."""
     state = JobState(values.get("state", job.state))
     if state is not job.state:
+        require_move(job.state, state)
         add_to_counters(connection, {state_counter(job.state): -1, state_counter(state): 1})
     connection.execute(jobs.update().where(jobs.c.id == job.id).values(version=jobs.c.version + 1, **values))
 
