@@ -97,3 +97,8 @@ PMMA = Material(
         ),
     ),
 )
+
+
+SLOT_FEED = 0.5
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
+on the way from row to row and along the walls it may."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from cam.contour.path import contour_path
 from cam.errors import CutterTooLargeError, PassValueError, SafeHeightError, StockTooThinError
+from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.parts import PartLimits, PassFrame, programs
 from cam.passes import PassSpec, Stock
@@ -17,13 +18,13 @@ from cam.posts.post import number
 from cam.posts.setup import ProgramSetup
 from cam.posts.writer import Dialect
 from cam.rows.entries import enter, enter_onward, leave
-from cam.rows.layers import SLOT_FEED, Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
+from cam.rows.layers import Field, Layer, LayerPlan, layer_paths, layer_row_distance_mm, plan_layers
 from cam.rows.raster import Rows, climbs_rightward, continuous_rows, separate_rows
 from cam.rows.rest import RestAreas, rest_paths
 from cam.rows.rounding import Rounding, on_raster
 from cam.rows.turned import turn_block, turn_lens, turn_paths, turn_stock
 from cam.rows.turns import first_row, row_cuts
-from cam.rows.vertices import VertexRule, finish_rule, rough_rule
+from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.shaping import ShapedRegion, shape_heights
 from cam.surface.cutter import largest_fitting_radius_mm, share_reached
 from cam.surface.stock_grid import StockGrid
@@ -33,7 +34,6 @@ from optics.heightfield import Heightfield
 
 Progress = Callable[[float], None]
 
-SLOPE_ERROR_RAD = 0.5e-3
 SHAPED_SLOPE_ERROR_RAD = 8e-3
 """Of a path whose heights are shaped: a finish levels waves as short as a move. `camera` in steps of 4 um: 25.92 dB at
 2 mrad and at 8, with five sixths of the lines; a soft photograph in steps of 2 um: 34.21 and 34.19 dB."""

@@ -1,1 +1,1 @@
-"""What is moved and milled around the passes of the lens: a trace in the air, the stock's top, the lens cut out."""
+"""What is milled around the passes of the lens: a trace in the air, facing, cutting out with tabs; and its check."""

@@ -1,6 +1,6 @@
 """The check of facing and cutting out: the written program is read back and cut in the computer.
 
-As of the passes of the lens nothing of the generator is used: text -> moves (cam.reading) -> stock left, time
+Nothing of the generator is used, as in the check of passes: text -> moves (cam.reading) -> stock left, time
 (cam.duration), rules for single moves. That the lens is not touched is shown twice: by cells of the stock that is left,
 and by the distance of every move in stock from the outline, which knows no cells.
 """
@@ -287,7 +287,7 @@ def _inside(corners: Array, grid: StockGrid) -> np.ndarray:
 
 
 def _along(loop_mm: Array, places_mm: Array) -> Array:
-    """(n, 2) points of a closed way at lengths from its begin."""
+    """(n, 2) points of a closed way at lengths from its beginning."""
     run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(loop_mm, axis=0).T))])
     around = places_mm % run[-1]
     return np.column_stack([np.interp(around, run, loop_mm[:, axis]) for axis in (0, 1)])

@@ -62,7 +62,7 @@ def highest_along(loop_mm: Array, radius_mm: float, top: StockGrid) -> float:
 
 
 class _ClosedWay:
-    """Places along a closed way by their length from its begin, and the tabs on it."""
+    """Places along a closed way by their length from its beginning, and the tabs on it."""
 
     def __init__(self, loop_mm: Array, cut_out: CutOut, thickness_mm: float) -> None:
         self._run = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(loop_mm, axis=0).T))])

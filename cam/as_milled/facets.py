@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from cam.as_milled.chords import gather
-from cam.as_milled.rivals import FACTS, WIDEST, are_crossed, set_frame, shown, to_frame
+from cam.as_milled.neighbours import FACTS, WIDEST, are_crossed, set_frame, shown, to_frame
 from cam.as_milled.strips import MOST_PARTS, STEEPEST, bend, facets_of_strip, strip_of_chord, strip_of_corner
 from optics.heightfield import spline_jet
 

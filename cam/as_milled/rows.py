@@ -14,11 +14,10 @@ from cam.moves import Array
 from cam.passes import Direction, Stock, ball_pass
 from cam.rows.raster import Rows, continuous_rows, map_in_order
 from cam.rows.turned import turn_lens
-from cam.rows.vertices import VertexRule, finish_rule
+from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule
 from cam.surface.tool_surface import ToolSurface
 from optics.heightfield import Heightfield
 
-SLOPE_ERROR_RAD = 0.5e-3
 DECIMALS = 5  # of z in most dialects
 _PLACES = (0.3, 0.7)  # of either side: the middles of samples
 _SAMPLE_MM, _SAMPLE_PITCHES = 10.0, 150.0  # side of a sample; no more than a quarter of the lens's

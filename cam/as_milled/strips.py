@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from numba import njit
 
-from cam.as_milled.rivals import WIDEST, shown
+from cam.as_milled.neighbours import WIDEST, shown
 
 MOST_PARTS = 81  # of a strip
 STEEPEST = 0.6  # rad: no ball shows more of itself along its track

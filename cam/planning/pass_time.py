@@ -17,9 +17,8 @@ from scipy.ndimage import grey_dilation, grey_opening
 
 from cam.duration import Kinematics
 from cam.passes import Direction, PassSpec
-from cam.program import SLOPE_ERROR_RAD
 from cam.rows.entries import RAMP_SLOPE
-from cam.rows.vertices import VertexRule, finish_rule, rough_rule
+from cam.rows.vertices import SLOPE_ERROR_RAD, VertexRule, finish_rule, rough_rule
 from cam.surface.cutter import concave_curvature
 from optics.heightfield import Array, Heightfield
 

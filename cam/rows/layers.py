@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.ndimage import maximum_filter1d
 
+from cam.materials import SLOT_FEED
 from cam.moves import Array, Path, cut
 from cam.passes import PassSpec
 from cam.rows.entries import Pocket, enter, leave
@@ -33,9 +34,6 @@ TOUCH_MM = 1e-6
 LAYER_CUSP_SHARE, LAYER_SAG_SHARE = 0.02, 0.01
 """Of the step-down: a layer's cusps and chords. Those of two layers may add up, and the check allows 5 % for them."""
 
-SLOT_FEED = 0.5
-"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
-on the way from row to row and along the walls it may."""
 
 SLOT_DEPTH_SHARE = 0.3
 """Of the step-down: stock that stands this much higher on both sides makes a slot."""

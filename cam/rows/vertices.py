@@ -208,3 +208,6 @@ def thin_points(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Arr
     run, z = (np.ascontiguousarray(points_mm[:, column]) for column in (along, 2))
     keep = _thin(run, z, max(tolerance_mm, 1e-9))
     return points_mm[keep]
+
+
+SLOPE_ERROR_RAD = 0.5e-3

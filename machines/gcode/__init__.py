@@ -1,1 +1,1 @@
-"""Programs in G-code: their language line by line, whole programs at disk speed, and what pre-flight finds."""
+"""Programs in G-code: their language line by line, whole programs at disk speed, refusals in words."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Unlock
 from machines.grbl import replies
 from machines.grbl.settings import ControllerSettings, Triple, read_settings
-from machines.grbl.stall import longest_homing_s
+from machines.grbl.timeouts import longest_homing_s
 
 REPLY_S = 3.0  # a line that does not move: parsed at once, or after an EEPROM write
 BLOCK_S = 60.0

@@ -12,7 +12,7 @@ from machines.grbl import echo, overrides, replies, resetting
 from machines.grbl.codes import CRITICAL_ALARMS, POSITION_LOST_ALARMS, alarm_words, error_words
 from machines.grbl.errands import identify
 from machines.grbl.following import SessionFollowing
-from machines.grbl.hail import Hail
+from machines.grbl.greeting import Greeting
 from machines.grbl.resetting import ResetSequence
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.settings import ControllerSettings
@@ -189,7 +189,7 @@ class SessionHearing(SessionFollowing):
         self._restart = banner, ours or self.phase is Phase.STOPPING
         self._end_errand("" if checked_off else "the controller restarted")
         self._end_stream()
-        self._hail = Hail(recognised=bool(known))
+        self._hail = Greeting(recognised=bool(known))
         self._hail.banner = True
         self._move(Phase.HAILING, now_s)
         if was_streaming:

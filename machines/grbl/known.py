@@ -16,12 +16,12 @@ from machines.driver import (
 from machines.gcode.interpreter import Interpreter
 from machines.grbl import replies
 from machines.grbl.codes import alarm_words
-from machines.grbl.hail import SILENT, Hail
+from machines.grbl.greeting import SILENT, Greeting
 from machines.grbl.pacing import Pacer
-from machines.grbl.patience import Patience
 from machines.grbl.resetting import ResetSequence
 from machines.grbl.runner import ErrandRunner
 from machines.grbl.settings import ControllerSettings
+from machines.grbl.silence_clock import SilenceClock
 from machines.grbl.states import Phase, detail_words, mill_state, stands
 from machines.grbl.streaming import Stream
 from machines.grbl.tracking import SEGMENTS
@@ -61,7 +61,7 @@ class SessionKnown:
         self._text = bytearray()
         self._events: list[Event] = []
         self._shown = MillState.DISCONNECTED
-        self._hail = Hail()
+        self._hail = Greeting()
         self._errand: ErrandRunner | None = None
         self._stream: Stream | None = None
         self._progress = StreamProgress()
@@ -83,7 +83,7 @@ class SessionKnown:
         self._banner_due_s = 0.0  # until then a banner is the answer to $C
         self._steer: tuple[Override, float] | None = None
         self._steer_reports = 0
-        self._patience = Patience()
+        self._patience = SilenceClock()
         self._phase_spent_s = 0.0  # of our own time, when the phase began
         self._silence_told = False
         self._sign_heard_s = 0.0  # of the link's time: the last answer, new position, proven step or hold

@@ -32,10 +32,11 @@ from machines.driver import (
 from machines.errors import MachineError, NotAllowedError, ProgramRefusedError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
-from machines.grbl import overrides, stall
+from machines.grbl import overrides
+from machines.grbl import timeouts as stall
 from machines.grbl.counting import AnswerCount
 from machines.grbl.errands import errand_for
-from machines.grbl.hail import Hail
+from machines.grbl.greeting import Greeting
 from machines.grbl.known import GrblOptions
 from machines.grbl.permits import check_command
 from machines.grbl.resetting import ResetSequence
@@ -65,7 +66,7 @@ class GrblSession(SessionWatching):
         self.view.locked_by = 0
         self.view.spindle_on = None  # no banner has stopped it: whoever was here before may have left it on
         self.failure, self._banner, self._echoes = "", "", False
-        self._hail = Hail()
+        self._hail = Greeting()
         self._move(Phase.HAILING, now_s)
 
     def lost(self, words: str, now_s: float) -> None:

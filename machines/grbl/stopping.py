@@ -12,8 +12,9 @@ from machines.driver import (
     Restarted,
     Stopped,
 )
-from machines.grbl import replies, stall
-from machines.grbl.hail import Hail
+from machines.grbl import replies
+from machines.grbl import timeouts as stall
+from machines.grbl.greeting import Greeting
 from machines.grbl.known import SessionKnown
 from machines.grbl.resetting import ResetSequence
 from machines.grbl.runner import ErrandRunner
@@ -193,7 +194,7 @@ class SessionStopping(SessionKnown):
     def _hail_again(self, now_s: float) -> None:
         self._end_errand("held")
         self._text.clear()
-        self._hail = Hail(recognised=True)
+        self._hail = Greeting(recognised=True)
         self._move(Phase.HAILING, now_s)
 
     def _reset_homing(self, now_s: float) -> None:

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from machines.driver import FaultCause, Faulted, Notice
-from machines.grbl import stall
-from machines.grbl.hail import Hail
+from machines.grbl import timeouts as stall
+from machines.grbl.greeting import Greeting
 from machines.grbl.hearing import SessionHearing, shown
 from machines.grbl.states import Phase
 from machines.grbl.streaming import Flight
-
-OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
-TELL_S = 3.0  # silence while a program runs, that the operator is told of
-PERSON_S = 10.0  # patience with a controller that a person has sent resets to
+from machines.grbl.timeouts import OFFER_S, PERSON_S, TELL_S
 
 
 class SessionWatching(SessionHearing):
@@ -39,7 +36,7 @@ class SessionWatching(SessionHearing):
             if silent_s > stall.READY_SILENCE_S:
                 self._events.append(Notice(f"no answer to '?' for {silent_s:.0f} s"))
                 self.view.report = None
-                self._hail = Hail(recognised=True)
+                self._hail = Greeting(recognised=True)
                 self._move(Phase.HAILING, now_s)
 
     def _watch_reset(self, now_s: float) -> None:

@@ -14,11 +14,11 @@ from typing import Any
 from machines.errors import MachineError
 from machines.gcode.program import ProgramReader
 from machines.preflight.preflight import Preflight
+from machines.recovery.approach import height_mm, travel_height_mm, unreadable, way_in
 from machines.recovery.by_hand import by_sequence_number
 from machines.recovery.entry import EntryPoint, find_entry
 from machines.recovery.needs import axes_words, first_needs, offsets_compared, position_doubt, zero_back
 from machines.recovery.plan import Need, Present, RecoveryPlan, Reentry
-from machines.recovery.way import height_mm, travel_height_mm, unreadable, way_in
 
 __all__ = ["Need", "Present", "RecoveryPlan", "Reentry", "plan_recovery"]
 

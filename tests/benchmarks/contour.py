@@ -28,7 +28,7 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from service.job.arrays import heightfield_bytes, load_heightfield
 from service.job.files import read_chunks
-from service.job.spec.mill import kinematics_of
+from service.job.spec.kinematics import kinematics_of
 from tests.benchmarks.pictures import PAPER_SETTING, bumps, target
 from tests.benchmarks.timing import Figure
 

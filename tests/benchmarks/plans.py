@@ -20,9 +20,8 @@ from cam.moves import cut, rapid
 from cam.passes import PassSpec
 from cam.planning.pass_time import LensForm, finish_layers_s, layers_s, rows_s
 from cam.posts.dialects import POSTS
-from cam.program import SLOPE_ERROR_RAD
 from cam.rows.rounding import Rounding, on_raster
-from cam.rows.vertices import finish_rule
+from cam.rows.vertices import SLOPE_ERROR_RAD, finish_rule
 from cam.surface.tool_surface import ToolSurface
 from machines.profiles import MachineProfile
 from optics.design import design_lens
@@ -33,8 +32,8 @@ from optics.milled import simulate_milled
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.sentences import finish_words
+from service.job.spec.kinematics import kinematics_of
 from service.job.spec.loading import resolve_spec
-from service.job.spec.mill import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, machine_of
 from tests.benchmarks.pictures import PAPER_SETTING, target

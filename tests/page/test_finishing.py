@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.job.spec.finishing import BUILT_IN, instruct_finishing, load_processes
+from service.job.spec.finish_library import BUILT_IN, instruct_finishing, load_processes
 from service.wording import psnr_in_words
 from tests.page import jobs
 from tests.page.browser import layout_faults, serious_faults

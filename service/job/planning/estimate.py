@@ -44,8 +44,8 @@ from service.job.planning.lenses import compute_passes, design_for_finishes, sim
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.preparation import aim_at_picture
+from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings
-from service.job.spec.mill import kinematics_of
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, with_plan
 from service.wording import ball

@@ -12,7 +12,7 @@ from optics.finish import Finish
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.finish import BEST, NONE
-from service.job.spec.finishing import Process, load_processes
+from service.job.spec.finish_library import Process, load_processes
 from service.job.spec.lens_task import finish_of
 from service.job.spec.model import JobSpec
 

@@ -27,8 +27,8 @@ from service.job.planning.finished_light import Design
 from service.job.planning.lenses import design_for_finishes, lit_designs, lit_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
+from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings
-from service.job.spec.mill import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import machine_of
 from service.job.spec.tools import load_tools

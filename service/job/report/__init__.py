@@ -1,1 +1,1 @@
-"""Parts of the setup sheet."""
+"""The setup sheet, its sentences, the solid to look at; `figures` has the pictures."""

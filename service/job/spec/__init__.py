@@ -1,1 +1,1 @@
-"""The tables of the job spec."""
+"""The job spec: its model, files and overrides, what it resolves to; the libraries of tools and finishes."""

@@ -10,7 +10,7 @@ from typing import Annotated
 from pydantic import Field
 
 from service.errors import SpecError
-from service.job.spec.finishing import Process, load_processes
+from service.job.spec.finish_library import Process, load_processes
 from service.job.spec.section import Section
 
 NONE, BEST = "none", "best"

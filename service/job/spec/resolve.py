@@ -8,7 +8,7 @@ from typing import Any, cast
 
 from cam import passes as cam_passes
 from cam.around.specs import BESIDE_MM, CutOut, Facing
-from cam.materials import PMMA, Material
+from cam.materials import PMMA, SLOT_FEED, Material
 from cam.passes import PassSpec, Stock
 from cam.posts.setup import Coolant, HighPrecision, ProgramSetup, find_unsupported
 from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
@@ -30,7 +30,6 @@ _PROFILE_KEYS = {
 _AROUND = ("face", "cut_out")
 _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 _FLAT_PITCH_SHARE, _BALL_PITCH_SHARE = 1.2, 1 / 6  # of the radius: 60 % of the diameter; cusps of R / 288
-_SLOT_FEED_SHARE = 0.5
 
 
 def preset_rows(preset: str) -> list[dict[str, Any]]:
@@ -227,7 +226,7 @@ def _stock_filled(stock: StockSpec, machine: MachineProfile) -> StockSpec:
         pitch_mm = stock.face.pitch_mm or round(share * stock.face.radius_mm, 3)
         filled["face"] = stock.face.model_copy(update={"pitch_mm": pitch_mm, **_speeds(stock.face, machine, material)})
     if stock.cut_out is not None:
-        slot = _speeds(stock.cut_out, machine, material, feed_share=_SLOT_FEED_SHARE)
+        slot = _speeds(stock.cut_out, machine, material, feed_share=SLOT_FEED)
         filled["cut_out"] = stock.cut_out.model_copy(update=slot)
     return stock.model_copy(update=filled)
 

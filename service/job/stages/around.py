@@ -27,7 +27,7 @@ from service.errors import FailedError
 from service.job import arrays
 from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenProgram, program_name, read_chunks
 from service.job.planning.around import cut_out_ways
-from service.job.spec.mill import kinematics_of
+from service.job.spec.kinematics import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of, machine_of, setup_of
 from service.job.stages import programs as pass_programs

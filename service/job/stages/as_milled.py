@@ -174,7 +174,7 @@ def _tell(
 
 def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None:
     from service.job.report.figures import base as figures  # what they stand on is slow to import
-    from service.job.report.figures import light as figures_milled
+    from service.job.report.figures import tolerances as figures_milled
 
     viewed_from = shop.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]

@@ -15,7 +15,7 @@ from service.job.files import TOOLPATH, files_of_pass, names_of_pass, path_name,
 from service.job.page_data.path import PathDrawing
 from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.path_sample import PathSample
-from service.job.spec.mill import kinematics_of
+from service.job.spec.kinematics import kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of
 from service.job.stages.context import Workshop
 from service.milling.preflight_child import examine

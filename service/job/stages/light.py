@@ -98,7 +98,7 @@ def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
 
 
 def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
-    from service.job.report.figures import light as figures_tolerances
+    from service.job.report.figures import tolerances as figures_tolerances
 
     middle = FOCUS_SHARES.index(0.0)
     before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)

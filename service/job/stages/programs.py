@@ -35,7 +35,7 @@ from service.job.files import (
 )
 from service.job.planning.fit import require_flutes, require_travel, unfit_ball
 from service.job.planning.lens_facts import measure_lens
-from service.job.spec.mill import kinematics_of
+from service.job.spec.kinematics import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, setup_of
 from service.job.stages.context import Workshop

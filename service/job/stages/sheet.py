@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from service.job import files as job_files
 from service.job.report.setup_sheet import render_report
-from service.job.spec.finishing import instruct_finishing
+from service.job.spec.finish_library import instruct_finishing
 from service.job.spec.resolve import machine_of
 from service.job.stages.context import THE_PICTURE, Workshop, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports

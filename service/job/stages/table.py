@@ -22,7 +22,7 @@ from importlib.metadata import version
 from typing import Any
 
 from service.job.spec.finish import NONE
-from service.job.spec.finishing import load_processes
+from service.job.spec.finish_library import load_processes
 from service.job.spec.model import USUAL_ROWS, JobSpec, PassRow
 from service.job.spec.resolve import machine_of
 from service.job.spec.tools import load_tools

@@ -1,1 +1,1 @@
-"""The machine agent: one process that owns one mill and lets itself be told over HTTP."""
+"""The machine agent: one process that owns one mill and is controlled over HTTP."""

@@ -1,1 +1,1 @@
-"""What is known of jobs: their states, their tables, and every change to them."""
+"""The tables and every change to them: jobs, claims, runs, events, tokens, pairing codes and how many may be tried."""

@@ -1,1 +1,1 @@
-"""One computer's services: starting, stopping, installing, backing up."""
+"""`serve`: API, worker and agents of one computer started, watched, and ended with it."""

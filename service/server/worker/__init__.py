@@ -1,1 +1,1 @@
-"""Runs jobs: the engine, leases between hosts, and each stage in a process that can be killed."""
+"""One claimed job through its stages: leases, monitoring, repair, retention."""

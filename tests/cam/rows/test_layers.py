@@ -11,13 +11,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cam.checking.removal import RemovalGrid
+from cam.materials import SLOT_FEED
 from cam.moves import Motion
 from cam.passes import Stock, ball_pass
 from cam.posts.grbl import GRBL
 from cam.program import generate_program, pass_paths
 from cam.reading.gcode import read_program
 from cam.rows.entries import CLEARANCE_MM, RAMP_SLOPE, RAPID_CLEARANCE_MM, enter, ramp
-from cam.rows.layers import SLOT_FEED, Field, chain_spans, plan_layers, spans
+from cam.rows.layers import Field, chain_spans, plan_layers, spans
 from cam.rows.raster import Rows
 from cam.surface.stock_grid import StockGrid
 from cam.surface.stock_touch import StockTouch

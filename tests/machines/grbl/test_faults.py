@@ -13,8 +13,8 @@ from machines.driver import FaultCause, Faulted, Home, MillState, ProgramDone, P
 from machines.errors import ProgramChangedError
 from machines.grbl.driver import GrblDriver
 from machines.grbl.session import GrblOptions, GrblSession
-from machines.grbl.stall import REPORT_SILENCE_S
 from machines.grbl.states import Phase
+from machines.grbl.timeouts import REPORT_SILENCE_S
 from machines.simulated.faults import Fault
 from machines.simulated.traits import GRBL_11, GRBL_11_ECHO, Traits
 

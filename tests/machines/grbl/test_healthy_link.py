@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from machines.driver import FaultCause, Faulted, MillState, Override, ProgramDone, Stopped
 from machines.errors import NotAllowedError
 from machines.grbl.counting import COUNT_EVERY_S, COUNT_LATE_S
-from machines.grbl.stall import IDLE_S, REPORT_SILENCE_S
+from machines.grbl.timeouts import IDLE_S, REPORT_SILENCE_S
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
 

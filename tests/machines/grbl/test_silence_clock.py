@@ -8,8 +8,8 @@ import pytest
 from grbl_bench import Bench, Tap, numbered, spiral
 
 from machines.driver import FaultCause, Faulted, MillState, Notice, ProgramDone
-from machines.grbl.patience import LOOK_S
-from machines.grbl.stall import REPORT_SILENCE_S
+from machines.grbl.silence_clock import LOOK_S
+from machines.grbl.timeouts import REPORT_SILENCE_S
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBLHAL, Traits
 
 

@@ -12,7 +12,7 @@ LOOK_S = 0.25  # five times what lies between two looks of a computer that is no
 REPORT_S = 0.25  # a report is due ten times a second
 
 
-class Patience:
+class SilenceClock:
     """spent_s: our own time; heard_s: the link's. Both only go on."""
 
     __slots__ = ("_looked_at_s", "_reported_s", "heard_s", "spent_s", "unanswered")

@@ -13,7 +13,7 @@ SILENT = (
 NOISE_SHARE = 0.25  # bytes that are not text: far more at a wrong baud rate, none from a text protocol
 
 
-class Hail:
+class Greeting:
     """Collects what came back to '?'."""
 
     def __init__(self, *, recognised: bool = False) -> None:

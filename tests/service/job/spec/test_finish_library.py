@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from service.errors import InputError
 from service.job.report.finishing import make_finishing_card
 from service.job.report.setup_sheet import render_report
-from service.job.spec import finishing
-from service.job.spec.finishing import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
+from service.job.spec import finish_library as finishing
+from service.job.spec.finish_library import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
 from service.job.spec.loading import resolve_spec
 from service.job.stages.table import facts_of
 

@@ -8,7 +8,7 @@ from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.step import Step
 from machines.grbl.settings import ControllerSettings
-from machines.grbl.stall import MARGIN_S, longest_homing_s, longest_wait_s, motion_time_s
+from machines.grbl.timeouts import MARGIN_S, longest_homing_s, longest_wait_s, motion_time_s
 
 VALUES = {110: "3000", 111: "3000", 112: "600", 120: "200", 121: "200", 122: "100", 130: "300", 131: "300", 132: "80"}
 SETTINGS = ControllerSettings(values={**VALUES, 24: "25", 25: "500", 27: "1"})
