@@ -12,6 +12,8 @@ import ast
 import contextlib
 import hashlib
 import os
+import pickle
+import shutil
 import threading
 from collections.abc import Iterator
 from functools import cache
@@ -33,6 +35,7 @@ class KernelLocator(_CacheLocator):
     def __init__(self, module: str, name: str, root: Path) -> None:
         self._stamp = kernel_hash(module, name, root)
         self._folder = f"{_cache_folder()}/{module}.{name}-{self._stamp}"
+        _drop_unreadable(Path(self._folder))
         with contextlib.suppress(OSError):
             os.utime(self._folder)  # in use: see `use_current_kernels`
 
@@ -51,6 +54,21 @@ class KernelLocator(_CacheLocator):
 
     def get_disambiguator(self) -> str:
         return "kernel"
+
+
+def _drop_unreadable(folder: Path) -> None:
+    """Remove what cannot be read any more: types of a kernel's arguments are kept by the name of their module, which
+    is no part of its definition, and may have moved. numba would raise.
+    """
+    try:
+        for index in folder.glob("*.nbi"):
+            with index.open("rb") as file:
+                pickle.load(file)  # numba's version
+                pickle.load(file)
+    except (ImportError, AttributeError, EOFError, pickle.UnpicklingError):
+        shutil.rmtree(folder, ignore_errors=True)
+    except OSError:
+        pass  # another process has just taken it away
 
 
 def _cache_folder() -> str:
