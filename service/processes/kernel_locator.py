@@ -12,16 +12,14 @@ import ast
 import contextlib
 import hashlib
 import os
-import pickle
-import shutil
 import threading
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from numba.core import caching
 from numba.core import config as numba_config
-from numba.core.caching import _CacheLocator
 
 from service.processes.source_tree import parse
 
@@ -29,13 +27,12 @@ _ROOT = Path(__file__).parents[2]
 _reading = threading.Lock()  # docstrings are taken out of trees that all kernels share
 
 
-class KernelLocator(_CacheLocator):
+class KernelLocator(caching._CacheLocator):
     """Named to numba by NUMBA_CACHE_LOCATOR_CLASSES; None for functions that are not at the top of a file of ours."""
 
     def __init__(self, module: str, name: str, root: Path) -> None:
         self._stamp = kernel_hash(module, name, root)
         self._folder = f"{_cache_folder()}/{module}.{name}-{self._stamp}"
-        _drop_unreadable(Path(self._folder))
         with contextlib.suppress(OSError):
             os.utime(self._folder)  # in use: see `use_current_kernels`
 
@@ -56,19 +53,20 @@ class KernelLocator(_CacheLocator):
         return "kernel"
 
 
-def _drop_unreadable(folder: Path) -> None:
-    """Remove what cannot be read any more: types of a kernel's arguments are kept by the name of their module, which
-    is no part of its definition, and may have moved. numba would raise.
+class _Index(caching.IndexDataCacheFile):
+    """What is kept of a kernel. The types of its arguments are kept by the names of their modules, which are no part of
+    the kernel's definition: where one has moved, nothing is kept, and the kernel is compiled anew.
     """
-    try:
-        for index in folder.glob("*.nbi"):
-            with index.open("rb") as file:
-                pickle.load(file)  # numba's version
-                pickle.load(file)
-    except (ImportError, AttributeError, EOFError, pickle.UnpicklingError):
-        shutil.rmtree(folder, ignore_errors=True)
-    except OSError:
-        pass  # another process has just taken it away
+
+    def _load_index(self) -> dict[Any, Any]:
+        try:
+            found: dict[Any, Any] = super()._load_index()  # type: ignore[no-untyped-call]
+        except (ImportError, AttributeError):
+            return {}
+        return found
+
+
+caching.IndexDataCacheFile = _Index  # type: ignore[misc]  # numba has no other place for it
 
 
 def _cache_folder() -> str:
