@@ -89,13 +89,15 @@ class QuickLens:
 
 def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False) -> dict[str, Any]:
     """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
-    fine = _with_pixels(spec, MOST_PIXELS)
-    coarse = fine if exactly else coarse_spec(spec)
+    fine, coarse = _with_pixels(spec, MOST_PIXELS), coarse_spec(spec)
+    exactly = exactly or coarse == fine
     with in_the_services_words():
-        (target, whole), (width, height) = _targets(path, coarse, fine, limits=limits, name=name)
-        quick = quick_lens(coarse, target, None if coarse == fine else whole)
+        specs = [fine] if exactly else [coarse, fine]
+        targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
+        whole = targets[-1]
+        quick = quick_lens(specs[0], targets[0], None if exactly else whole)
         passes = _with_around(quick.spec, list(_hours(quick)))
-        seen = _foretold(quick, whole, exactly=coarse == fine)
+        seen = _foretold(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
@@ -109,7 +111,7 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str, exa
         "smallest_detail_mm": detail_mm,
         "passes": passes,
         "planned": quick.planned is not None,
-        "exact": coarse == fine,
+        "exact": exactly,
         "hours": sum(row["hours"] for row in passes),
         "blur_mm": blur.whole_mm,
         "psnr_db": None if seen is None else seen.psnr_db,

@@ -74,8 +74,7 @@ class Estimator:
         with self._bell:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
-            own = [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
-            for one in own:
+            for one in self._asks_of(caller):
                 if one.asked == asked and not one.answer.done():
                     return one.answer
             self._end_all_of(caller)
@@ -93,14 +92,17 @@ class Estimator:
         with self._bell:
             self._end_all_of(caller)
 
+    def _asks_of(self, caller: str) -> list[_Ask]:
+        """With the bell held."""
+        return [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
+
     def _end_all_of(self, caller: str) -> None:
         """With the bell held."""
-        running = self._running
-        for older in (running, *self._waiting):
-            if older is not None and older.caller == caller:
-                older.end(Problem(409, f"a newer {self._what} was asked for"))
+        older = self._asks_of(caller)
+        for one in older:
+            one.end(Problem(409, f"a newer {self._what} was asked for"))
         self._waiting = [one for one in self._waiting if one.caller != caller]
-        if running is not None and running.caller == caller and running.is_long and self._child is not None:
+        if any(one is self._running and one.is_long for one in older) and self._child is not None:
             self._killed = True
             self._child.kill()  # the keeper buries it
 

@@ -18,7 +18,7 @@ from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE, EstimateView
 from service.server.api.services import Services, services_of
 
 router = APIRouter()
-_LOOK_S = 1.0  # whether somebody still waits for what takes long
+_LOOK_S = 1.0  # whether somebody still waits
 
 Tab = Annotated[
     str,
@@ -57,15 +57,15 @@ async def post_estimate(request: Request, principal: Writer, tab: Tab = "", exac
             "exactly": exactly,
         }
         caller = f"{principal.id or principal.name} {tab}"
-        if exactly:
-            asking = services.exact_estimates.ask(caller, asked, is_long=True)
-        else:
+        estimates = services.exact_estimates if exactly else services.estimates
+        if not exactly:
             services.exact_estimates.leave(caller)
-            asking = services.estimates.ask(caller, asked)
+        asking = estimates.ask(caller, asked, is_long=exactly)
         answer = asyncio.wrap_future(asking)
         while not (await asyncio.wait({answer}, timeout=_LOOK_S))[0]:
-            if exactly and not answer.done() and await request.is_disconnected():
-                services.exact_estimates.leave(caller)
+            # Once this one has ended, the caller's asks are newer ones.
+            if await request.is_disconnected() and not asking.done():
+                estimates.leave(caller)
         found = await answer
     return JSONResponse({**found, "spec": wanted.spec}, headers={"Cache-Control": "no-store"})
 
