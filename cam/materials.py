@@ -8,6 +8,10 @@ from math import exp, log
 
 from cam.errors import PassValueError
 
+SLOT_FEED = 0.5
+"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
+on the way from row to row and along the walls it may."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CuttingData:
@@ -97,8 +101,3 @@ PMMA = Material(
         ),
     ),
 )
-
-
-SLOT_FEED = 0.5
-"""Share of the feed where the ball cuts at its full width: along a layer's first row stock stands on both sides, and
-on the way from row to row and along the walls it may."""

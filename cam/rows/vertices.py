@@ -26,6 +26,7 @@ BESIDE_MM = 0.1
 
 RUN_OUT_SAG_MM = 0.5e-3
 _SAG_MM_PER_RAD = 0.024
+SLOPE_ERROR_RAD = 0.5e-3
 
 
 class VertexRule(NamedTuple):
@@ -208,6 +209,3 @@ def thin_points(points_mm: Array, tolerance_mm: float, *, along: int = 0) -> Arr
     run, z = (np.ascontiguousarray(points_mm[:, column]) for column in (along, 2))
     keep = _thin(run, z, max(tolerance_mm, 1e-9))
     return points_mm[keep]
-
-
-SLOPE_ERROR_RAD = 0.5e-3

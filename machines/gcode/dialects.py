@@ -90,6 +90,17 @@ class Dialect:
             return "P, its milliseconds, or X, its seconds"
         return "F, its seconds" if DWELL_BY_F in actions else "P, its seconds"
 
+    def reason_for(self, code: int) -> str:
+        """The sentence of a refusal by this control."""
+        return refusals.REASONS[code].format(
+            limit=self.line_limit,
+            n_limit=self.n_limit,
+            dialect=self.title,
+            decimals=self.decimals,
+            name_rule=self.name_rule,
+            dwell_rule=self.dwell_rule,
+        )
+
     @property
     def is_grbl(self) -> bool:
         return self.name in ("grbl", "grblhal", "fluidnc")

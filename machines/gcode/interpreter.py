@@ -10,7 +10,7 @@ import math
 import re
 
 from machines.errors import MachineError, ProgramRefusedError
-from machines.gcode import language, refusal_words, refusals
+from machines.gcode import language, refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.modal import ModalState, Position
 from machines.gcode.step import Arc, Step
@@ -189,7 +189,7 @@ class Interpreter:
         )  # fmt: skip
 
     def _refuse(self, text: bytes, code: int) -> ProgramRefusedError:
-        return ProgramRefusedError(0, shown(text), refusal_words.reason_for(self._dialect, code))
+        return ProgramRefusedError(0, shown(text), self._dialect.reason_for(code))
 
 
 def _known(x: float, y: float, z: float) -> Position:

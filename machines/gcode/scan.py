@@ -14,7 +14,7 @@ from typing import NoReturn
 import numpy as np
 
 from machines.errors import ProgramRefusedError
-from machines.gcode import refusal_words, refusals, scan_kernel, tally
+from machines.gcode import refusals, scan_kernel, tally
 from machines.gcode.dialects import DIALECTS, Dialect
 from machines.gcode.modal import ModalState
 from machines.gcode.program import DIGEST_BYTES, IndexEntry, ProgramIndex
@@ -159,7 +159,7 @@ class ProgramScan:
         )
 
     def _refuse(self, text: bytes, code: int) -> NoReturn:
-        raise ProgramRefusedError(self.lines + 1, shown(text), refusal_words.reason_for(self.dialect, code))
+        raise ProgramRefusedError(self.lines + 1, shown(text), self.dialect.reason_for(code))
 
     def _open_piece(self, offset: int) -> None:
         self._piece_line, self._piece_offset, self._piece_state = self.lines + 1, offset, self.state

@@ -33,6 +33,9 @@ SPINDLE_S = 30.0  # grblHAL ($394, $395) and FluidNC wait for the spindle; a fre
 DWELL_SLACK = 1.1  # the dwell loop of 1.1 is stretched by its interrupts
 UNKNOWN_MM = 2000.0  # a move from or to a place the program does not tell, where the travel is not known either
 SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
+OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
+TELL_S = 3.0  # silence while a program runs, that the operator is told of
+PERSON_S = 10.0  # patience with a controller that a person has sent resets to
 
 
 class Waiting(QueuedMove, Protocol):
@@ -129,12 +132,3 @@ def longest_homing_s(settings: ControllerSettings) -> float:
     search_s = sum(1.5 * length / seek * 60.0 for length in travel)
     locate_s = 3 * 2 * (10.0 * pull_mm / feed * 60.0)
     return 15.0 + SLACK * (search_s + locate_s)
-
-
-OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
-
-
-TELL_S = 3.0  # silence while a program runs, that the operator is told of
-
-
-PERSON_S = 10.0  # patience with a controller that a person has sent resets to

@@ -9,6 +9,8 @@ from cam.errors import CamError, CutterTooLargeError, OutlineError, PassValueErr
 from optics.errors import OpticsError
 from service.errors import FailedError, InputError
 
+_INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
+
 
 class SolidError(ValueError):
     """The lens does not make a solid block."""
@@ -28,9 +30,6 @@ class ReliefTooDeep(SolidError):
             f"top, a stock.thickness_mm of {thickness_mm:g} {left}; a floor of at least {min_floor_mm:g} mm is wanted, "
             f"so a thickness of {self.needed_mm:.2f} mm or more, or a longer optics.throw_mm, which makes it flatter"
         )
-
-
-_INPUT_ERRORS = (OpticsError, CutterTooLargeError, OutlineError, PassValueError, SafeHeightError, StockTooThinError)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""A plan with the eyes it was made with, and its figures."""
+"""A plan with the eyes it was made with, and what of it the job spec takes."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""A job's passes from its picture, its lens, the shop's tools and its mill: what `cam.planning.planner` needs, and what
-it means in words."""
+"""A job's passes from its picture, its lens, the shop's tools and its mill: what `cam.planning.planner` needs."""
 
 from __future__ import annotations
 

@@ -16,6 +16,10 @@ _MILLED_AWAY = (
     "of it is left, with scallops smoothed to a tenth about half"
 )
 
+_PERCENT = 0.01
+_TILT_DEG = 0.5
+_NOTHING_DB = 0.1
+
 
 def score_rows(report: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """(what, figure, in words), first for the perfect surface, then as milled and as finished."""
@@ -187,15 +191,6 @@ def screen_sentence(spec: Mapping[str, Any]) -> str | None:
     return (
         f"The middle of the picture lies {where} of the middle of the lens, for a person who looks from it to the wall."
     )
-
-
-_PERCENT = 0.01
-
-
-_TILT_DEG = 0.5
-
-
-_NOTHING_DB = 0.1
 
 
 def tolerance_sentences(tolerances: Mapping[str, Any], *, throw_mm: float) -> list[str]:

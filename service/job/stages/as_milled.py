@@ -174,11 +174,11 @@ def _tell(
 
 def _draw(shop: Workshop, target: Array, designed: Array, milled: Array) -> None:
     from service.job.report.figures import base as figures  # what they stand on is slow to import
-    from service.job.report.figures import tolerances as figures_milled
+    from service.job.report.figures import light as light_figures
 
     viewed_from = shop.spec.optics.viewed_from
     views = [picture_from_irradiance(one, viewed_from=viewed_from) for one in (target, designed, milled)]
     white = float(target.max())
     told = shop.report["as_milled"]
     shop.draw("caustic-as-milled.png", lambda: figures.picture_png(views[2], white=white))
-    shop.draw("as-milled.png", lambda: figures_milled.as_milled_png(*views, figures=told))
+    shop.draw("as-milled.png", lambda: light_figures.as_milled_png(*views, figures=told))

@@ -98,7 +98,7 @@ def _draw(shop: Workshop, target: Array, seen: list[Caustic]) -> None:
 
 
 def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
-    from service.job.report.figures import tolerances as figures_tolerances
+    from service.job.report.figures import light as light_figures
 
     middle = FOCUS_SHARES.index(0.0)
     before, after = FOCUS_SHARES.index(-0.01), FOCUS_SHARES.index(0.01)
@@ -112,7 +112,7 @@ def _draw_tolerances(shop: Workshop, target: Array, found: Tolerances) -> None:
     ]
     pictures = [(caption, _as_seen(shop, irradiance)) for caption, irradiance in shown]
     white = float(target.max())
-    shop.draw("tolerances.png", lambda: figures_tolerances.tolerances_png(found, pictures, white=white))
+    shop.draw("tolerances.png", lambda: light_figures.tolerances_png(found, pictures, white=white))
 
 
 def _figures(found: Tolerances) -> dict[str, Any]:

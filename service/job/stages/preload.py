@@ -25,7 +25,7 @@ LATER = (
     "service.job.report.solid",
     "service.job.report.figures.base",
     "service.job.report.figures.lens",
-    "service.job.report.figures.tolerances",
+    "service.job.report.figures.light",
     "service.job.report.figures.paths",
     "service.job.page_data.focus",
 )

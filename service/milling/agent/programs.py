@@ -24,6 +24,8 @@ _PIECE_BYTES = 1 << 20
 _SPARE_BYTES = 64 << 20  # for the journal: a program must not be the last straw
 _SHA256 = re.compile(r"[0-9a-f]{64}")
 _SUFFIX, _PART = ".nc", ".part"
+_WAIT_S = 30.0
+_REDIRECTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,12 +147,6 @@ class ProgramStore:
 def _sync(file: BinaryIO) -> None:
     file.flush()
     os.fsync(file.fileno())
-
-
-_WAIT_S = 30.0
-
-
-_REDIRECTS = 3
 
 
 async def fetch_program(store: ProgramStore, url: str, sha256: str, *, token: str | None) -> tuple[StoredProgram, bool]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from machines.errors import ProgramRefusedError
-from machines.gcode import refusal_words
+from machines.gcode import refusals
 from machines.gcode.dialects import DIALECTS
 from machines.gcode.scan import ProgramScan
 
@@ -147,10 +147,10 @@ def test_a_program_that_could_not_be_restarted_by_number_says_so() -> None:
 def test_no_sentence_names_a_value_that_is_not_filled_in() -> None:
 
     for dialect in DIALECTS.values():
-        for code in refusal_words.REASONS:
-            words = refusal_words.reason_for(dialect, code)
+        for code in refusals.REASONS:
+            words = dialect.reason_for(code)
             assert "{" not in words and "\n" not in words
-    assert sorted(refusal_words.REASONS) == list(range(1, len(refusal_words.REASONS) + 1))
+    assert sorted(refusals.REASONS) == list(range(1, len(refusals.REASONS) + 1))
 
 
 @pytest.mark.parametrize(("dialect", "limit"), [("grbl", 79), ("grblhal", 255), ("okuma", 157)])

@@ -18,6 +18,7 @@ from service.store.base import Store
 _INLINE = ("image/png", "application/json", "text/html; charset=utf-8", "text/plain; charset=utf-8")
 # A report is a page with pictures beside it and no scripts: it gets no rights over this server's pages.
 _PAGE_POLICY = "sandbox; default-src 'none'; img-src 'self' data:; style-src 'unsafe-inline'"
+_ONE_RANGE = re.compile(r"bytes=\s*(\d{0,18})-(\d{0,18})\s*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +87,6 @@ def _headers(file: Artifact, kind: str, tag: str) -> dict[str, str]:
         "X-Content-Type-Options": "nosniff",
     }
     return headers | ({"Content-Security-Policy": _PAGE_POLICY} if kind.startswith("text/html") else {})
-
-
-_ONE_RANGE = re.compile(r"bytes=\s*(\d{0,18})-(\d{0,18})\s*", re.IGNORECASE)
 
 
 def matches(if_none_match: str | None, etag: str) -> bool:

@@ -29,6 +29,7 @@ _MEDIA_TYPES = {
 _PROGRAM_TYPE = "text/plain; charset=us-ascii"
 _OTHER_TYPE = "application/octet-stream"
 MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values(), _PROGRAM_TYPE, _OTHER_TYPE)})
+_NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is asked for
 
 
 def summary(job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
@@ -156,6 +157,3 @@ def job_list(services: Services, jobs: Sequence[JobListRow]) -> list[dict[str, A
 
 def _position(job: JobListRow, positions: Mapping[str, int]) -> int:
     return positions.get(job.id, MOST_POSITIONS)
-
-
-_NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is asked for

@@ -19,6 +19,8 @@ _SLOWEST_BYTES_PER_S = 10_000
 _SMALL_BYTES = 64 << 10
 _LINGER_S = 2.0
 _LINGER_BYTES = 8_000_000
+_PIECE_S = 30.0  # without a byte of a body that is under way
+_TAKEN_S = 300.0  # for a piece of a megabyte at most: a line of 4 kB/s is not given up
 
 
 class RequestBody:
@@ -88,12 +90,6 @@ class SmallBodies:
             return message
 
         await self._app(scope, counted, send)
-
-
-_PIECE_S = 30.0  # without a byte of a body that is under way
-
-
-_TAKEN_S = 300.0  # for a piece of a megabyte at most: a line of 4 kB/s is not given up
 
 
 class Patient:

@@ -35,6 +35,8 @@ _SMALL = {"spec": SPEC_BYTES, "priority": 40}
 _PARTS = 8
 _LOOK_BYTES = 4_000_000
 _CONTENT_TYPE_CHARS = 300
+_LONGEST = 100
+_KEPT_ENDING = 12
 
 
 @dataclass(slots=True, kw_only=True)
@@ -238,12 +240,6 @@ def _new_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
             yield path, file
     finally:
         path.unlink(missing_ok=True)
-
-
-_LONGEST = 100
-
-
-_KEPT_ENDING = 12
 
 
 def harmless_name(given: bytes | str, *, default: str) -> str:

@@ -1,4 +1,4 @@
-"""PNG figure of what happens to the picture when the set-up is not exact: focus, tilt and the size of the source."""
+"""PNG figures of light: what becomes of the picture when the set-up is not exact, and of the picture as milled."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ _SHIFT: dict[str, Any] = {"marker": "s", "markersize": 3.5, "linewidth": 1.0, "c
 _SMALL = 8.5
 _HEADROOM_DB = 3.0
 _SEEN_DEG = "diameter seen from the lens [degrees]; the sun has 0.53"
+_PART = 4  # a quarter of each side is shown enlarged
 
 
 def tolerances_png(found: Tolerances, pictures: Sequence[tuple[str, Array]], *, white: float) -> bytes:
@@ -84,9 +85,6 @@ def _label(axes: Axes, title: str, below: str) -> None:
     axes.set_xlabel(below, fontsize=_SMALL)
     axes.tick_params(labelsize=_SMALL)
     axes.grid(alpha=0.25, linewidth=0.6)
-
-
-_PART = 4  # a quarter of each side is shown enlarged
 
 
 def as_milled_png(target: Array, designed: Array, milled: Array, *, figures: Mapping[str, Any]) -> bytes:
