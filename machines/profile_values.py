@@ -97,9 +97,9 @@ def one_of(*values: object) -> Rule:
     def take(value: Any) -> Any:
         if isinstance(value, bool) or value not in values:
             raise ValueError
-        return value
+        return values[values.index(value)]  # 1.0 for 1
 
-    return Rule(take, ", ".join(f"'{v}'" if isinstance(v, str) else str(v) for v in values))
+    return Rule(take, ", ".join(f"'{v}'" if isinstance(v, str) else f"{v:g}" for v in values))
 
 
 def text(most: int) -> Rule:
@@ -149,7 +149,7 @@ LINK_VALUES = Rules(
         "baud": whole(300, 12_000_000),
         "bytesize": one_of(7, 8),
         "parity": one_of("N", "E", "O"),
-        "stopbits": one_of(1, 1.5, 2),
+        "stopbits": one_of(1.0, 1.5, 2.0),
         "flow": one_of(*FLOWS),
         "rx_bytes": whole(16, 1_000_000),
         "port": text(400),

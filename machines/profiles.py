@@ -81,7 +81,7 @@ class LinkSettings:
     baud: int = 115200
     bytesize: int = 8
     parity: str = "N"
-    stopbits: float = 1
+    stopbits: float = 1.0
     flow: str = "none"
     rx_bytes: int | None = None
     port: str | None = None

@@ -17,9 +17,9 @@ from optics.heightfield import Heightfield
 from service.errors import InputError, SpecError, printable
 from service.job import files as job_files
 from service.job.arrays import load_heightfield
-from service.job.spec.loading import load_stored_spec, resolve_spec
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_task_of, machine_of
+from service.job.spec.loading import load_stored_job, resolve_job
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, cut_out_of, facing_task_of
+from service.job.spec.resolved import ResolvedJob
 from service.job.stages import around
 from service.job.stages.programs import first_stock, simulate
 from service.progress import Reporter, Stopwatch
@@ -75,14 +75,14 @@ def check_programs(
     heightfield = load_heightfield(heightfield_path)
     folder = programs[0].parent
     if not settings.says_anything and job_files.is_job_folder(folder):
-        job = load_stored_spec(folder)
+        job = load_stored_job(folder)
         tasks, stock, machine = _of_the_job(programs, folder, job)
     else:
         job = None
         tasks, stock, machine = _of_the_command_line(programs, heightfield, settings)
     _require_programs([path for paths, _ in tasks for path in paths])  # the job's earlier ones, too
     watch, verdicts = Stopwatch(reporter), []
-    stock_top = first_stock(stock) if job is None else around.raw_stock(job)
+    stock_top = first_stock(stock) if job is None else around.raw_stock(job.spec)
     for paths, spec in tasks:
         path = paths[0]
         with watch.stage(f"check {path.name}") as reached:
@@ -123,10 +123,10 @@ def _unreadable(path: Path, error: CamError) -> Verdict:
     return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 
-def _of_the_job(programs: Sequence[Path], folder: Path, spec: JobSpec) -> tuple[list[Task], Stock, MachineProfile]:
+def _of_the_job(programs: Sequence[Path], folder: Path, job: ResolvedJob) -> tuple[list[Task], Stock, MachineProfile]:
     """Passes by file name from the job's report and spec; passes before the last one asked for are run as well, and all
     parts of a pass."""
-    rows = job_files.programs_in_order(job_files.read_report(folder))
+    spec, rows = job.spec, job_files.programs_in_order(job_files.read_report(folder))
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
     for path in programs:
@@ -138,7 +138,7 @@ def _of_the_job(programs: Sequence[Path], folder: Path, spec: JobSpec) -> tuple[
     all_specs = (facing_task_of(spec), *cam_passes_of(spec), cut_out_of(spec))
     specs = [one for one in all_specs if one is not None]
     tasks: list[Task] = list(zip(paths, specs, strict=False))
-    return tasks, cam_stock_of(spec), machine_of(spec)
+    return tasks, cam_stock_of(spec), job.machine
 
 
 def _of_the_command_line(
@@ -157,7 +157,7 @@ def _of_the_command_line(
     ]
     stock = {"thickness_mm": settings.thickness_mm, "margin_mm": settings.margin_mm}
     try:
-        spec = resolve_spec(
+        job = resolve_job(
             base={
                 "optics": {"width_mm": heightfield.width_mm, "height_mm": heightfield.height_mm},
                 "stock": {key: value for key, value in stock.items() if value is not None},
@@ -167,8 +167,8 @@ def _of_the_command_line(
         )
     except SpecError as error:
         raise InputError(*str(error).splitlines()) from None
-    tasks: list[Task] = [([path], pass_) for path, pass_ in zip(programs, cam_passes_of(spec), strict=True)]
-    return tasks, cam_stock_of(spec), machine_of(spec)
+    tasks: list[Task] = [([path], pass_) for path, pass_ in zip(programs, cam_passes_of(job.spec), strict=True)]
+    return tasks, cam_stock_of(job.spec), job.machine
 
 
 def _each(option: str, values: Sequence[T], count: int) -> list[T]:

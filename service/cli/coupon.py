@@ -63,7 +63,7 @@ def coupon(
 
         overrides = list(set_ or ())
         overrides += [] if finish is None else [f"finish.process={finish}"]
-        resolved = piece.coupon_spec(machine=machine, throw_mm=throw_mm, file=spec, overrides=overrides)
+        resolved = piece.coupon_job(machine=machine, throw_mm=throw_mm, file=spec, overrides=overrides)
         with report_progress(quiet) as reporter:
             report = programs.make_coupon(output, resolved, reporter=reporter, force=force)
     if not quiet:

@@ -71,7 +71,7 @@ def make(
         from service.job import pipeline
         from service.job.spec import loading as spec_files
 
-        resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        resolved = spec_files.resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
         with _reporter(quiet) as reporter:
             report = pipeline.make(picture, output, resolved, reporter=reporter, force=force)
     _summary(output, report, quiet)
@@ -95,7 +95,7 @@ def design(
         from service.job import pipeline
         from service.job.spec import loading as spec_files
 
-        resolved = spec_files.resolve_spec(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
+        resolved = spec_files.resolve_job(file=spec, preset=preset, overrides=set_ or (), light_picture=light_picture)
         with _reporter(quiet) as reporter:
             report = pipeline.design(picture, output, resolved, reporter=reporter, force=force)
     _summary(output, report, quiet)
@@ -125,7 +125,7 @@ def caustic(folder: FolderArgument, quiet: QuietOption = False) -> None:
     from service.job import pipeline
     from service.job.spec import loading as spec_files
 
-    stored = spec_files.load_stored_spec(folder)
+    stored = spec_files.load_stored_job(folder)
     with _reporter(quiet) as reporter:
         report = pipeline.caustic(folder, stored, reporter=reporter)
     _summary(folder, report, quiet)

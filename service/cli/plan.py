@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +19,10 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_lens, plan_for_picture
 from service.job.planning.sentences import blur_warnings, reasons
-from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_spec
+from service.job.spec.loading import load_stored_spec, read_spec_file, resolve_job
 from service.job.spec.model import JobSpec
+from service.job.spec.resolved import ResolvedJob
+from service.job.spec.tools import load_tools
 from service.wording import RECOGNISABLE_DB, duration, psnr_in_words
 
 
@@ -42,7 +44,8 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     if request.output is not None and request.output.suffix.lower() != ".png":
         raise InputError(f"--output: {request.output} must end in .png; the spec is written beside it, in .toml")
     with in_the_services_words():
-        planned, spec = _make_plan(request)
+        planned, job = _make_plan(request)
+    spec = job.spec
     fragment = spec_fragment(planned, spec)
     written = []
     if request.output is not None:
@@ -61,14 +64,14 @@ def run_plan(request: PlanRequest, *, as_json: bool) -> Iterator[str]:
     yield from reasons(planned)
     yield from (f"warning: {sentence}" for sentence in blur_warnings(planned))
     if request.source.is_file() and planned.score(planned.chosen).psnr_db < RECOGNISABLE_DB:
-        yield from _what_shows_more(spec, request.source)
+        yield from _what_shows_more(job, request.source)
     yield from (written or ["", *fragment.splitlines()])
 
 
-def _what_shows_more(spec: JobSpec, picture: Path) -> Iterator[str]:
+def _what_shows_more(job: ResolvedJob, picture: Path) -> Iterator[str]:
     from service.job.planning.estimate import what_shows_more
 
-    found = sorted(what_shows_more(spec, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
+    found = sorted(what_shows_more(job, picture, limits=OWN_PICTURE), key=lambda one: -one[1]["psnr_db"])
     yield "what shows more:" if found else "no single change shows plainly more"
     for change, seen in found:
         values = " ".join(
@@ -81,25 +84,26 @@ def _what_shows_more(spec: JobSpec, picture: Path) -> Iterator[str]:
         )
 
 
-def _make_plan(request: PlanRequest) -> tuple[Planned, JobSpec]:
+def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
     if request.source.is_dir():
         base: dict[str, Any] = {**load_stored_spec(request.source).plain(), "preset": "recommended"}
         base.pop("passes", None)
-        spec = _spec(request, base)
+        job = _job(request, base)
         lens = arrays.load_heightfield(request.source / job_files.HEIGHTFIELD)
         target = arrays.load_target(request.source / job_files.MAP)
-        return plan_for_lens(spec, lens, target, tools=request.tools), spec
+        return plan_for_lens(job, lens, target), job
     from service.job.picture.reading import read_picture
     from service.job.planning.preparation import aim_at_picture
 
-    spec = _spec(request, {})
+    job = _job(request, {})
+    spec = job.spec
     width_mm, height_mm = spec.optics.screen_size_mm
     picture = read_picture(request.source, spec.image, rows=spec.pixel_rows, aspect=width_mm / height_mm)
     target = aim_at_picture(spec, picture.linear).target
-    return plan_for_picture(spec, target, tools=request.tools), spec
+    return plan_for_picture(job, target), job
 
 
-def _spec(request: PlanRequest, base: dict[str, Any]) -> JobSpec:
+def _job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
     """The job that is planned: what was given, its passes left open."""
     given = read_spec_file(request.spec) if request.spec is not None else {}
     given.pop("passes", None)
@@ -110,7 +114,10 @@ def _spec(request: PlanRequest, base: dict[str, Any]) -> JobSpec:
     if request.machine is not None:
         overrides.append(f"machine.profile={json.dumps(request.machine)}")
     merged = {**base, **given, "preset": "recommended"}
-    return resolve_spec(base=merged, overrides=overrides)
+    job = resolve_job(base=merged, overrides=overrides)
+    if request.tools is None:
+        return job
+    return replace(job, figures=replace(job.figures, tools=load_tools(request.tools)))
 
 
 def table(planned: Planned) -> Iterator[str]:

@@ -45,7 +45,7 @@ def own_children() -> list[int]:
     found: list[int] = []
     for task in Path("/proc/self/task").iterdir():
         with contextlib.suppress(OSError):  # a thread that has just ended; or a kernel without this list
-            found += map(int, (task / "children").read_text(encoding="ascii").split())
+            found += map(int, (task / "children").read_bytes().split())
     return found
 
 

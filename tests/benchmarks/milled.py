@@ -27,6 +27,7 @@ from service.job.spec.lens_task import branch_of, lens_settings
 from service.job.spec.loading import resolve_spec, validate_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
+from service.job.spec.resolved import look_up
 from service.job.stages.as_milled import as_milled
 from service.job.stages.context import Workshop, peak_rss_mb
 from service.job.stages.picture_queue import PictureQueue
@@ -104,11 +105,11 @@ def _run_apart(folder: Path) -> dict[str, Any]:
 
 def run(folder: Path) -> dict[str, Any]:
     """The stage on what is in the folder: seconds, memory, and what it says of the picture."""
-    spec, watch = validate_spec(json.loads((folder / SPEC).read_text())), Stopwatch(QuietReporter())
-    rows = [{"file": PROGRAM} for _ in spec.passes]
+    job, watch = look_up(validate_spec(json.loads((folder / SPEC).read_text()))), Stopwatch(QuietReporter())
+    rows = [{"file": PROGRAM} for _ in job.spec.passes]
     started, cpu = time.perf_counter(), time.process_time()
     with PictureQueue() as picture_queue:
-        shop = Workshop(spec=spec, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows})
+        shop = Workshop(job=job, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows})
         as_milled(shop)
         picture_queue.finish()
     return {

@@ -33,9 +33,9 @@ from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
 from service.job.planning.sentences import finish_words
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.loading import resolve_spec
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, machine_of
+from service.job.spec.loading import resolve_job
+from service.job.spec.resolve import cam_passes_of
+from service.job.spec.resolved import ResolvedJob
 from tests.benchmarks.pictures import PAPER_SETTING, target
 from tests.benchmarks.timing import Figure
 
@@ -50,13 +50,13 @@ def figures(pixels: int = 512) -> Iterator[Figure]:
 
 
 def _against_the_paper(name: str, goal: np.ndarray) -> Iterator[Figure]:
-    spec = resolve_spec(preset="recommended", overrides=MILL)
-    planned = plan_for_picture(spec, goal)
+    job = resolve_job(preset="recommended", overrides=MILL)
+    planned = plan_for_picture(job, goal)
     chosen = planned.chosen
     ours = as_milled(_lens(goal, chosen.finish.radius_mm, planned), goal, chosen.finish, planned.machine)
-    paper = resolve_spec(preset="paper", overrides=MILL)
+    paper = resolve_job(preset="paper", overrides=MILL)
     lens = _lens(goal, 0.5, None)
-    theirs = as_milled(lens, goal, cam_passes_of(paper)[-1], machine_of(paper))
+    theirs = as_milled(lens, goal, cam_passes_of(paper.spec)[-1], paper.machine)
     hours = _paper_hours(paper, lens, planned)
     words = finish_words(chosen.finish)
     yield Figure(f"{name}, recommended, as milled", ours.psnr_db, "dB", f"SSIM {ours.ssim:.3f}; {words}")
@@ -112,9 +112,9 @@ def _on_whole_steps(tracks: Tracks, mill: MachineProfile, finish: PassSpec) -> T
     return replace(tracks, tips_mm=tips, joined=np.arange(len(tips)) > 0)
 
 
-def _paper_hours(paper: JobSpec, lens: Heightfield, planned: Planned) -> float:
+def _paper_hours(paper: ResolvedJob, lens: Heightfield, planned: Planned) -> float:
     form, mill = LensForm.of(lens), kinematics_of(planned.machine)
-    rough, semi, finish = cam_passes_of(paper)
+    rough, semi, finish = cam_passes_of(paper.spec)
     whole = layers_s(form, rough, mill)
     for spec, before in ((semi, rough), (finish, semi)):
         left_mm = before.stock_to_leave_mm + before.pitch_mm**2 / (8 * before.radius_mm)

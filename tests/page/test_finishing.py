@@ -22,7 +22,7 @@ PROCESSES = load_processes(BUILT_IN)
 def finished(opened: Opened, number: int, *, seen: dict[str, Any] = SEEN, how: dict[str, Any], **given: Any) -> Page:
     """The view of the canned job, finished by hand, its picture prepared."""
     job, files = jobs.canned()
-    told = instruct_finishing(how, area_mm2=2500.0, processes=PROCESSES)
+    told = instruct_finishing(how, PROCESSES, area_mm2=2500.0)
     report = job["report"] | {"as_finished": seen, "finishing": told}
     names = {"caustic-as-milled.png": "caustic-as-finished.png", "tolerances.png": "prepared.png"}
     files += [one | {"name": names[one["name"]]} for one in files if one["name"] in names]

@@ -25,7 +25,7 @@ def compared(width_mm: float) -> Iterator[tuple[str, float, float]]:
         job = Path(folder) / "job"
         sizes = (f"optics.width_mm={width_mm}", f"optics.height_mm={width_mm}", "image.pixels=64", "optics.throw_mm=30")
         pipeline.make(
-            PICTURE, job, spec_files.resolve_spec(file=None, preset="paper", overrides=sizes), reporter=QuietReporter()
+            PICTURE, job, spec_files.resolve_job(file=None, preset="paper", overrides=sizes), reporter=QuietReporter()
         )
         for program in sorted(job.glob("*.nc")):
             mill = SimulatedMill(GRBL_11, recording=Recording(keep=False))

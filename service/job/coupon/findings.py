@@ -21,8 +21,8 @@ from service.job.coupon.photograph import Photo, Placed, place_photo
 from service.job.coupon.piece import coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, ForetoldPiece
 from service.job.spec.finish import NONE
-from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of
+from service.job.spec.resolved import ResolvedJob
 
 HALVES: tuple[Half, Half] = ("left", "right")
 _SURE = 0.5  # of the registration's confidence
@@ -134,20 +134,20 @@ def measure_photo(
     name: str,
     photo: Photo,
     foretold: ForetoldPiece,
-    spec: JobSpec,
+    job: ResolvedJob,
     *,
     on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
     """What the photograph says of that test piece. PhotoRefused where it says nothing."""
     reached = on_progress or (lambda share: None)
-    coupon, template = coupon_of(spec), 0
-    placed = _place(name, photo, foretold, template, spec)
+    coupon, template = coupon_of(job), 0
+    placed = _place(name, photo, foretold, template, job)
     reached(0.4)
-    finished, folds = _choose_finished_half(name, placed, foretold, spec)
+    finished, folds = _choose_finished_half(name, placed, foretold, job)
     fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
     reached(0.6)
     if finished == "left" and (nearest := _nearest_template(fit)) != template:
-        placed = _place(name, photo, foretold, nearest, spec)
+        placed = _place(name, photo, foretold, nearest, job)
         folds = fold_all(placed.picture, coupon)
         fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
     reached(0.9)
@@ -155,15 +155,15 @@ def measure_photo(
         raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
         raise PhotoRefused(name, CouponFinding("not_finished", {}))
-    rows = _row_errors(placed, foretold, spec, fit, finished)
+    rows = _row_errors(placed, foretold, job, fit, finished)
     reached(1.0)
-    notes = tuple(_notes(fit, placed, finished, spec))
+    notes = tuple(_notes(fit, placed, finished, job))
     return CouponResult(fit=fit, rows=rows, finished=finished, placed=placed, notes=notes)
 
 
-def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, spec: JobSpec) -> Placed:
+def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, job: ResolvedJob) -> Placed:
     try:
-        placed = place_photo(photo, foretold.templates[template], viewed_from=spec.optics.viewed_from)
+        placed = place_photo(photo, foretold.templates[template], viewed_from=job.spec.optics.viewed_from)
     except ValueError:  # no light in it
         raise PhotoRefused(name, CouponFinding("not_a_coupon", {"confidence": 0.0})) from None
     found = placed.registration
@@ -178,10 +178,10 @@ def _place(name: str, photo: Photo, foretold: ForetoldPiece, template: int, spec
 
 
 def _choose_finished_half(
-    name: str, placed: Placed, foretold: ForetoldPiece, spec: JobSpec
+    name: str, placed: Placed, foretold: ForetoldPiece, job: ResolvedJob
 ) -> tuple[Half, tuple[Fold, ...]]:
     """Which half is not as milled; where both could be, that with much fainter fringes, or the left one."""
-    coupon = coupon_of(spec)
+    coupon = coupon_of(job)
     folds = fold_all(placed.picture, coupon)
     for half in HALVES:
         own = [fold for fold in folds if fold.half == half and fold.strip.kind == "ripple"]
@@ -191,7 +191,7 @@ def _choose_finished_half(
             raise PhotoRefused(name, CouponFinding("clipped", {"share": share, "ripples": ripples}))
     misfits = {half: misfit_as_milled(coupon, foretold.profiles, folds, half) for half in HALVES}
     if min(misfits.values()) > _AS_MILLED:
-        values = {"misfit": min(misfits.values()), "throw_mm": spec.optics.throw_mm}
+        values = {"misfit": min(misfits.values()), "throw_mm": job.spec.optics.throw_mm}
         raise PhotoRefused(name, CouponFinding("no_fringes", values))
     if max(misfits.values()) > _WORSE * min(misfits.values()):
         return max(HALVES, key=lambda half: misfits[half]), folds
@@ -205,10 +205,10 @@ def _nearest_template(fit: FinishFit) -> int:
     return min(range(len(TEMPLATES_RAD_PER_MM)), key=lambda n: abs(math.log(TEMPLATES_RAD_PER_MM[n] / half)))
 
 
-def _row_errors(placed: Placed, foretold: ForetoldPiece, spec: JobSpec, fit: FinishFit, finished: Half) -> RowErrors:
+def _row_errors(placed: Placed, foretold: ForetoldPiece, job: ResolvedJob, fit: FinishFit, finished: Half) -> RowErrors:
     y, across = foretold.across
     clean = np.interp(placed.picture.y_mm, y, across)
-    passed, coupon = cam_passes_of(spec)[-1], coupon_of(spec)
+    passed, coupon = cam_passes_of(job.spec)[-1], coupon_of(job)
     return fit_row_errors(
         measure_grain(placed.picture, clean, "right" if finished == "left" else "left"),
         radius_mm=passed.radius_mm,
@@ -218,12 +218,12 @@ def _row_errors(placed: Placed, foretold: ForetoldPiece, spec: JobSpec, fit: Fin
     )
 
 
-def _notes(fit: FinishFit, placed: Placed, finished: Half, spec: JobSpec) -> Iterator[CouponFinding]:
+def _notes(fit: FinishFit, placed: Placed, finished: Half, job: ResolvedJob) -> Iterator[CouponFinding]:
     if finished == "right":
         yield CouponFinding("right_finished", {})
     if placed.registration.mirrored:
         yield CouponFinding("mirrored", {})
-    nominal = spec.optics.throw_mm
+    nominal = job.spec.optics.throw_mm
     off = fit.throw_mm - nominal
     if abs(off) > max(_WALL_OFF * nominal, 2 * fit.throw_error_mm):
         yield CouponFinding("wall_off", {"off_mm": off, "throw_mm": fit.throw_mm, "nominal_mm": nominal})

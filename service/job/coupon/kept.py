@@ -10,9 +10,8 @@ from dataclasses import asdict
 from pathlib import Path
 
 from service.job import files as job_files
-from service.job.coupon.piece import coupon_of, coupon_spec
+from service.job.coupon.piece import coupon_job, coupon_of
 from service.job.coupon.programs import make_coupon
-from service.job.spec.resolve import machine_of
 from service.progress import report_progress
 
 _NOT_SENT = {job_files.COUPON_ARCHIVE, job_files.HEIGHTFIELD}
@@ -24,13 +23,13 @@ def keep_coupon(folder: Path, machine: str) -> Path:
     A newer version of us keeps it: it may have been milled. One made for what the profile said before makes way.
     SpecError where there is no such machine.
     """
-    spec = coupon_spec(machine=machine, throw_mm=None, file=None, overrides=())
-    facts = repr((spec.plain(), asdict(machine_of(spec)), coupon_of(spec)))
+    job = coupon_job(machine=machine, throw_mm=None, file=None, overrides=())
+    facts = repr((job.spec.plain(), asdict(job.machine), coupon_of(job)))
     piece = folder / machine / hashlib.sha256(facts.encode()).hexdigest()[:16]
     if not (piece / job_files.COUPON_ARCHIVE).is_file():
         piece.parent.mkdir(parents=True, exist_ok=True)
         with report_progress(quiet=True) as reporter:
-            make_coupon(piece, spec, reporter=reporter)
+            make_coupon(piece, job, reporter=reporter)
         job_files.write_bytes(piece / job_files.COUPON_ARCHIVE, _pack(piece))
         for older in piece.parent.glob("[!.]*"):  # a hidden one is being made
             if older != piece:

@@ -14,20 +14,20 @@ from service.job.coupon.photograph import Photo, read_photo
 from service.job.coupon.piece import FIT, FIT_PICTURE, FIT_SNIPPET, PROFILES, coupon_of, require_coupon
 from service.job.coupon.programs import load_foretold
 from service.job.finite_json import plain
-from service.job.spec.loading import load_stored_spec
+from service.job.spec.loading import load_stored_job
 from service.progress import Reporter, Stopwatch
 
 
 def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponResult:
     """Fit the photograph; coupon-fit.json, .png and .toml go into the folder. InputError where it says nothing."""
-    spec = require_coupon(folder)
+    job = require_coupon(folder)
     watch = Stopwatch(reporter)
     with watch.stage("photograph"):
         shot = read_photo(photo)
     with watch.stage("fit") as reached:
         result = fit_photo(str(photo), shot, folder, on_progress=reached)
     with watch.stage("figure"):
-        picture = draw_fit(result, viewed_from_lens=spec.optics.viewed_from == "lens")
+        picture = draw_fit(result, viewed_from_lens=job.spec.optics.viewed_from == "lens")
     job_files.write_bytes(folder / FIT_PICTURE, picture)
     job_files.write_bytes(folder / FIT_SNIPPET, snippet(result).encode())
     job_files.write_json(folder / FIT, plain({"photo": photo.name, **result.report()}))
@@ -38,9 +38,9 @@ def fit_photo(
     name: str, shot: Photo, folder: Path, *, on_progress: Callable[[float], None] | None = None
 ) -> CouponResult:
     """What a photograph says of the test piece in a folder. PhotoRefused where it says nothing."""
-    spec = load_stored_spec(folder)
-    foretold = load_foretold(folder / PROFILES, coupon_of(spec))
-    return measure_photo(name, shot, foretold, spec, on_progress=on_progress)
+    job = load_stored_job(folder)
+    foretold = load_foretold(folder / PROFILES, coupon_of(job))
+    return measure_photo(name, shot, foretold, job, on_progress=on_progress)
 
 
 def draw_fit(result: CouponResult, *, viewed_from_lens: bool) -> bytes:

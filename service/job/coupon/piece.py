@@ -12,9 +12,9 @@ from cam.posts.dialects import POSTS
 from optics.coupon.layout import HALF_MM, HEIGHT_MM, THROW_MM, WIDTH_MM, Coupon
 from service.errors import InputError
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES, names_of_pass, read_report
-from service.job.spec.loading import load_stored_spec, parse_override, resolve_spec
+from service.job.spec.loading import load_stored_job, parse_override, resolve_job
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import machine_of
+from service.job.spec.resolved import ResolvedJob
 from service.wording import ball, duration
 
 PREDICTED, PREDICTED_FINISHED, SHEET, PROFILES = COUPON_FILES
@@ -27,8 +27,10 @@ _FIXED = {"width_mm": WIDTH_MM, "height_mm": HEIGHT_MM}
 _STOCK_MM = 10.0
 
 
-def coupon_spec(*, machine: str | None, throw_mm: float | None, file: Path | None, overrides: Sequence[str]) -> JobSpec:
-    """The spec of a test piece: defaults, then the file, then --set. SpecError; InputError where its size is set."""
+def coupon_job(
+    *, machine: str | None, throw_mm: float | None, file: Path | None, overrides: Sequence[str]
+) -> ResolvedJob:
+    """The job of a test piece: defaults, then the file, then --set. SpecError; InputError where its size is set."""
     for text in overrides:
         steps, _ = parse_override(text)
         if steps[0] == "optics" and steps[-1] in _FIXED:
@@ -46,17 +48,18 @@ def coupon_spec(*, machine: str | None, throw_mm: float | None, file: Path | Non
         base["finish"] = {"process": USUAL_FINISH}
     given = [] if machine is None else [f"machine.profile={json.dumps(machine)}"]
     given += [] if throw_mm is None else [f"optics.throw_mm={throw_mm!r}"]
-    spec = resolve_spec(base=base, file=file, overrides=[*given, *overrides])
+    job = resolve_job(base=base, file=file, overrides=[*given, *overrides])
+    spec = job.spec
     if (spec.optics.width_mm, spec.optics.height_mm) != (WIDTH_MM, HEIGHT_MM):
         raise InputError(f"--spec: optics.width_mm, height_mm: allowed: {WIDTH_MM:g} and {HEIGHT_MM:g}, or none")
     if not spec.passes[-1].stock_to_leave_mm == 0.0 or any(row.direction != "x" for row in spec.passes):
         raise InputError("passes: the last pass of a test piece must finish it, in rows along X")
-    return spec
+    return job
 
 
-def coupon_of(spec: JobSpec) -> Coupon:
+def coupon_of(job: ResolvedJob) -> Coupon:
     """The piece for this mill, wall and material; its ripples are whole steps of the mill high where it has steps."""
-    machine = machine_of(spec)
+    spec, machine = job.spec, job.machine
     digits = POSTS[machine.dialect].digits.coarsen(machine.step_mm if machine.whole_steps else 0.0)
     return Coupon(
         throw_mm=spec.optics.throw_mm,
@@ -66,14 +69,14 @@ def coupon_of(spec: JobSpec) -> Coupon:
     )
 
 
-def require_coupon(folder: Path) -> JobSpec:
-    """The spec of the test piece in a folder; InputError where there is none."""
+def require_coupon(folder: Path) -> ResolvedJob:
+    """The job of the test piece in a folder; InputError where there is none."""
     if not (folder / PROFILES).is_file():
         raise InputError(
             f"--output: {folder} holds no test piece ({PROFILES}); allowed: the folder that "
             f"`causticmill coupon -o DIR` has written"
         )
-    return load_stored_spec(folder)
+    return load_stored_job(folder)
 
 
 def list_finish_programs(folder: Path, spec: JobSpec) -> list[Path]:
@@ -82,18 +85,19 @@ def list_finish_programs(folder: Path, spec: JobSpec) -> list[Path]:
     return [folder / name for name in names_of_pass(rows[len(spec.passes) - 1])]
 
 
-def sheet_lines(spec: JobSpec, report: Mapping[str, Any]) -> Iterator[str]:
+def sheet_lines(job: ResolvedJob, report: Mapping[str, Any]) -> Iterator[str]:
     """The setup sheet: block, mill, finish, photograph."""
     yield "TEST PIECE: measures what your mill leaves and what your finish takes off"
     yield ""
-    for number, step in enumerate(_steps(spec, report), 1):
+    for number, step in enumerate(_steps(job, report), 1):
         yield from textwrap.wrap(
             step, 100, initial_indent=f"{number}. ", subsequent_indent="   ", break_on_hyphens=False
         )
 
 
-def _steps(spec: JobSpec, report: Mapping[str, Any]) -> Iterator[str]:
-    stock, machine, row = spec.stock, machine_of(spec), spec.passes[-1]
+def _steps(job: ResolvedJob, report: Mapping[str, Any]) -> Iterator[str]:
+    spec, machine = job.spec, job.machine
+    stock, row = spec.stock, spec.passes[-1]
     wide, high = WIDTH_MM + 2 * stock.margin_mm, HEIGHT_MM + 2 * stock.margin_mm
     time = duration(sum(one["time_s"] for one in report["passes"]))
     files = ", then ".join(name for one in report["passes"] for name in names_of_pass(one))

@@ -37,10 +37,12 @@ from service.job.pipeline import FolderJob
 from service.job.spec.finish import FinishSpec
 from service.job.spec.lens_task import finish_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, machine_of
+from service.job.spec.resolve import cam_passes_of
+from service.job.spec.resolved import ResolvedJob
 from service.job.stages.context import peak_rss_mb, versions
-from service.job.stages.order import merge_notes, merge_reports
+from service.job.stages.order import merge_reports
 from service.job.stages.picture_queue import PictureQueue
+from service.job.stages.so_far import JobSoFar
 from service.progress import Reporter, Stopwatch
 
 PIXELS_PER_MM = 20
@@ -65,50 +67,52 @@ class Milled:
     z_mm: Array
 
 
-def make_coupon(output: Path, spec: JobSpec, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
+def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
     """Write the folder of a test piece; what report.json holds is returned."""
     job_files.require_usable_output(output, force=force)
-    coupon = coupon_of(spec)
+    spec, coupon = job.spec, coupon_of(job)
     with job_files.stage_folder(output) as folder, PictureQueue() as queue:
-        plain_cuts = spec.model_copy(update={"finish": FinishSpec()})  # one half stays as it is milled
-        job = FolderJob(spec=plain_cuts, folder=folder, reporter=reporter, picture_queue=queue)
-        job.desk[job_files.HEIGHTFIELD] = lens = coupon.heightfield()
+        plain_cuts = job.with_spec(spec.model_copy(update={"finish": FinishSpec()}))  # one half stays as it is milled
+        so_far = JobSoFar(plain_cuts)
+        piece = FolderJob(so_far, folder, reporter, queue)
+        piece.desk[job_files.HEIGHTFIELD] = lens = coupon.heightfield()
         job_files.write_bytes(folder / job_files.HEIGHTFIELD, arrays.heightfield_bytes(lens))
-        job.run(*(f"pass-{number}" for number in range(1, len(spec.passes) + 1)))
-        job.notes.clear()  # on what coarse steps do to a picture: here they are counted in
-        job.run("check")
+        for number in range(1, len(spec.passes) + 1):
+            piece.run(f"pass-{number}")
+        so_far.notes.clear()  # on what coarse steps do to a picture: here they are counted in
+        piece.run("check")
         watch = Stopwatch(reporter)
-        job_files.write_json(folder / job_files.REPORT, job.report)  # names the programs
-        _foretell(folder, spec, watch)
+        job_files.write_json(folder / job_files.REPORT, so_far.report)  # names the programs
+        _foretell(folder, job, watch)
         told = {
-            "warnings": [sentence for sentences in merge_notes((job.notes,)).values() for sentence in sentences],
+            "warnings": [sentence for sentences in so_far.notes.values() for sentence in sentences],
             "timings_s": watch.timings_s,
             "peak_rss_mb": peak_rss_mb(),
             "versions": versions(),
         }
-        report = merge_reports((job.report, told))
-        job_files.write_bytes(folder / SHEET, ("\n".join(sheet_lines(spec, report)) + "\n").encode())
+        report = merge_reports((so_far.report, told))
+        job_files.write_bytes(folder / SHEET, ("\n".join(sheet_lines(job, report)) + "\n").encode())
         job_files.write_json(folder / job_files.SPEC, spec.plain())
         queue.finish()
         job_files.write_json(folder / job_files.REPORT, report)
     return report
 
 
-def _foretell(folder: Path, spec: JobSpec, watch: Stopwatch) -> None:
+def _foretell(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
     """Both pictures; and coupon.npz, what photographs are compared with."""
     with watch.stage("heights as milled") as reached:
-        profiles = profiles_of_milled(mill_piece(folder, spec, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
+        profiles = profiles_of_milled(mill_piece(folder, job, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
         reached(0.5)
-        made, clean = mill_piece(folder, spec, seed=_SEEDS[1]), mill_piece(folder, spec, seed=None)
+        made, clean = mill_piece(folder, job, seed=_SEEDS[1]), mill_piece(folder, job, seed=None)
     with watch.stage("photograph foretold") as reached:
-        finish = finish_of(spec)
+        finish = finish_of(job.spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
         light = predict_light(
-            spec, made, (None, None if finish is None else finish.kept, *finishes), on_progress=reached
+            job, made, (None, None if finish is None else finish.kept, *finishes), on_progress=reached
         )
-        without_errors = predict_light(spec, clean, (finishes[0],))[0]
+        without_errors = predict_light(job, clean, (finishes[0],))[0]
     for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):
-        _draw(folder / name, one, spec)
+        _draw(folder / name, one, job.spec)
     values = {f"strip_{n}": _as_reals(profile.harmonics_mm) for n, profile in enumerate(profiles)}
     values |= {f"milled_{n}": _as_reals(profile.milled) for n, profile in enumerate(profiles)}
     values |= {f"light_{n}": _halve(one) for n, one in enumerate(light[2:])}
@@ -158,9 +162,10 @@ def _halve(light: Array) -> Array:
     return np.asarray(light.reshape(ny // 2, 2, nx // 2, 2).mean(axis=(1, 3)))
 
 
-def mill_piece(folder: Path, spec: JobSpec, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
-    """The piece as its programs are cut by the mill of the spec; seed None: by one without errors."""
-    machine, passed, coupon = machine_of(spec), cam_passes_of(spec)[-1], coupon_of(spec)
+def mill_piece(folder: Path, job: ResolvedJob, *, seed: int | None = 1, cell_mm: float = CELL_MM) -> Milled:
+    """The piece as its programs are cut by the mill of the job; seed None: by one without errors."""
+    spec, machine, coupon = job.spec, job.machine, coupon_of(job)
+    passed = cam_passes_of(spec)[-1]
     noise = None if seed is None else Noise.of_pass(passed, machine.z_noise_mm, seed=seed)
     paths = list_finish_programs(folder, spec)
     tracks = Tracks.of_program(
@@ -182,7 +187,7 @@ def profiles_of_milled(milled: Milled) -> tuple[Profile, ...]:
 
 
 def predict_light(
-    spec: JobSpec,
+    job: ResolvedJob,
     milled: Milled,
     finishes: Sequence[Transfer | None],
     *,
@@ -192,14 +197,14 @@ def predict_light(
 ) -> list[Array]:
     """Irradiance (ny, nx) on the wall for each finish of the left half (None: as milled); 1 goes straight.
 
-    throw_mm : of the wall, where it is not that of the spec
+    throw_mm : of the wall, where it is not that of the job
     """
+    spec, machine = job.spec, job.machine
     bench: dict[str, Any] = {
         "throw_mm": spec.optics.throw_mm if throw_mm is None else throw_mm,
         "refractive_index": spec.optics.refractive_index,
         "pixels": _pixels(pixels_per_mm),
     }
-    machine = machine_of(spec)
     facets = MilledSurface.of_tracks(
         [milled.tracks],
         milled.coupon.heightfield(0.1),

@@ -14,17 +14,17 @@ from cam.moves import Array
 from cam.moves import Path as ToolPath
 from cam.posts.dialects import POSTS
 from service.job.files import CUT_OUT, FACE
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of, machine_of
+from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
+from service.job.spec.resolved import ResolvedJob
 
 
-def paths_around(spec: JobSpec) -> Iterator[tuple[str, float, list[ToolPath]]]:
+def paths_around(job: ResolvedJob) -> Iterator[tuple[str, float, list[ToolPath]]]:
     """(name, cutter radius [mm], paths) of what is milled around the passes of a whole block: for estimates."""
-    stock, machine = cam_stock_of(spec), machine_of(spec)
+    spec, stock, machine = job.spec, cam_stock_of(job.spec), job.machine
     if (facing := facing_task_of(spec)) is not None:
         yield FACE, facing.radius_mm, list(make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm))
     if (task := cut_out_of(spec)) is not None:
-        loop = cut_out_ways(spec, task)[1]
+        loop = cut_out_ways(job, task)[1]
         paths = cut_out_paths(task, stock, loop, top_mm=0.0, safe_z_mm=machine.safe_z_mm)
         yield CUT_OUT, task.radius_mm, list(paths)
 
@@ -40,9 +40,9 @@ def seconds_of(paths: Iterable[ToolPath], rapid_mm_per_min: float) -> float:
     return seconds
 
 
-def cut_out_ways(spec: JobSpec, task: CutOut) -> tuple[Array, Array]:
+def cut_out_ways(job: ResolvedJob, task: CutOut) -> tuple[Array, Array]:
     """Corners of the lens (k, 2) and the closed way of the cutter's axis around it (n, 2)."""
-    outline = spec.optics.outline_mm
-    corners = aperture_corners(cam_stock_of(spec)) if outline is None else np.array(outline, dtype=np.float64)
-    digit_mm = POSTS[machine_of(spec).dialect].digits.xy_mm
+    outline = job.spec.optics.outline_mm
+    corners = aperture_corners(cam_stock_of(job.spec)) if outline is None else np.array(outline, dtype=np.float64)
+    digit_mm = POSTS[job.machine.dialect].digits.xy_mm
     return corners, offset_loop(corners, task.radius_mm, allowance_mm=ALLOWANCE_MM + digit_mm)

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from math import hypot
 from typing import Any
 
-from machines.profiles import ProfileError, load_profile, profile_names
-from service.job.spec.loading import resolve_spec
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import machine_of, without_derived
+from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
+from service.job.spec.loading import resolve_job
+from service.job.spec.resolve import without_derived
+from service.job.spec.resolved import ResolvedJob
 
 _LARGER, _NEARER, _LONGER = 1.5, 2 / 3, 2.0
 _LEAST_THROW = 0.75  # of the lens's width: nearer, slopes are hard to mill
@@ -24,19 +24,20 @@ class Change:
     what: str
     values: dict[str, Any]
 
-    def apply_to(self, spec: JobSpec) -> JobSpec:
+    def apply_to(self, job: ResolvedJob) -> ResolvedJob:
         """The job with it; SpecError where that is none."""
-        data = without_derived(spec)
+        data = without_derived(job)
         for key, value in self.values.items():
             table, _, name = key.rpartition(".")
             data |= {table: data[table] | {name: value}} if table else {name: value}
         if "preset" in self.values:
             del data["passes"]
-        return resolve_spec(base=data)
+        return resolve_job(base=data)
 
 
-def changes_of(spec: JobSpec, detail_mm: float) -> Iterator[Change]:
+def changes_of(job: ResolvedJob, detail_mm: float) -> Iterator[Change]:
     """Those that the job has not taken yet. detail_mm: the smallest detail on the wall that shows now."""
+    spec = job.spec
     if not spec.to_be_planned:
         yield Change(what="passes as recommended", values={"preset": "recommended"})
     elif spec.finish.process == "none":
@@ -50,7 +51,7 @@ def changes_of(spec: JobSpec, detail_mm: float) -> Iterator[Change]:
     if spec.plan.hours is not None:
         hours = _LONGER * spec.plan.hours
         yield Change(what=f"{hours:g} hours of milling", values={"plan.hours": hours})
-    if (finer := _finer_mill(spec)) is not None:
+    if (finer := _finer_mill(job.machine)) is not None:
         yield Change(what=f"a mill as exact as {finer}", values={"machine.profile": finer})
     if spec.image.prepare == "none":
         coarser = {"image.prepare": "detail", "image.prepare_detail_mm": float(f"{detail_mm:.2g}")}
@@ -61,9 +62,8 @@ def _to_fives(length_mm: float) -> float:
     return _ROUND_MM * round(length_mm / _ROUND_MM)
 
 
-def _finer_mill(spec: JobSpec) -> str | None:
+def _finer_mill(own: MachineProfile) -> str | None:
     """The profile whose heights are most exact, by steps and errors; None where the job's own is as good."""
-    own = machine_of(spec)
     best, best_mm = None, 0.9 * hypot(own.step_mm, own.z_noise_mm)
     for name in profile_names():
         try:

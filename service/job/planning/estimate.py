@@ -47,7 +47,8 @@ from service.job.planning.preparation import aim_at_picture
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings
 from service.job.spec.model import MIN_FLOOR_MM, JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, with_plan
+from service.job.spec.resolve import cam_passes_of, cam_stock_of, with_plan
+from service.job.spec.resolved import ResolvedJob
 from service.wording import ball
 
 PIXELS = 96
@@ -64,12 +65,12 @@ _TUBES, _BEAMS = 2, 7
 class QuickLens:
     """A job's lens as a coarse picture gives it.
 
-    spec     : with its passes, planned where they were not given
+    job      : with its passes, planned where they were not given
     settings : of the job's own lens
     missed   : (ny, nx) its light less what it aims at
     """
 
-    spec: JobSpec
+    job: ResolvedJob
     planned: Planned | None
     settings: LensSettings
     design: LensDesign
@@ -77,6 +78,10 @@ class QuickLens:
     form: LensForm
     missed: Array
     reflected_share: float
+
+    @property
+    def spec(self) -> JobSpec:
+        return self.job.spec
 
     @property
     def lens(self) -> Heightfield:
@@ -87,16 +92,18 @@ class QuickLens:
         return self.settings.bench
 
 
-def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False) -> dict[str, Any]:
+def estimate(
+    job: ResolvedJob, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False
+) -> dict[str, Any]:
     """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
-    fine, coarse = _with_pixels(spec, MOST_PIXELS), coarse_spec(spec)
+    spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
     with in_the_services_words():
         specs = [fine] if exactly else [coarse, fine]
         targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
         whole = targets[-1]
-        quick = quick_lens(specs[0], targets[0], None if exactly else whole)
-        passes = _with_around(quick.spec, list(_hours(quick)))
+        quick = quick_lens(job.with_spec(specs[0]), targets[0], None if exactly else whole)
+        passes = _with_around(quick.job, list(_hours(quick)))
         seen = _foretold(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
@@ -118,17 +125,17 @@ def estimate(spec: JobSpec, path: Path, *, limits: PictureLimits, name: str, exa
         "blur_by": {"light_mm": blur.light_mm, "milling_mm": blur.milling_mm},
         "refusals": refusals,
         "warnings": list(dict.fromkeys([*refusals, *warnings, *_warnings(quick), *blur.words(own_px_mm)])),
-        "changes": [asdict(change) for change in changes_of(spec, detail_mm)],
+        "changes": [asdict(change) for change in changes_of(job, detail_mm)],
         "picture": {"width": width, "height": height},
     }
 
 
-def what_shows_more(spec: JobSpec, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
+def what_shows_more(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
     """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
-    own = estimate(spec, path, limits=limits, name=path.name)
-    for change in changes_of(spec, own["smallest_detail_mm"]):
+    own = estimate(job, path, limits=limits, name=path.name)
+    for change in changes_of(job, own["smallest_detail_mm"]):
         try:
-            found = estimate(change.apply_to(spec), path, limits=limits, name=path.name)
+            found = estimate(change.apply_to(job), path, limits=limits, name=path.name)
         except InputError:
             continue
         if not found["refusals"] and (found["psnr_db"] or 0.0) >= (own["psnr_db"] or 0.0) + _WORTH_DB:
@@ -158,22 +165,23 @@ def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
-def quick_lens(spec: JobSpec, target: Array, whole: Array | None) -> QuickLens:
+def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLens:
     """The lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
 
     whole : the same with more pixels, by which finishes are compared
     """
     planned: Planned | None = None
-    if spec.to_be_planned:
-        planned = plan_for_picture(spec, target, whole=whole)
-        spec = with_plan(spec, {"plan": _plan(planned)})
+    if job.spec.to_be_planned:
+        planned = plan_for_picture(job, target, whole=whole)
+        job = job.with_spec(with_plan(job.spec, {"plan": _plan(planned)}))
+    spec = job.spec
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
     design = design_lens(target, quick, passes=compute_passes(target, quick))
     lens, shape = design.heightfield, (target.shape[0], target.shape[1])
     seen = simulate_caustic(lens, quick.bench, pixels=shape, tubes_per_cell=_TUBES, beams=_BEAMS)
     return QuickLens(
-        spec=spec,
+        job=job,
         planned=planned,
         settings=settings,
         design=design,
@@ -197,7 +205,7 @@ def _plan(planned: Planned) -> dict[str, Any]:
 
 def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
     """Of each pass, from the stock that the one before leaves."""
-    form, mill = quick.form, kinematics_of(machine_of(quick.spec))
+    form, mill = quick.form, kinematics_of(quick.job.machine)
     stock_mm: Array | None = None
     for spec in cam_passes_of(quick.spec):
         made_mm = _left_by(quick.lens, spec)
@@ -211,12 +219,12 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
         yield {"name": spec.name, "tool": f"ball {ball(spec.radius_mm)}", "hours": seconds / 3600}
 
 
-def _with_around(spec: JobSpec, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
+def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The same with what is milled around the passes, before and after them."""
-    rates = machine_of(spec).max_rate_mm_per_min
+    rates = job.machine.max_rate_mm_per_min
     around = {
         name: {"name": name, "tool": f"cutter {ball(radius_mm)}", "hours": seconds_of(paths, min(rates)) / 3600}
-        for name, radius_mm, paths in paths_around(spec)
+        for name, radius_mm, paths in paths_around(job)
     }
     first, last = ([around[name]] if name in around else [] for name in (FACE, CUT_OUT))
     return [*first, *passes, *last]
@@ -224,7 +232,7 @@ def _with_around(spec: JobSpec, passes: list[dict[str, Any]]) -> list[dict[str, 
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
     """Of a pass that others went before; depth_mm (ny, nx): what it takes off."""
-    form, mill = quick.form, kinematics_of(machine_of(quick.spec))
+    form, mill = quick.form, kinematics_of(quick.job.machine)
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
     return rows_s(form, spec, mill) + layers_where_s(form, spec, depth_mm, mill)
@@ -308,7 +316,7 @@ def _finish(quick: QuickLens) -> PassSpec | None:
 
 def _slopes(quick: QuickLens) -> RowSlopes | None:
     """What the last finishing pass leaves; None where none finishes."""
-    machine, finish = machine_of(quick.spec), _finish(quick)
+    machine, finish = quick.job.machine, _finish(quick)
     if finish is None:
         return None
     digit_mm = POSTS[machine.dialect].digits.z_mm
@@ -336,7 +344,7 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
             f"{need_mm} mm, a wall farther away or a smaller lens"
         )
     try:
-        fitting.require_travel(quick.lens, cam_stock_of(spec), passes, machine_of(spec))
+        fitting.require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
         fitting.require_flutes(quick.lens, passes)
         fitting.unfit_ball(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
     except InputError as error:

@@ -12,9 +12,9 @@ from optics.finish import Finish
 from service.job.planning.finished_light import Design, FinishedLight, Spectra
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.finish import BEST, NONE
-from service.job.spec.finish_library import Process, load_processes
+from service.job.spec.finish_library import Process
 from service.job.spec.lens_task import finish_of
-from service.job.spec.model import JobSpec
+from service.job.spec.resolved import ResolvedJob
 
 RECOMMENDED = ("sanding", "felt", "lacquer")
 """Processes that "best" chooses from: those that a maker can repeat, and that leave no stress in the block."""
@@ -47,12 +47,12 @@ class FinishedPlan:
     light: FinishedLight
 
 
-def list_finishings(spec: JobSpec) -> list[Finishing]:
+def list_finishings(job: ResolvedJob) -> list[Finishing]:
     """What the job allows: one where its transfer function is given, else one for each time of work worth trying."""
+    spec, processes = job.spec, job.figures.processes
     given = spec.finish
     if not given.finishes:
         return []
-    processes = load_processes()
     if (finish := finish_of(spec)) is not None:
         title = "Your own finish" if given.process == NONE else processes[given.process].title
         return [

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
 
 from cam.materials import PMMA
 from cam.planning.planner import Goal, NoPlanError, Plan, find_candidates, plan_among, plan_by_score
 from cam.planning.shop import CLEAR_MM, Shop
 from cam.posts.dialects import POSTS
-from cam.tools import Tool
 from machines.profiles import MachineProfile
 from optics.heightfield import Array, Heightfield
 from service.errors import InputError
@@ -28,9 +26,7 @@ from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import bench_of, branch_of, lens_settings
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import machine_of
-from service.job.spec.tools import load_tools
+from service.job.spec.resolved import ResolvedJob
 
 Progress = Callable[[float], None]
 COARSE_STEP_MM = 0.0005
@@ -38,11 +34,10 @@ COARSE_STEP_MM = 0.0005
 
 
 def plan_for_picture(
-    spec: JobSpec,
+    job: ResolvedJob,
     target: Array,
     *,
     whole: Array | None = None,
-    tools: Path | None = None,
     on_progress: Progress | None = None,
 ) -> Planned:
     """Passes for a lens that is still to be designed, for the ball that finishes it.
@@ -50,22 +45,22 @@ def plan_for_picture(
     target : (ny, nx) work frame, mean 1
     whole  : the same with more pixels, where finishes are to be compared by that
     """
-    shop = shop_of(spec, load_tools(tools))
+    spec, shop = job.spec, shop_of(job)
     settings = lens_settings(spec, branch=branch_of(spec, target))
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
     light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
-    return _choose_plan(spec, shop, light, design_for_finishes(target, settings), shapes_lens=shapes, whole=whole)
+    return _choose_plan(job, shop, light, design_for_finishes(target, settings), shapes_lens=shapes, whole=whole)
 
 
 def plan_for_lens(
-    spec: JobSpec, lens: Heightfield, target: Array, *, tools: Path | None = None, on_progress: Progress | None = None
+    job: ResolvedJob, lens: Heightfield, target: Array, *, on_progress: Progress | None = None
 ) -> Planned:
     """Passes for a lens that exists."""
-    shop = shop_of(spec, load_tools(tools))
-    bench = replace(bench_of(spec), branch=branch_of(spec, target))
+    shop = shop_of(job)
+    bench = replace(bench_of(job.spec), branch=branch_of(job.spec, target))
     light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
-    return _choose_plan(spec, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
+    return _choose_plan(job, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
 def _score_by(light: PictureLight, plan: Plan) -> Plan:
@@ -74,27 +69,27 @@ def _score_by(light: PictureLight, plan: Plan) -> Plan:
     return replace(plan, chosen=replace(plan.chosen, psnr_db=seen_db))
 
 
-def mill_of(spec: JobSpec) -> MachineProfile:
+def mill_of(job: ResolvedJob) -> MachineProfile:
     """The mill as a plan has it run: heights in whole steps where these are coarse, unless the job says otherwise."""
-    machine = machine_of(spec)
-    if spec.machine.whole_steps is not None:
+    machine = job.machine
+    if job.spec.machine.whole_steps is not None:
         return machine
     return replace(machine, whole_steps=machine.whole_steps or machine.step_mm >= COARSE_STEP_MM)
 
 
-def shop_of(spec: JobSpec, tools: tuple[Tool, ...]) -> Shop:
+def shop_of(job: ResolvedJob) -> Shop:
     """Tools, material and mill of a job."""
-    machine = mill_of(spec)
+    machine = mill_of(job)
     digit_mm = POSTS[machine.dialect].digits.z_mm
     return Shop(
-        tools=tools,
+        tools=job.figures.tools,
         material=PMMA,
         mill=kinematics_of(machine),
         spindle_rpm=machine.spindle_rpm,
         step_mm=max(machine.step_mm, digit_mm),
         whole_steps=machine.whole_steps or digit_mm >= machine.step_mm,
         noise_mm=machine.z_noise_mm,
-        margin_mm=spec.stock.margin_mm,
+        margin_mm=job.spec.stock.margin_mm,
         strategies=("raster", "contour"),
     )
 
@@ -106,13 +101,13 @@ def _radii(shop: Shop) -> list[float]:
 
 
 def _choose_plan(
-    spec: JobSpec, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool, whole: Array | None = None
+    job: ResolvedJob, shop: Shop, light: PictureLight, design: Design, *, shapes_lens: bool, whole: Array | None = None
 ) -> Planned:
-    goal = Goal(**spec.plan.model_dump())
+    goal, given = Goal(**job.spec.plan.model_dump()), job.spec.finish.k0_rad_per_mm is not None
     finished: FinishedPlan | None = None
     try:
         candidates, left_out = find_candidates(shop, light.forms, light, fillings=light.fillings)
-        finishings, given = list_finishings(spec), spec.finish.k0_rad_per_mm is not None
+        finishings = list_finishings(job)
         if finishings and whole is None:
             finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
         if finishings and whole is not None:
@@ -135,7 +130,7 @@ def _choose_plan(
             f"plan.hours: {goal.hours:g} is too little: the quickest of all plans takes {plan.quickest.hours:.2g} hours"
         )
     planned = Planned(
-        plan=plan, light=light, machine=mill_of(spec), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
+        plan=plan, light=light, machine=mill_of(job), goal=goal, shapes_lens=shapes_lens, tools=shop.tools
     )
     if finished is None or not (given or is_worth_it(finished.plan, milled, goal)):
         return planned

@@ -5,6 +5,7 @@ A process of the library fills in what is left out; figures of one's own, as the
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Annotated
 
 from pydantic import Field
@@ -38,9 +39,25 @@ class FinishSpec(Section):
         return self.process != NONE or self.k0_rad_per_mm is not None
 
 
-def resolve_finish(finish: FinishSpec, *, area_mm2: float, to_be_planned: bool) -> FinishSpec:
-    """Fill in what the library knows of the process; minutes and what follows stay open where they are planned.
+def find_processes(name: str) -> dict[str, Process]:
+    """Those of the library that may come of a spec that names this one; SpecError where there is no such process."""
+    if name == NONE:
+        return {}
+    processes = load_processes()
+    if name == BEST:
+        return processes
+    if name not in processes:
+        allowed = ", ".join(f"'{one}'" for one in (*processes, BEST))
+        raise SpecError([("finish.process", f"'{name}' is not known; allowed: {allowed}")])
+    return {name: processes[name]}
 
+
+def resolve_finish(
+    finish: FinishSpec, processes: Mapping[str, Process], *, area_mm2: float, to_be_planned: bool
+) -> FinishSpec:
+    """Fill in what is known of the process; minutes and what follows stay open where they are planned.
+
+    processes : of `find_processes`
     SpecError names the key, its value and what is allowed.
     """
     if finish.process == BEST:
@@ -48,10 +65,10 @@ def resolve_finish(finish: FinishSpec, *, area_mm2: float, to_be_planned: bool) 
             allowed = "preset = 'recommended', or the name of a process"
             raise SpecError([("finish.process", f"'{BEST}' is chosen by the planner only; allowed: {allowed}")])
         return finish
-    process = _find_process(finish.process)
     if finish.process == NONE:
         _require_own_figures(finish)
         return finish
+    process = processes[finish.process]
     if finish.minutes is None and finish.k0_rad_per_mm is None:
         if to_be_planned:
             return finish
@@ -80,14 +97,6 @@ def fill_figures(finish: FinishSpec, process: Process, *, area_mm2: float) -> Fi
 def _round_minutes(minutes: float) -> float:
     """To tenths; a lens of a few millimetres keeps its seconds."""
     return round(minutes, 1) if minutes >= 1.0 else float(f"{minutes:.3g}")
-
-
-def _find_process(name: str) -> Process:
-    processes = load_processes()
-    if name not in processes:
-        allowed = ", ".join(f"'{one}'" for one in (*processes, BEST))
-        raise SpecError([("finish.process", f"'{name}' is not known; allowed: {allowed}")])
-    return processes[name]
 
 
 def _require_own_figures(finish: FinishSpec) -> None:

@@ -93,19 +93,20 @@ class Process:
 
 
 def instruct_finishing(
-    finish: Mapping[str, Any], *, area_mm2: float, processes: Mapping[str, Process] | None = None
+    finish: Mapping[str, Any], processes: Mapping[str, Process], *, area_mm2: float
 ) -> dict[str, Any] | None:
     """Return what a person has to be told of a job's finish, as plain values; None where it has none.
 
-    finish   : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes, pad_mm where they are
+    finish    : table `finish` of the spec: process, and k0_rad_per_mm, order, depth_um, minutes, pad_mm where they are
                given
-    area_mm2 : of the lens
-    returns  : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
+    processes : by name
+    area_mm2  : of the lens
+    returns   : report `finishing`: title, minutes (of the whole lens, with the range that is believed), depth_um, the
                wavelengths that are levelled (a tenth is left) and kept (nine tenths are), the run-out that rims need,
                and the sentences of the process; figures without a process of the library have none
     """
     name = str(finish.get("process") or "none")
-    process = (load_processes() if processes is None else processes).get(name) if name != "none" else None
+    process = processes.get(name)
     k0, order, depth_um, pad_mm = (finish.get(key) for key in ("k0_rad_per_mm", "order", "depth_um", "pad_mm"))
     if name == "none" and k0 is None:
         return None

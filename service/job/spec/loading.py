@@ -16,14 +16,15 @@ from service.errors import SpecError, sentence_of_os_error
 from service.job.files import SPEC
 from service.job.spec.errors import as_spec_error, known_keys, unknown_key
 from service.job.spec.model import PRESETS, JobSpec
-from service.job.spec.resolve import LoadProfile, preset_rows, with_feeds, without_derived
+from service.job.spec.resolve import preset_rows, with_feeds, without_derived
+from service.job.spec.resolved import Figures, LoadProfile, ResolvedJob, look_up
 
 RECOMMENDED_MARGIN_MM = 14.0  # a ring at Z0 beside the 12 mm that a 6 mm ball clears
 _MAX_SPEC_BYTES = 1_000_000
 _INDEX = re.compile(r"\d{1,4}")
 
 
-def resolve_spec(
+def resolve_job(
     *,
     file: Path | None = None,
     preset: str | None = None,
@@ -31,14 +32,19 @@ def resolve_spec(
     base: Mapping[str, Any] | None = None,
     light_picture: Path | None = None,
     load: LoadProfile = load_profile,
-) -> JobSpec:
-    """The complete spec: defaults, then base, then file, then preset, then overrides ('key.key=value').
+) -> ResolvedJob:
+    """The complete job: defaults, then base, then file, then preset, then overrides ('key.key=value').
 
     light_picture is a measured picture of the light, which becomes optics.light.profile; load reads a mill's profile.
     Naming a preset replaces the passes. Raises SpecError, one line for each thing that cannot be used.
     """
     data = spec_data(file=file, preset=preset, overrides=overrides, base=base, light_picture=light_picture)
-    return with_feeds(validate_spec(data), load)
+    return with_feeds(look_up(validate_spec(data), load))
+
+
+def resolve_spec(**given: Any) -> JobSpec:
+    """The spec of `resolve_job` with the same arguments."""
+    return resolve_job(**given).spec
 
 
 def spec_data(
@@ -49,7 +55,7 @@ def spec_data(
     base: Mapping[str, Any] | None = None,
     light_picture: Path | None = None,
 ) -> dict[str, Any]:
-    """What resolve_spec validates: plain data, put together from all that was given."""
+    """What resolve_job validates: plain data, put together from all that was given."""
     data = _merge(base or {}, read_spec_file(file) if file else {})
     if preset is not None:
         data = {**data, "preset": preset}
@@ -111,13 +117,24 @@ def load_stored_spec(folder: Path) -> JobSpec:
         raise SpecError([(f"{path}: {key}", sentence) for key, sentence in error.problems]) from None
 
 
+def load_stored_job(folder: Path) -> ResolvedJob:
+    """The earlier job in a folder, with the figures that the files of this computer give now. SpecError."""
+    return look_up(load_stored_spec(folder))
+
+
+def restore_job(spec: Mapping[str, Any], figures: str | None) -> ResolvedJob:
+    """The job that was kept as plain data and text. figures: None where it was submitted before they were kept."""
+    found = validate_spec(spec)
+    return look_up(found) if figures is None else ResolvedJob(spec=found, figures=Figures.from_text(figures))
+
+
 def resolve_for_lens(
     folder: Path, *, file: Path | None = None, preset: str | None = None, overrides: Sequence[str] = ()
-) -> JobSpec:
-    """The complete spec of new programs for the lens in a job's folder: what was asked for there, then resolve_spec."""
-    stored = load_stored_spec(folder)
-    wanted = resolve_spec(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
-    require_same_lens(stored, wanted)
+) -> ResolvedJob:
+    """The complete job of new programs for the lens in a job's folder: what was asked for there, then resolve_job."""
+    stored = load_stored_job(folder)
+    wanted = resolve_job(base=without_derived(stored), file=file, preset=preset, overrides=overrides)
+    require_same_lens(stored.spec, wanted.spec)
     return wanted
 
 

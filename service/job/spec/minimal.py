@@ -10,7 +10,7 @@ from typing import Any
 from machines.profiles import load_profile
 from service.errors import SpecError
 from service.job.spec.loading import resolve_spec
-from service.job.spec.resolve import LoadProfile
+from service.job.spec.resolved import LoadProfile
 
 Json = dict[str, Any]
 Place = tuple[str | int, ...]

@@ -1,32 +1,24 @@
-"""Passes of a job: presets, speeds and feeds the person left out, and the mill that runs them."""
+"""Passes of a job: presets, and the speeds and feeds that the person left out."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, replace
-from typing import Any, cast
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
 
 from cam import passes as cam_passes
 from cam.around.specs import BESIDE_MM, CutOut, Facing
 from cam.materials import PMMA, SLOT_FEED, Material
 from cam.passes import PassSpec, Stock
-from cam.posts.setup import Coolant, HighPrecision, ProgramSetup, find_unsupported
-from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from machines.profiles import MachineProfile
 from service.errors import SpecError
 from service.job.spec.around import CutOutSpec, FaceSpec
 from service.job.spec.finish import FinishSpec, resolve_finish
 from service.job.spec.model import JobSpec, PassRow, StockSpec
+from service.job.spec.resolved import ResolvedJob
 
-LoadProfile = Callable[[str], MachineProfile]
 _Cutter = PassRow | FaceSpec | CutOutSpec
 _MATERIALS: dict[str, Material] = {"pmma": PMMA}
-_PROFILE_KEYS = {
-    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
-    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm", "whole_steps", "most_program_mb", "most_program_hours",
-    "coolant", "blend_tolerance_mm", "high_precision", "warm_up_s", "trace_outline",
-}  # fmt: skip
-
-
 _AROUND = ("face", "cut_out")
 _CHOSEN = {"pitch_mm", "step_down_mm", "feed_mm_per_min", "plunge_mm_per_min", "spindle_rpm"}
 _FLAT_PITCH_SHARE, _BALL_PITCH_SHARE = 1.2, 1 / 6  # of the radius: 60 % of the diameter; cusps of R / 288
@@ -44,51 +36,14 @@ def preset_rows(preset: str) -> list[dict[str, Any]]:
     return rows
 
 
-def machine_of(spec: JobSpec, load: LoadProfile = load_profile) -> MachineProfile:
-    """The named profile with the job's own figures in place of its. SpecError where its control cannot do all that."""
-    try:
-        profile = load(spec.machine.profile)
-    except UnknownProfileError as error:
-        allowed = ", ".join(f"'{name}'" for name in error.known)
-        raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
-    except ProfileError as error:
-        raise SpecError([("machine.profile", f"'{spec.machine.profile}' cannot be used: {error}")]) from None
-    own: dict[str, Any] = {}
-    for key in _PROFILE_KEYS:
-        value = getattr(spec.machine, key)
-        if value is not None:
-            own[key] = tuple(value) if isinstance(value, list) else value
-    if spec.finish.finishes and spec.machine.whole_steps is None:
-        own["whole_steps"] = True  # a finish takes off errors that alternate from row to row, not those of the control
-    machine = replace(profile, **own)
-    unsupported = find_unsupported(machine.dialect, setup_of(machine))
-    problems = [
-        (f"machine.{key}", f"{value} is not allowed; allowed: {allowed}") for key, value, allowed in unsupported
-    ]
-    if problems:
-        raise SpecError(problems)
-    return machine
-
-
-def setup_of(machine: MachineProfile) -> ProgramSetup:
-    """What programs for this mill switch on before they cut, and off afterwards."""
-    return ProgramSetup(
-        coolant=cast(Coolant, machine.coolant),
-        blend_tolerance_mm=machine.blend_tolerance_mm,
-        high_precision=cast(HighPrecision, machine.high_precision),
-        warm_up_s=machine.warm_up_s,
-        slowest_rpm=machine.spindle_rpm[0],
-    )
-
-
-def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
-    """The same spec with every speed, feed and step-down filled in from the material's start values, and the ball that
+def with_feeds(job: ResolvedJob) -> ResolvedJob:
+    """The same job with every speed, feed and step-down filled in from the material's start values, and the ball that
     the lens is shaped for.
 
     What the person wrote must suit the mill (SpecError); what is filled in is kept within the mill's reach, a slower
     spindle taking the feed down with it.
     """
-    machine = machine_of(spec, load)
+    spec, machine = job.spec, job.machine
     rows, problems = [], []
     for number, row in enumerate(spec.passes):
         problems += _beyond_the_mill(row, machine, f"passes.{number}")
@@ -104,21 +59,21 @@ def with_feeds(spec: JobSpec, load: LoadProfile = load_profile) -> JobSpec:
     if problems:
         raise SpecError(problems)
     area_mm2 = spec.optics.width_mm * spec.optics.height_mm
-    finish = resolve_finish(spec.finish, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
+    finish = resolve_finish(spec.finish, job.figures.processes, area_mm2=area_mm2, to_be_planned=spec.to_be_planned)
     spec = spec.model_copy(update={"stock": _stock_filled(spec.stock, machine), "finish": finish})
-    if spec.to_be_planned:
-        return spec
-    optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})
-    return spec.model_copy(update={"optics": optics, "passes": tuple(rows)})
+    if not spec.to_be_planned:
+        optics = spec.optics.model_copy(update={"min_radius_mm": spec.lens_radius_mm})
+        spec = spec.model_copy(update={"optics": optics, "passes": tuple(rows)})
+    return job.with_spec(spec)
 
 
-def without_derived(spec: JobSpec) -> dict[str, Any]:
+def without_derived(job: ResolvedJob) -> dict[str, Any]:
     """The spec as plain data without the speeds, feeds and step-downs that `with_feeds` would fill in as they are.
 
     What stands in spec.json because the program chose it is no wish of the person, and is chosen anew for another mill
     or another ball.
     """
-    machine, material = machine_of(spec), _MATERIALS[spec.stock.material]
+    spec, machine, material = job.spec, job.machine, _MATERIALS[job.spec.stock.material]
     rows = []
     for row in spec.passes:
         for keys in (("feed_mm_per_min", "plunge_mm_per_min", "step_down_mm"), ("spindle_rpm",)):  # feeds follow it

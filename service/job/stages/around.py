@@ -29,7 +29,8 @@ from service.job.files import CUT_OUT, FACE, FACED_STOCK, LAST_STOCK, WrittenPro
 from service.job.planning.around import cut_out_ways
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of, machine_of, setup_of
+from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
+from service.job.spec.resolved import ResolvedJob, setup_of
 from service.job.stages import programs as pass_programs
 from service.job.stages.context import Workshop
 
@@ -38,10 +39,10 @@ _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends
 
 def face(shop: Workshop) -> None:
     """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
-    facing, stock, machine = facing_task_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
+    facing, stock, machine = facing_task_of(shop.spec), cam_stock_of(shop.spec), shop.machine
     assert facing is not None and shop.spec.stock.face is not None  # by the plan of stages
     paths = make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
-    written = _write(shop, 0, FACE, paths, facing, trace=pass_programs.trace_of(shop.spec, machine))
+    written = _write(shop, 0, FACE, paths, facing, trace=pass_programs.trace_of(shop.job))
     verdict = _check(shop, written, facing, raw_stock(shop.spec))
     shop.report["around"] = {FACE: _row(written, verdict, {"name": FACE, **shop.spec.stock.face.model_dump()})}
     shop.hand_over(FACED_STOCK, verdict.stock_top, arrays.stock_bytes)
@@ -49,10 +50,10 @@ def face(shop: Workshop) -> None:
 
 def cut_out(shop: Workshop) -> None:
     """The program that cuts the lens out; its row of report `around`."""
-    task, stock, machine = cut_out_of(shop.spec), cam_stock_of(shop.spec), machine_of(shop.spec)
+    task, stock, machine = cut_out_of(shop.spec), cam_stock_of(shop.spec), shop.machine
     assert task is not None and shop.spec.stock.cut_out is not None  # by the plan of stages
     top = shop.receive(LAST_STOCK, arrays.load_stock)
-    loop = cut_out_ways(shop.spec, task)[1]
+    loop = cut_out_ways(shop.job, task)[1]
     top_mm = highest_along(loop, task.radius_mm, top)
     paths = cut_out_paths(task, stock, loop, top_mm=top_mm, safe_z_mm=machine.safe_z_mm)
     written = _write(shop, len(shop.spec.passes) + 1, CUT_OUT, paths, task)
@@ -69,9 +70,9 @@ def cut_out(shop: Workshop) -> None:
     shop.report["around"] = {CUT_OUT: _row(written, verdict, settings)}
 
 
-def simulate(paths: Sequence[Path], task: Facing | CutOut, spec: JobSpec, stock_top: StockGrid) -> AroundCheck:
+def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, stock_top: StockGrid) -> AroundCheck:
     """Read the programs back, one after the other, and simulate what they remove from stock_top."""
-    machine, stock = machine_of(spec), cam_stock_of(spec)
+    machine, stock = job.machine, cam_stock_of(job.spec)
     texts, digits = map(read_chunks, paths), POSTS[machine.dialect].digits
     mill = CheckedMill(
         kinematics=kinematics_of(machine),
@@ -83,7 +84,7 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, spec: JobSpec, stock_
     )
     if isinstance(task, Facing):
         return check_facing(texts, task, stock=stock, stock_top=stock_top, mill=mill)
-    corners, loop = cut_out_ways(spec, task)
+    corners, loop = cut_out_ways(job, task)
     return check_cut_out(texts, task, stock=stock, stock_top=stock_top, mill=mill, corners_mm=corners, loop_mm=loop)
 
 
@@ -105,7 +106,7 @@ def _write(
     *,
     trace: tuple[ToolPath, ...] = (),
 ) -> list[WrittenProgram]:
-    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    stock, machine = cam_stock_of(shop.spec), shop.machine
     post, setup = POSTS[machine.dialect], setup_of(machine)
     frame = PassFrame(
         remarks=tuple(_remarks(task, stock)),
@@ -137,7 +138,7 @@ def _check(shop: Workshop, written: list[WrittenProgram], task: Facing | CutOut,
     called = written[0].file
     with shop.watch.stage(f"check {called}"):
         try:
-            verdict = simulate([shop.folder / part.file for part in written], task, shop.spec, top)
+            verdict = simulate([shop.folder / part.file for part in written], task, shop.job, top)
         except ProgramError as error:
             raise FailedError(f"{called}: {error}") from error
     if not verdict.ok:

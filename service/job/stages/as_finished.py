@@ -17,7 +17,6 @@ from service.job.files import AS_FINISHED, COMPARED_FINISHED, HEIGHTFIELD, MAP
 from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.spec.lens_task import bench_of, finish_of
-from service.job.spec.resolve import machine_of
 from service.job.stages.as_milled import error_of_tips_mm, list_finish_passes, read_tracks
 from service.job.stages.context import Workshop
 
@@ -43,7 +42,7 @@ def as_finished(shop: Workshop) -> None:
             tracks,
             lens,
             pitch_mm=max(spec.pitch_mm for _, spec in passes),
-            error_mm=error_of_tips_mm(machine_of(shop.spec)),
+            error_mm=error_of_tips_mm(shop.machine),
             finer=cells_per_vertex(lens, finish),
             beyond_mm=max(spec.radius_mm for _, spec in passes),
         )

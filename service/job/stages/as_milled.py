@@ -30,7 +30,7 @@ from service.job.finite_json import plain
 from service.job.planning.preparation import scores_against_original
 from service.job.report.milled import CAUSES, detail_lost
 from service.job.spec.lens_task import bench_of, finish_of
-from service.job.spec.resolve import cam_passes_of, machine_of
+from service.job.spec.resolve import cam_passes_of
 from service.job.stages.context import Workshop
 
 _SAMPLES, _FEW = 24, 4  # parts of the surface whose slopes are measured; of a small one a quarter, but not fewer
@@ -52,7 +52,7 @@ def as_milled(shop: Workshop) -> None:
             read_tracks(shop, passes, reached),
             heightfield,
             pitch_mm=max(spec.pitch_mm for _, spec in passes),
-            error_mm=error_of_tips_mm(machine_of(shop.spec)),
+            error_mm=error_of_tips_mm(shop.machine),
         )
     with shop.watch.stage("as milled: light") as reached:
         seen = simulate_milled(surface.part, surface.parts, heightfield, bench, pixels=shape, on_progress=reached)
@@ -83,7 +83,7 @@ def read_tracks(
 
     longest_mm : an axis stands on a step at least so often, within moves, too
     """
-    machine, rows = machine_of(shop.spec), shop.so_far["passes"]
+    machine, rows = shop.machine, shop.so_far["passes"]
     tracks = []
     for done, (number, spec) in enumerate(passes, 1):
         paths = [shop.folder / name for name in names_of_pass(rows[number])]
@@ -120,7 +120,7 @@ def _gains(
     reached: Callable[[float], None],
 ) -> dict[str, float]:
     """dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
-    machine, bench = machine_of(shop.spec), bench_of(shop.spec)
+    machine, bench = shop.machine, bench_of(shop.spec)
     now: dict[str, Any] = {
         "pitch_mm": spec.pitch_mm,
         "step_mm": machine.step_mm,
@@ -146,7 +146,7 @@ def _gains(
 def _tell(
     shop: Workshop, target: Array, seen: Caustic, designed: Caustic, found: Deviations, gains: dict[str, float]
 ) -> None:
-    machine, pixel_mm = machine_of(shop.spec), shop.spec.optics.screen_size_mm[0] / target.shape[1]
+    machine, pixel_mm = shop.machine, shop.spec.optics.screen_size_mm[0] / target.shape[1]
     shop.report["as_milled"] = plain(
         {
             **asdict(score_caustic(seen.irradiance, target)),

@@ -16,7 +16,7 @@ from service.job.page_data.path import PathDrawing
 from service.job.report.figures.contour_sample import ContourSample
 from service.job.report.figures.path_sample import PathSample
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of
+from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.stages.context import Workshop
 from service.milling.preflight_child import examine
 
@@ -24,7 +24,7 @@ from service.milling.preflight_child import examine
 def final_check(shop: Workshop) -> None:
     """FailedError unless the job's mill may run every program, and each is the one that was simulated; toolpath.png."""
     rows = shop.so_far["passes"]
-    limits = limits_of(machine_of(shop.spec))
+    limits = limits_of(shop.machine)
     with shop.watch.stage("pre-flight") as reached:
         files = [file for row in programs_in_order(shop.so_far) for file in files_of_pass(row)]
         for number, (name, sha256) in enumerate(files):
@@ -80,7 +80,7 @@ def _sample(number: int, spec: PassSpec, stock: Stock) -> PathSample:
 
 def _follow(shop: Workshop, paths: list[Path], number: int, sample: PathSample) -> None:
     """Read the programs of a pass once, for both drawings."""
-    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    stock, machine = cam_stock_of(shop.spec), shop.machine
     side_mm = max(stock.width_mm, stock.height_mm)
     with PathDrawing(shop.folder, kinematics=kinematics_of(machine), side_mm=side_mm) as drawing:
         for batch in read_parts(map(read_chunks, paths), LANGUAGES[machine.dialect]):

@@ -16,9 +16,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
+from machines.profiles import MachineProfile
 from service.job import files as job_files
 from service.job.picture.limits import OWN_PICTURE, PictureLimits
 from service.job.spec.model import JobSpec
+from service.job.spec.resolved import ResolvedJob
 from service.job.stages.picture_queue import PictureQueue
 from service.progress import Stopwatch
 
@@ -42,7 +44,7 @@ class Workshop:
     desk               : values by file name, shared by the stages of one process; None: all goes through files
     """
 
-    spec: JobSpec
+    job: ResolvedJob
     folder: Path
     watch: Stopwatch
     picture_queue: PictureQueue
@@ -60,6 +62,14 @@ class Workshop:
 
     def note(self, part: Part, sentence: str) -> None:
         self.notes.setdefault(part, []).append(sentence)
+
+    @property
+    def spec(self) -> JobSpec:
+        return self.job.spec
+
+    @property
+    def machine(self) -> MachineProfile:
+        return self.job.machine
 
     @property
     def is_shown(self) -> bool:

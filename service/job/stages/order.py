@@ -32,7 +32,7 @@ class FileRef:
 class StageOrder:
     """One try of one stage of one job.
 
-    spec    : the resolved spec, as spec.json holds it
+    spec    : the resolved spec, as spec.json holds it; figures: of `ResolvedJob`, as text
     inputs  : files of the job's earlier stages by name; the stage fetches those that it reads
     report  : parts of report.json made so far, merged; notes: likewise, sentences by part of the job
     scratch : path of a folder for this try alone, which it makes and removes
@@ -42,6 +42,7 @@ class StageOrder:
     attempt: int
     stage: str
     spec: dict[str, Any]
+    figures: str
     image_sha256: str
     image_name: str
     scratch: str

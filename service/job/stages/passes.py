@@ -23,14 +23,14 @@ def choose_passes(shop: Workshop) -> None:
     if shop.desk is not None:
         shop.desk[TARGET] = target  # the lens is made from it as well
     with shop.watch.stage("plan") as reached:
-        _tell(shop, plan_for_picture(shop.spec, target, on_progress=reached))
+        _tell(shop, plan_for_picture(shop.job, target, on_progress=reached))
 
 
 def passes_for_lens(shop: Workshop) -> None:
     """Passes for a lens that exists; report `plan`, plan.png."""
     lens, target = shop.receive(HEIGHTFIELD, arrays.load_heightfield), shop.receive(MAP, arrays.load_target)
     with shop.watch.stage("plan") as reached:
-        _tell(shop, plan_for_lens(shop.spec, lens, target, on_progress=reached))
+        _tell(shop, plan_for_lens(shop.job, lens, target, on_progress=reached))
 
 
 def _tell(shop: Workshop, planned: Planned) -> None:

@@ -36,8 +36,8 @@ from service.job.files import (
 from service.job.planning.fit import require_flutes, require_travel, unfit_ball
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.kinematics import kinematics_of
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import cam_passes_of, cam_stock_of, machine_of, setup_of
+from service.job.spec.resolve import cam_passes_of, cam_stock_of
+from service.job.spec.resolved import ResolvedJob, setup_of
 from service.job.stages.context import Workshop
 
 _COARSE_STEP_MM = 0.002  # of heights, from which a picture shows it
@@ -60,7 +60,7 @@ def one_pass(shop: Workshop) -> None:
     verdict = _check(shop, [part.file for part in written], spec, heightfield, stock_top)
     rest_follows = any(later.where == "rest" for later in shop.spec.passes[shop.number :])
     notes = () if rest_follows else verdict.notes  # what is left here is taken there
-    for sentence in (*notes, *_of_coarse_steps(shop.spec, spec), *_of_parts(written)) if spec.finishes else ():
+    for sentence in (*notes, *_of_coarse_steps(shop.job, spec), *_of_parts(written)) if spec.finishes else ():
         shop.note("passes", f"{written[0].file}: {sentence}")
     row = {
         "file": written[0].file,
@@ -80,7 +80,7 @@ def require_millable(shop: Workshop, heightfield: Heightfield) -> None:
     """Everything about the balls of all passes and the travel that can be known before the first block."""
     passes, stock = cam_passes_of(shop.spec), cam_stock_of(shop.spec)
     with shop.watch.stage("fit"):
-        require_travel(heightfield, stock, passes, machine_of(shop.spec))
+        require_travel(heightfield, stock, passes, shop.machine)
         require_flutes(heightfield, passes)
         unfit = unfit_ball(measure_lens(heightfield), passes, shaped_for_mm=shop.spec.lens_radius_mm)
         if unfit:
@@ -140,14 +140,14 @@ def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[str]:
         )
 
 
-def _of_coarse_steps(job: JobSpec, spec: PassSpec) -> Iterator[str]:
+def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
     """What the raster of heights does to the light, where it can be seen.
 
     Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
     the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
     """
-    digits = _digits(machine_of(job))
-    if digits.z_mm < _COARSE_STEP_MM or job.finish.finishes:
+    digits = _digits(job.machine)
+    if digits.z_mm < _COARSE_STEP_MM or job.spec.finish.finishes:
         return
     slope = 0.4 * math.sqrt(2 * 0.2 * digits.z_mm / spec.radius_mm)
     yield (
@@ -168,7 +168,7 @@ def part_limits_of(machine: MachineProfile) -> PartLimits:
 
 def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> list[WrittenProgram]:
     """The programs of the pass: one, or its parts."""
-    machine = machine_of(shop.spec)
+    machine = shop.machine
     post = POSTS[machine.dialect]
     setup, is_first = setup_of(machine), shop.number == 1 and shop.spec.stock.face is None
     with shop.watch.stage(f"write pass {shop.number} {spec.name}") as reached:
@@ -184,7 +184,7 @@ def _write(shop: Workshop, spec: PassSpec, heightfield: Heightfield, stock_top: 
             shaped=shop.spec.finish.finishes,
             number=shop.number,
             setup=setup if is_first else setup.without_warm_up(),
-            trace=trace_of(shop.spec, machine) if is_first else (),
+            trace=trace_of(shop.job) if is_first else (),
             on_progress=reached,
         )
         return write_parts(shop.folder, partial(program_name, shop.number, spec.name, post.suffix), parts)
@@ -202,8 +202,9 @@ def write_parts(
     return written
 
 
-def trace_of(spec: JobSpec, machine: MachineProfile) -> tuple[ToolPath, ...]:
+def trace_of(job: ResolvedJob) -> tuple[ToolPath, ...]:
     """Around block and lens at the safe height, for the first program of a job; nothing where it is not asked for."""
+    spec, machine = job.spec, job.machine
     if not machine.trace_outline:
         return ()
     feed = min(TRACE_FEED_MM_PER_MIN, *machine.max_rate_mm_per_min[:2])
@@ -214,7 +215,7 @@ def trace_of(spec: JobSpec, machine: MachineProfile) -> tuple[ToolPath, ...]:
 def _check(
     shop: Workshop, files: list[str], spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
 ) -> PassCheck:
-    stock, machine = cam_stock_of(shop.spec), machine_of(shop.spec)
+    stock, machine = cam_stock_of(shop.spec), shop.machine
     called = files[0] if len(files) == 1 else f"{files[0]} to {files[-1]}, lines counted through"
     with shop.watch.stage(f"check pass {shop.number} {spec.name}") as reached:
         try:

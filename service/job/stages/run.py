@@ -11,7 +11,7 @@ from pathlib import Path
 from service.errors import FailedError, InputError, ServiceError, SpecError, sentence_of_os_error
 from service.job.errors import in_the_services_words
 from service.job.planning import fit as fitting
-from service.job.spec.loading import validate_spec
+from service.job.spec.loading import restore_job
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.stages.context import Workshop, peak_rss_mb
 from service.job.stages.order import FileRef, StageOrder, StageResult
@@ -56,7 +56,7 @@ def _workshop(
     order: StageOrder, stage: Stage, scratch: Path, watch: Stopwatch, picture_queue: PictureQueue
 ) -> Workshop:
     return Workshop(
-        spec=validate_spec(order.spec),
+        job=restore_job(order.spec, order.figures),
         folder=scratch,
         watch=watch,
         picture_queue=picture_queue,

@@ -7,7 +7,6 @@ from dataclasses import asdict
 from service.job import files as job_files
 from service.job.report.setup_sheet import render_report
 from service.job.spec.finish_library import instruct_finishing
-from service.job.spec.resolve import machine_of
 from service.job.stages.context import THE_PICTURE, Workshop, peak_rss_mb, versions
 from service.job.stages.order import merge_notes, merge_reports
 
@@ -32,11 +31,11 @@ def sheet(shop: Workshop) -> None:
         shop.report["source"] = {"file": shop.picture_name}
     spec = shop.spec.plain()
     area_mm2 = shop.spec.optics.width_mm * shop.spec.optics.height_mm
-    if told := instruct_finishing(spec.get("finish", {}), area_mm2=area_mm2):
+    if told := instruct_finishing(spec.get("finish", {}), shop.job.figures.processes, area_mm2=area_mm2):
         shop.report["finishing"] = told
     report = merge_reports((shop.so_far, shop.report))
     job_files.write_json(shop.folder / job_files.SPEC, spec)
-    spec["machine"] = {**asdict(machine_of(shop.spec)), **spec["machine"]}
+    spec["machine"] = {**asdict(shop.machine), **spec["machine"]}
     files = {path.name for path in shop.folder.iterdir()} | shop.files | {job_files.REPORT, job_files.REPORT_PAGE}
     page = render_report(report, spec=spec, files=files)
     shop.save(job_files.REPORT_PAGE, page.encode())

@@ -22,10 +22,8 @@ from importlib.metadata import version
 from typing import Any
 
 from service.job.spec.finish import NONE
-from service.job.spec.finish_library import load_processes
 from service.job.spec.model import USUAL_ROWS, JobSpec, PassRow
-from service.job.spec.resolve import machine_of
-from service.job.spec.tools import load_tools
+from service.job.spec.resolved import ResolvedJob
 from service.job.stages.order import FileRef
 from service.job.stages.source_state import state_of_sources
 
@@ -279,13 +277,15 @@ def _path_m(spec: JobSpec, row: PassRow) -> float:
     return (spec.optics.width_mm + around_mm) * (spec.optics.height_mm + around_mm) / row.pitch_mm / 1000
 
 
-def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, outputs: Mapping[str, FileRef]) -> str:
+def stage_key(
+    stage: str, job: ResolvedJob, *, image_sha256: str, image_name: str, outputs: Mapping[str, FileRef]
+) -> str:
     """The hash of all that the outputs of a stage can depend on.
 
     outputs : files of the job's earlier stages by name; of them only those that the stage reads count.
     """
     row = stage_of(stage)
-    facts = facts_of(spec)
+    facts = facts_of(job)
     names = outputs if row.sheet else reads(stage, outputs)
     depends = {
         "stage": stage,
@@ -299,14 +299,15 @@ def stage_key(stage: str, spec: JobSpec, *, image_sha256: str, image_name: str, 
     return hashlib.sha256(json.dumps(depends, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-def facts_of(spec: JobSpec) -> dict[str, Any]:
+def facts_of(job: ResolvedJob) -> dict[str, Any]:
     """The spec as data, with what follows from it: the screen size; the ball that the lens is shaped for; the
     block's thickness where light slants through it or a branch is chosen for it; all that a picture is prepared for,
-    where it is; the figures of mill and finish, for their files may change under their names; whether the stock is
+    where it is; the figures of mill, tools and finish; whether the stock is
     faced; how the spindle is warmed up and which outline is traced in the air, in the job's first program, and in that
     of the first pass; and of each pass whether it is the last one, whose stock nobody asks for, and whether a rest pass
     comes after it, which takes what it cannot reach.
     """
+    spec = job.spec
     facts = spec.model_dump(mode="json")
     facts["screen_mm"] = list(spec.optics.screen_size_mm)
     if not spec.to_be_planned:
@@ -316,11 +317,11 @@ def facts_of(spec: JobSpec) -> dict[str, Any]:
     is_prepared = spec.image.prepare != "none"
     facts["preparation"] = [facts["image"], facts["optics"], spec.stock.thickness_mm] if is_prepared else None
     process = spec.finish.process
-    facts["finish_process"] = None if process == NONE else repr(load_processes().get(process))
+    facts["finish_process"] = None if process == NONE else repr(job.figures.processes.get(process))
     facts["finishes"] = spec.finish.finishes
     facts["machine_as_given"] = facts["machine"]
-    facts["machine"] = asdict(machine_of(spec))
-    facts["tools"] = [asdict(tool) for tool in load_tools()] if spec.to_be_planned else None
+    facts["machine"] = asdict(job.machine)
+    facts["tools"] = [asdict(tool) for tool in job.figures.tools] if spec.to_be_planned else None
     facts["faced"] = spec.stock.face is not None
     warm_up_s, slowest_rpm = facts["machine"]["warm_up_s"], facts["machine"]["spindle_rpm"][0]
     warm_up = [warm_up_s, slowest_rpm] if warm_up_s else None

@@ -273,6 +273,7 @@ def _first_row(new: NewJob, job_id: str, at: float) -> dict[str, Any]:
         "name": printable(new.name)[:NAME_CHARS],
         "priority": new.priority,
         "spec": new.spec,
+        "figures": new.figures,
         "image_sha256": new.image_sha256,
         "image_bytes": new.image_bytes,
         "created_by": new.created_by,

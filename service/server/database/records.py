@@ -59,7 +59,12 @@ class _Row:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NewJob:
-    """What is needed to make a job. key: the caller's Idempotency-Key; request_sha256: all that the caller gave."""
+    """What is needed to make a job.
+
+    figures        : those behind the names in the spec; None: the worker looks them up
+    key            : the caller's Idempotency-Key
+    request_sha256 : all that the caller gave
+    """
 
     name: str
     spec: Json
@@ -67,6 +72,7 @@ class NewJob:
     image_bytes: int
     created_by: str
     request_sha256: str
+    figures: str | None = None
     priority: int = NORMAL
     key: ClientKey | None = None
 
@@ -108,6 +114,7 @@ class Job(JobListRow):
     """A whole row of `jobs`."""
 
     spec: Json
+    figures: str | None
     report: Json | None
 
 

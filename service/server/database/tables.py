@@ -18,6 +18,7 @@ from sqlalchemy import (
     MetaData,
     String,
     Table,
+    Text,
     false,
     text,
 )
@@ -31,8 +32,9 @@ metadata = MetaData(
     }
 )
 
-# spec is the resolved one; error = {stage, detail, field}; fence counts the claims by workers, version every change;
-# attempt counts from 1 and grows with :retry; stage, progress (0..1 of the whole job) belong to the running attempt.
+# spec is the resolved one, figures those behind the names in it (None: of a job from before they were kept); error =
+# {stage, detail, field}; fence counts the claims by workers, version every change; attempt counts from 1 and grows with
+# :retry; stage, progress (0..1 of the whole job) belong to the running attempt.
 jobs = Table(
     "jobs",
     metadata,
@@ -41,6 +43,7 @@ jobs = Table(
     Column("state", String(16), nullable=False),
     Column("priority", Integer, nullable=False),
     Column("spec", JSON, nullable=False),
+    Column("figures", Text),
     Column("image_sha256", String(64), nullable=False, index=True),
     Column("image_bytes", BigInteger, nullable=False),
     Column("created_by", String(100), nullable=False),

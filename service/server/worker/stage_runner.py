@@ -9,10 +9,10 @@ from typing import Any
 import structlog
 
 from service.errors import FailedError, printable
-from service.job.spec.loading import validate_spec
-from service.job.spec.resolve import with_plan
-from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult, merge_notes, merge_reports
-from service.job.stages.table import plan, shares, stage_key
+from service.job.spec.loading import restore_job
+from service.job.stages.order import FileRef, PictureLimits, StageOrder, StageResult
+from service.job.stages.so_far import JobSoFar
+from service.job.stages.table import shares, stage_key
 from service.server.database.claims import STOPPED, Claim, StageClose, StageTry
 from service.server.database.states import JobState, StageState
 from service.server.queue.engine import Fenced
@@ -26,44 +26,38 @@ log = structlog.get_logger()
 
 
 class Walk:
-    """Stages in order; `results` are those that are done."""
+    """Stages in order; `_files` are those that they have made."""
 
     def __init__(self, bench: Bench, claim: Claim, watched: Watched) -> None:
         self._bench = bench
         self._claim = claim
         self._watched = watched
-        self._spec = validate_spec(claim.job.spec)
-        self._shares = shares(self._spec)
+        self._so_far = JobSoFar(restore_job(claim.job.spec, claim.job.figures))
+        self._shares = shares(self._so_far.job.spec)
         self._done_share = 0.0
-        self._results: list[StageResult] = []
+        self._files: dict[str, FileRef] = {}
 
     def to_the_end(self) -> None:
         """Every stage, then the job's end; or its end on the way."""
-        while (stage := self._next()) is not None:
+        for stage in self._so_far.stages():
             with structlog.contextvars.bound_contextvars(stage=stage):
                 result = self._result_of(stage)
             if result is None:
                 return
             self._done_share = self._whole(stage, 1.0)
-            self._results.append(result)
-            if self._spec.to_be_planned:
-                self._spec = with_plan(self._spec, merge_reports(result.report for result in self._results))
-                self._shares = shares(self._spec)
-        self._finish(JobState.SUCCEEDED, report=merge_reports(result.report for result in self._results))
-
-    def _next(self) -> str | None:
-        """The stage after those that are done; planning passes changes those to come only."""
-        stages = plan(self._spec)
-        return stages[len(self._results)] if len(self._results) < len(stages) else None
+            self._files |= result.outputs
+            self._so_far.add(result.report, result.notes)
+            self._shares = shares(self._so_far.job.spec)
+        self._finish(JobState.SUCCEEDED, report=self._so_far.report)
 
     def _result_of(self, stage: str) -> StageResult | None:
         """Equal work done before, or its own; None where the job has ended here."""
         key = stage_key(
             stage,
-            self._spec,
+            self._so_far.job,
             image_sha256=self._claim.job.image_sha256,
             image_name=self._claim.job.name,
-            outputs=self._files(),
+            outputs=self._files,
         )
         if (result := self._reuse(stage, key)) is not None:
             return result
@@ -108,13 +102,14 @@ class Walk:
             job_id=job.id,
             attempt=job.attempt,
             stage=begun.stage,
-            spec=self._spec.model_dump(mode="json"),
+            spec=self._so_far.job.spec.model_dump(mode="json"),
+            figures=self._so_far.job.figures.to_text(),
             image_sha256=job.image_sha256,
             image_name=job.name,
             scratch=str(self._scratch(begun, "d")),
-            inputs=self._files(),
-            report=merge_reports(result.report for result in self._results),
-            notes=merge_notes(result.notes for result in self._results),
+            inputs=self._files,
+            report=self._so_far.report,
+            notes=self._so_far.notes,
             limits=PictureLimits(max_pixels=int(self._bench.settings.max_megapixels * 1e6)),
         )
 
@@ -183,9 +178,6 @@ class Walk:
             return None
         finally:
             path.unlink(missing_ok=True)
-
-    def _files(self) -> dict[str, FileRef]:
-        return {name: file for result in self._results for name, file in result.outputs.items()}
 
     def _whole(self, stage: str, share: float) -> float:
         """How far the job is, where this stage is at `share`."""

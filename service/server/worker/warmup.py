@@ -24,7 +24,7 @@ from service.processes.priority import give_way
 from service.processes.python_path import python_path
 
 if TYPE_CHECKING:
-    from service.job.spec.model import JobSpec
+    from service.job.spec.resolved import ResolvedJob
 
 _PROGRAMS = "programs"
 _SIDE_MM, _VERTICES, _RISE_MM = 8, 33, 0.3
@@ -95,7 +95,7 @@ def _light(folder: Path) -> None:
     from service.progress import QuietReporter
 
     _put_dome(folder / "dome")
-    caustic(folder / "dome", _spec(), reporter=QuietReporter())
+    caustic(folder / "dome", _job(), reporter=QuietReporter())
 
 
 def _all_but_programs(folder: Path) -> None:
@@ -103,16 +103,15 @@ def _all_but_programs(folder: Path) -> None:
 
     from machines.preflight.limits import limits_of
     from service.job.pipeline import design
-    from service.job.spec.resolve import machine_of
     from service.milling.preflight_child import examine
     from service.progress import QuietReporter
 
     _light(folder)
     picture, program = folder / "wedge.png", folder / "cut.nc"
     Image.linear_gradient("L").resize((64, 64)).save(picture)
-    design(picture, folder / "lens", _spec(), reporter=QuietReporter())
+    design(picture, folder / "lens", _job(), reporter=QuietReporter())
     program.write_text(_PROGRAM, encoding="ascii")
-    examine(program, limits_of(machine_of(_spec())), lambda _: None)
+    examine(program, limits_of(_job().machine), lambda _: None)
 
 
 def _programs(folder: Path) -> None:
@@ -120,7 +119,7 @@ def _programs(folder: Path) -> None:
     from service.progress import QuietReporter
 
     _put_dome(folder / "dome")
-    cam(folder / "dome", _spec(), reporter=QuietReporter())
+    cam(folder / "dome", _job(), reporter=QuietReporter())
 
 
 def _put_dome(folder: Path) -> None:
@@ -139,10 +138,10 @@ def _put_dome(folder: Path) -> None:
     (folder / MAP).write_bytes(target_bytes(np.ones((_VERTICES - 1, _VERTICES - 1))))
 
 
-def _spec() -> JobSpec:
-    from service.job.spec.loading import resolve_spec
+def _job() -> ResolvedJob:
+    from service.job.spec.loading import resolve_job
 
-    return resolve_spec(preset="draft", overrides=_SMALL)
+    return resolve_job(preset="draft", overrides=_SMALL)
 
 
 _PARTS = {LENSES: _light, JOBS: _all_but_programs, _PROGRAMS: _programs}

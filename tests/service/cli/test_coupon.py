@@ -9,9 +9,8 @@ import pytest
 
 from optics.finish import Finish
 from service.cli.main import run
-from service.job.coupon.piece import coupon_spec, sheet_lines
+from service.job.coupon.piece import coupon_job, sheet_lines
 from service.job.files import COUPON_FILES, COUPON_FIT_FILES
-from service.job.spec.resolve import machine_of
 from tests.service.job.coupon.wall import photograph
 
 
@@ -39,9 +38,9 @@ def test_bad_input_is_one_line_and_exit_code_2(
 
 def test_the_sheet_names_programs_minutes_and_sizes() -> None:
     """All that a person needs beside the mill stands in it, in lines of at most 100 characters."""
-    spec = coupon_spec(machine=None, throw_mm=25.0, file=None, overrides=[])
+    job = coupon_job(machine=None, throw_mm=25.0, file=None, overrides=[])
     rows = [{"file": "pass-1-rough.nc", "time_s": 120.0}, {"file": "pass-2-finish.nc", "time_s": 600.0}]
-    lines = list(sheet_lines(spec, {"passes": rows}))
+    lines = list(sheet_lines(job, {"passes": rows}))
     text = " ".join(" ".join(lines).split())
     assert max(map(len, lines)) <= 100
     for word in (
@@ -50,7 +49,7 @@ def test_the_sheet_names_programs_minutes_and_sizes() -> None:
         "56 x 36 mm",
         "25 mm",
         "R 1",
-        machine_of(spec).name,
+        job.machine.name,
     ):
         assert word in text
 

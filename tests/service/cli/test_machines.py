@@ -11,8 +11,7 @@ from cam.reading.gcode import LANGUAGES
 from machines.profiles import DIALECTS, profile_names
 from service.cli.machines import list_machines, run_machines
 from service.errors import InputError, SpecError
-from service.job.spec.loading import resolve_spec
-from service.job.spec.resolve import machine_of
+from service.job.spec.loading import resolve_job
 
 
 @pytest.fixture
@@ -60,10 +59,10 @@ def test_check_says_whether_the_port_is_there(own: Path) -> None:
 def test_a_job_finds_a_profile_of_ones_own_and_says_what_is_wrong_with_it(own: Path) -> None:
     file = own / "bench.toml"
     file.write_text('extends = "grbl"\nsafe_z_mm = 4\n')
-    assert machine_of(resolve_spec(base={"machine": {"profile": "bench"}})).safe_z_mm == 4
+    assert resolve_job(base={"machine": {"profile": "bench"}}).machine.safe_z_mm == 4
     file.write_text('extends = "grbl"\nsafe_z_mm = "high"\n')
     with pytest.raises(SpecError, match=r"machine\.profile: 'bench' cannot be used: .*safe_z_mm = 'high'"):
-        resolve_spec(base={"machine": {"profile": "bench"}})
+        resolve_job(base={"machine": {"profile": "bench"}})
 
 
 def test_programs_can_be_written_and_read_for_every_dialect_a_profile_may_have() -> None:
@@ -77,8 +76,8 @@ def test_programs_can_be_written_and_read_for_every_dialect_a_profile_may_have()
 
 def test_a_job_takes_a_machine_of_ones_own_and_says_what_is_wrong_with_it(own: Path) -> None:
     (own / "bench.toml").write_text('extends = "grbl-3018"\ntravel_mm = [280, 175, 40]\n')
-    machine = machine_of(resolve_spec(overrides=["machine.profile=bench", "machine.safe_z_mm=4"]))
+    machine = resolve_job(overrides=["machine.profile=bench", "machine.safe_z_mm=4"]).machine
     assert (machine.name, machine.travel_mm, machine.safe_z_mm) == ("bench", (280, 175, 40), 4)
     (own / "bench.toml").write_text("travel_mm = [-1, 2, 3]\n")
     with pytest.raises(SpecError, match=r"machine\.profile: 'bench' cannot be used: .*bench\.toml: travel_mm"):
-        resolve_spec(overrides=["machine.profile=bench"])
+        resolve_job(overrides=["machine.profile=bench"])

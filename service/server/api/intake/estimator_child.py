@@ -1,8 +1,8 @@
 """The process that estimates jobs. One JSON line in, one out.
 
-In: {"path", "name", "max_pixels", "spec", "exactly"}. Out: {"estimate": {...}}, {"refused": [lines], "kind"} or
-{"fault": text}; first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody reads, which
-compiles whatever is not compiled yet; the mark of `kernel_cache` says for good that it was made.
+In: {"path", "name", "max_pixels", "spec", "figures", "exactly"}. Out: {"estimate": {...}}, {"refused": [lines],
+"kind"} or {"fault": text}; first of all {"ready": true}. In {"prepare": true, "max_pixels"}: an estimate that nobody
+reads, which compiles whatever is not compiled yet; the mark of `kernel_cache` says for good that it was made.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from PIL import Image  # noqa: E402
 
 from service.job.picture.limits import PictureLimits  # noqa: E402
 from service.job.planning.estimate import estimate  # noqa: E402
-from service.job.spec.loading import resolve_spec, validate_spec  # noqa: E402
+from service.job.spec.loading import resolve_job, restore_job  # noqa: E402
 from service.processes.line_worker import answer_lines, answer_or_refuse  # noqa: E402
 
 _BESIDE_BYTES = 4_000_000_000  # kernels, arrays of a lens of 1000 vertices, threads
@@ -44,8 +44,8 @@ def _estimate(asked: dict[str, Any]) -> dict[str, Any]:
     limits = PictureLimits(max_pixels=asked["max_pixels"])
     if "prepare" in asked:
         return _prepare(limits)
-    spec, path, exactly = validate_spec(asked["spec"]), Path(asked["path"]), asked["exactly"]
-    return {"estimate": estimate(spec, path, limits=limits, name=asked["name"], exactly=exactly)}
+    job, path, exactly = restore_job(asked["spec"], asked["figures"]), Path(asked["path"]), asked["exactly"]
+    return {"estimate": estimate(job, path, limits=limits, name=asked["name"], exactly=exactly)}
 
 
 def _prepare(limits: PictureLimits) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def _prepare(limits: PictureLimits) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "wedge.png"
         Image.linear_gradient("L").save(path)
-        estimate(resolve_spec(preset="recommended"), path, limits=limits, name=path.name)
+        estimate(resolve_job(preset="recommended"), path, limits=limits, name=path.name)
     with contextlib.suppress(OSError):
         ready_mark(ESTIMATES).touch()
     return {"estimate": {}}

@@ -9,7 +9,8 @@ from typing import Any
 
 from service.errors import SpecError
 from service.http.problems import Kind, Problem
-from service.job.spec.loading import resolve_spec
+from service.job.spec.loading import resolve_job
+from service.job.spec.resolved import ResolvedJob
 from service.server.api.access.scopes import Principal
 from service.server.api.intake.form import JobForm
 from service.server.database.records import NORMAL, PRIORITIES, ClientKey
@@ -20,20 +21,23 @@ _MOST_VALUES = 20_000  # a measured light has 128 x 128, all the rest of a spec 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobRequest:
-    """What a caller asks for; sha256 stands for all of it but the picture's file name."""
+    """What a caller asks for, with the figures behind the names in it; sha256 stands for all that the caller gave but
+    the picture's file name."""
 
     spec: dict[str, Any]
+    figures: str
     priority: int
     sha256: str
 
 
 def job_request(form: JobForm) -> JobRequest:
     """SpecError or Problem for what cannot be used."""
-    spec = _resolve(bytes(form.texts.get("spec", b"")))
+    job = _resolve(bytes(form.texts.get("spec", b"")))
+    spec = job.spec.model_dump(mode="json")
     priority = _priority(form.texts.get("priority"))
     whole = [form.image_sha256, spec, priority]
     digest = hashlib.sha256(json.dumps(whole, sort_keys=True, separators=(",", ":")).encode())
-    return JobRequest(spec=spec, priority=priority, sha256=digest.hexdigest())
+    return JobRequest(spec=spec, figures=job.figures.to_text(), priority=priority, sha256=digest.hexdigest())
 
 
 def idempotency_key(header: str | None, principal: Principal) -> ClientKey | None:
@@ -46,10 +50,10 @@ def idempotency_key(header: str | None, principal: Principal) -> ClientKey | Non
     return ClientKey(principal.id, key)
 
 
-def _resolve(text: bytes) -> dict[str, Any]:
+def _resolve(text: bytes) -> ResolvedJob:
     data = _parse(text) if text.strip() else {}
     try:
-        return resolve_spec(base=data).model_dump(mode="json")
+        return resolve_job(base=data)
     except SpecError:
         raise
     except (TypeError, ValueError, KeyError, AttributeError, RecursionError, ArithmeticError) as error:

@@ -54,6 +54,7 @@ async def post_estimate(request: Request, principal: Writer, tab: Tab = "", exac
             "name": form.image_name,
             "max_pixels": int(settings.max_megapixels * 1e6),
             "spec": wanted.spec,
+            "figures": wanted.figures,
             "exactly": exactly,
         }
         caller = f"{principal.id or principal.name} {tab}"

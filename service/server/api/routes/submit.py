@@ -109,6 +109,7 @@ def _accept(
     new = NewJob(
         name=form.image_name,
         spec=wanted.spec,
+        figures=wanted.figures,
         image_sha256=stored.sha256,
         image_bytes=stored.bytes,
         created_by=caller,

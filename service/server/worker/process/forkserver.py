@@ -63,20 +63,22 @@ class _Nursery:
         self._later = [*getattr(importlib.import_module(entry.partition(":")[0]), "LATER", ())][::-1]
         self._stages: dict[int, _Stage] = {}  # by process id
         self._pid = os.getpid()
+        self._is_ending = False
+        self._wakers = socket.socketpair()  # held as long as signals may come
 
     def serve(self) -> None:
-        """Until the worker closes its end, or is gone."""
-        wake, woken = socket.socketpair()
-        for end in (wake, woken):
+        """Until the worker closes its end, is gone, or a SIGTERM has come."""
+        wake, woken = self._wakers
+        for end in self._wakers:
             end.setblocking(False)
         signal.set_wakeup_fd(woken.fileno(), warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
-        signal.signal(signal.SIGTERM, lambda *_: self.end())
+        signal.signal(signal.SIGTERM, self._on_sigterm)
         self._tell({"ready": True})
         poll = select.poll()
         poll.register(self._line, select.POLLIN)
         poll.register(wake, select.POLLIN)
-        while True:
+        while not self._is_ending:
             ready = {number for number, _ in poll.poll(self._patience_s() * 1000)}
             if not ready:
                 self._import_one_more()
@@ -88,10 +90,14 @@ class _Nursery:
             self._kill_the_silent()
             self._bury()
 
-    def end(self) -> NoReturn:
-        """Leave nobody behind."""
+    def _on_sigterm(self, *_: object) -> None:
+        """Only note it: whatever was interrupted, an import or the end itself, is not entered a second time."""
         if os.getpid() != self._pid:  # a child that was told to end before it had made itself at home
             os._exit(128 + signal.SIGTERM)
+        self._is_ending = True
+
+    def end(self) -> NoReturn:
+        """Leave nobody behind."""
         for stage in self._stages.values():
             signal_stage(stage.pid, signal.SIGKILL)
         until = time.monotonic() + _ENDING_S

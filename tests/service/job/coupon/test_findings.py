@@ -24,10 +24,10 @@ from service.job.coupon.findings import (
     snippet,
 )
 from service.job.coupon.photograph import Photo
-from service.job.coupon.piece import coupon_of, coupon_spec
+from service.job.coupon.piece import coupon_job, coupon_of
 from service.job.coupon.programs import TEMPLATES_RAD_PER_MM, ForetoldPiece
 from service.job.spec.loading import resolve_spec
-from service.job.spec.model import JobSpec
+from service.job.spec.resolved import ResolvedJob
 from tests.optics.coupon.pieces import smooth_piece
 from tests.optics.photographs import camera, photographed
 
@@ -37,9 +37,9 @@ TEMPLATE_PIXELS = (280, 480)
 
 
 @cache
-def spec() -> JobSpec:
+def job() -> ResolvedJob:
     """Of a mill whose ripples are those of the smooth piece."""
-    return coupon_spec(machine=None, throw_mm=None, file=None, overrides=["machine.step_mm=0.002"])
+    return coupon_job(machine=None, throw_mm=None, file=None, overrides=["machine.step_mm=0.002"])
 
 
 @cache
@@ -68,12 +68,12 @@ def photo(seen: Array, *, aside_deg: float = 0.0, turns: int = 0, stops: float =
 
 
 def measured(shot: Photo) -> CouponResult:
-    return measure_photo("wall.jpg", shot, foretold(), spec())
+    return measure_photo("wall.jpg", shot, foretold(), job())
 
 
 def test_the_spec_of_the_tests_is_that_of_the_smooth_piece() -> None:
     """Or every other test here compares two different pieces."""
-    assert coupon_of(spec()) == smooth_piece().coupon
+    assert coupon_of(job()) == smooth_piece().coupon
 
 
 @pytest.mark.parametrize(

@@ -11,15 +11,15 @@ from optics.finish import Finish
 from optics.irradiance import picture_from_irradiance
 from service.job.coupon.programs import mill_piece, predict_light
 from service.job.picture.tone import linear_to_srgb
-from service.job.spec.loading import load_stored_spec
+from service.job.spec.loading import load_stored_job
 from tests.optics.photographs import camera, photographed
 
 
 def photograph(folder: Path, finish: Finish, *, throw_mm: float) -> Image.Image:
     """From aside, a stop too dark, blurred by 2 pixels, of the piece as its mill cuts it and a person finishes it."""
-    spec = load_stored_spec(folder)
-    made = mill_piece(folder, spec, seed=12)
-    whole = predict_light(spec, made, [finish.transfer], throw_mm=throw_mm, pixels_per_mm=30)[0]
+    job = load_stored_job(folder)
+    made = mill_piece(folder, job, seed=12)
+    whole = predict_light(job, made, [finish.transfer], throw_mm=throw_mm, pixels_per_mm=30)[0]
     seen = picture_from_irradiance(whole, viewed_from="behind")
     place = camera(aside_deg=30.0, quarter_turns=1, aspect=48 / 28, shape=(1500, 2200), filling=0.75)
     metered = np.log2(0.18 * np.quantile(seen, 0.99) / 0.8)

@@ -5,12 +5,11 @@ from hypothesis import strategies as st
 
 from machines.profiles import load_profile
 from service.job.planning.changes import changes_of
-from service.job.spec.loading import resolve_spec
-from service.job.spec.model import JobSpec
-from service.job.spec.resolve import machine_of
+from service.job.spec.loading import resolve_job
+from service.job.spec.resolved import ResolvedJob
 
 specs = st.builds(
-    lambda preset, width_mm, throw_mm, hours, profile: resolve_spec(
+    lambda preset, width_mm, throw_mm, hours, profile: resolve_job(
         base={
             "preset": preset,
             "optics": {"width_mm": width_mm, "height_mm": width_mm, "throw_mm": throw_mm},
@@ -27,23 +26,23 @@ specs = st.builds(
 
 
 @given(specs)
-def test_each_change_is_a_job_with_those_values_and_is_not_offered_where_it_is_taken(spec: JobSpec) -> None:
-    for change in changes_of(spec, 1.234):
-        taken = change.apply_to(spec)
-        told = taken.model_dump()
+def test_each_change_is_a_job_with_those_values_and_is_not_offered_where_it_is_taken(job: ResolvedJob) -> None:
+    for change in changes_of(job, 1.234):
+        taken = change.apply_to(job)
+        told = taken.spec.model_dump()
         for key, value in change.values.items():
             table, _, name = key.rpartition(".")
             assert (told[table] if table else told)[name] == value
-        assert taken != spec
+        assert taken.spec != job.spec
         if set(change.values) & {"preset", "finish.process", "image.prepare"}:
             assert change.what not in [one.what for one in changes_of(taken, 1.234)]
 
 
 def test_the_finer_mill_is_the_most_exact_one() -> None:
-    offered = [one.values.get("machine.profile") for one in changes_of(resolve_spec(), 1.0)]
+    offered = [one.values.get("machine.profile") for one in changes_of(resolve_job(), 1.0)]
     (finer,) = [name for name in offered if name]
-    own, best = machine_of(resolve_spec()), load_profile(finer)
+    own, best = resolve_job().machine, load_profile(finer)
     assert best.z_noise_mm < own.z_noise_mm and best.step_mm < own.step_mm
     assert not [
-        one for one in changes_of(resolve_spec(base={"machine": {"profile": finer}}), 1.0) if "mill as" in one.what
+        one for one in changes_of(resolve_job(base={"machine": {"profile": finer}}), 1.0) if "mill as" in one.what
     ]

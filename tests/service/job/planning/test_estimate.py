@@ -23,6 +23,7 @@ from service.job.planning.planner import plan_for_picture
 from service.job.spec.lens_task import lens_settings
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
+from service.job.spec.resolved import look_up
 from tests.service.job.stages.jobs import run_job
 
 PICTURES = Path(__file__).parents[4] / "examples"
@@ -31,7 +32,7 @@ SMALL = ("optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=30", "ima
 
 def estimated(spec: JobSpec, picture: str = "camera", *, exactly: bool = False) -> dict[str, Any]:
     path = PICTURES / f"{picture}.png"
-    return estimate(spec, path, limits=PictureLimits(), name=path.name, exactly=exactly)
+    return estimate(look_up(spec), path, limits=PictureLimits(), name=path.name, exactly=exactly)
 
 
 def small(*values: str, preset: str = "draft") -> JobSpec:
@@ -59,7 +60,7 @@ def test_a_finish_is_estimated_as_the_job_plans_it() -> None:
     spec = resolve_spec(preset="recommended", overrides=values)
     found, exact = (estimated(spec, "camera", exactly=exactly) for exactly in (False, True))
     read = read_picture(PICTURES / "camera.png", spec.image, rows=256, aspect=1.0)
-    planned = plan_for_picture(spec, target_irradiance(read.linear, viewed_from="lens"))
+    planned = plan_for_picture(look_up(spec), target_irradiance(read.linear, viewed_from="lens"))
     assert planned.finishing is not None
     assert (found["exact"], exact["exact"]) == (False, True)
     for one, apart_db in ((found, 0.75), (exact, 1e-9)):
@@ -180,7 +181,7 @@ def test_a_small_picture_stays_as_it_is() -> None:
 @pytest.mark.thorough
 def test_nothing_of_the_answer_depends_on_the_pictures_place(tmp_path: Path) -> None:
     twin: Callable[[Path], dict[str, Any]] = lambda path: estimate(  # noqa: E731
-        small(), path, limits=PictureLimits(), name="picture"
+        look_up(small()), path, limits=PictureLimits(), name="picture"
     )
     (tmp_path / "copy").write_bytes((PICTURES / "logo.png").read_bytes())
     assert twin(tmp_path / "copy") == twin(PICTURES / "logo.png")

@@ -12,7 +12,7 @@ from service.job.planning import planner as planning
 from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import plan_for_picture
-from service.job.spec.loading import resolve_spec
+from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.resolve import with_plan
 
 SIZE = ("optics.width_mm=30", "optics.height_mm=30", "optics.throw_mm=60", "image.pixels=64")
@@ -26,8 +26,8 @@ def target_of(pixels: int) -> Array:
 
 
 def planned(*overrides: str, whole: Array | None = None) -> Planned:
-    spec = resolve_spec(preset="recommended", overrides=[*SIZE, *overrides])
-    return plan_for_picture(spec, target_of(64), whole=whole)
+    job = resolve_job(preset="recommended", overrides=[*SIZE, *overrides])
+    return plan_for_picture(job, target_of(64), whole=whole)
 
 
 @pytest.fixture(scope="module")

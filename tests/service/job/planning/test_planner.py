@@ -21,9 +21,10 @@ from service.job.planning.plan import Planned
 from service.job.planning.plan_report import plan_figures
 from service.job.planning.planner import mill_of, plan_for_picture
 from service.job.planning.sentences import reasons
-from service.job.spec.loading import resolve_spec
+from service.job.spec.loading import resolve_job, resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, with_plan
+from service.job.spec.resolved import look_up
 from service.job.stages.table import plan, shares, stage_key
 from tests.page import canned_job
 
@@ -52,7 +53,7 @@ def spec() -> JobSpec:
 
 @pytest.fixture(scope="module")
 def planned(spec: JobSpec) -> Planned:
-    return plan_for_picture(spec, target_irradiance(grey(), viewed_from="lens"))
+    return plan_for_picture(look_up(spec), target_irradiance(grey(), viewed_from="lens"))
 
 
 def report(planned: Planned) -> dict[str, Any]:
@@ -138,7 +139,7 @@ def test_what_the_person_decided_stays(planned: Planned) -> None:
     [((), True), (("machine.whole_steps=false",), False), (("machine.step_mm=0.0001",), False)],
 )
 def test_heights_are_in_whole_steps_where_these_are_coarse(given: tuple[str, ...], whole: bool) -> None:
-    assert mill_of(resolve_spec(preset="recommended", overrides=[*SIZE, *given])).whole_steps == whole
+    assert mill_of(resolve_job(preset="recommended", overrides=[*SIZE, *given])).whole_steps == whole
 
 
 def test_a_planned_job_is_the_same_after_any_restart(spec: JobSpec, planned: Planned) -> None:
@@ -148,7 +149,7 @@ def test_a_planned_job_is_the_same_after_any_restart(spec: JobSpec, planned: Pla
     assert plan(whole)[:upto] == plan(spec)[:upto]
     assert sum(shares(spec).values()) == pytest.approx(1.0)
     assert sum(shares(whole).values()) == pytest.approx(1.0)
-    keys = [stage_key("map", one, image_sha256="a", image_name="b", outputs={}) for one in (spec, whole)]
+    keys = [stage_key("map", look_up(one), image_sha256="a", image_name="b", outputs={}) for one in (spec, whole)]
     assert keys[0] != keys[1]
 
 
@@ -156,7 +157,7 @@ def test_wishes_of_the_plan_and_the_mill_are_in_its_key(
     spec: JobSpec, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     def key(*overrides: str) -> str:
-        one = resolve_spec(preset="recommended", overrides=[*SIZE, *overrides])
+        one = resolve_job(preset="recommended", overrides=[*SIZE, *overrides])
         return stage_key("passes", one, image_sha256="a", image_name="b", outputs={})
 
     found = [key(), key("plan.hours=3"), key("machine.z_noise_mm=0"), key("stock.margin_mm=5")]
@@ -225,8 +226,8 @@ def test_a_plan_of_a_picture_hard_to_recognise_says_what_shows_more(
     small = ("image.pixels=64", "optics.width_mm=20", "optics.height_mm=20", "optics.throw_mm=150")
 
     def seen_db(*values: str) -> float:
-        spec = resolve_spec(preset="recommended", overrides=(*small, *values))
-        return float(estimate(spec, ASTRONAUT, limits=OWN_PICTURE, name="astronaut")["psnr_db"])
+        job = resolve_job(preset="recommended", overrides=(*small, *values))
+        return float(estimate(job, ASTRONAUT, limits=OWN_PICTURE, name="astronaut")["psnr_db"])
 
     options = [word for text in small for word in ("--set", text)]
     assert run(["plan", str(ASTRONAUT), *options, "-o", str(tmp_path / "plan.png")]) == 0

@@ -29,6 +29,7 @@ from service.job.report.optics import sentences_of_preparation
 from service.job.report.setup_sheet import render_report
 from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
+from service.job.spec.resolved import look_up
 from tests.service.job.stages.jobs import save_picture, staged_job, tiny_spec
 
 DETAIL = "image.prepare=detail"
@@ -126,7 +127,7 @@ def test_a_job_keeps_both_pictures_and_scores_against_both(tmp_path: Path) -> No
 def test_estimates_and_plans_aim_at_the_prepared_picture_too(tmp_path: Path) -> None:
     picture = save_picture(tmp_path / "blob.png")
     keys = ([], [DETAIL, "image.prepare_detail_mm=0.5"])
-    found = [estimate(tiny_spec(*own), picture, limits=PictureLimits(), name="blob") for own in keys]
+    found = [estimate(look_up(tiny_spec(*own)), picture, limits=PictureLimits(), name="blob") for own in keys]
     assert found[0]["psnr_db"] != found[1]["psnr_db"]
     assert found[0]["relief_mm"] != found[1]["relief_mm"]
 

@@ -24,6 +24,7 @@ from service.job.spec.lens_task import bench_of
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of
+from service.job.spec.resolved import look_up
 from service.wording import ball
 
 SIDE, PIXELS = 20.0, 48
@@ -44,7 +45,7 @@ def lens(valley_mm: float) -> Heightfield:
 def planned(one: Heightfield, spec: JobSpec = SPEC) -> Planned:
     """For the light that the lens itself would show."""
     own = simulate_caustic(one, bench_of(spec), pixels=(PIXELS, PIXELS)).irradiance
-    return plan_for_lens(spec, one, own / own.mean())
+    return plan_for_lens(look_up(spec), one, own / own.mean())
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from service.job.report.finishing import make_finishing_card
 from service.job.report.setup_sheet import render_report
 from service.job.spec import finish_library as finishing
 from service.job.spec.finish_library import AREA_MM2, Process, instruct_finishing, load_processes, wavelength_mm
-from service.job.spec.loading import resolve_spec
+from service.job.spec.loading import resolve_job
 from service.job.stages.table import facts_of
 
 SHIPPED = load_processes(finishing.BUILT_IN)
@@ -149,7 +149,7 @@ def test_a_wave_of_that_length_keeps_that_share(share: float, k0_rad_per_mm: flo
 
 
 def told(process: str = "felt", **figures: Any) -> dict[str, Any]:
-    found = instruct_finishing({"process": process, **figures}, area_mm2=2500.0, processes=SHIPPED)
+    found = instruct_finishing({"process": process, **figures}, SHIPPED, area_mm2=2500.0)
     assert found is not None
     return found
 
@@ -162,12 +162,12 @@ def test_instructions_take_the_job_s_own_figures_and_the_rest_from_the_library()
     assert own["depth_um"] == pytest.approx(2 * usual["depth_um"])
     assert own["levelled_mm"] == pytest.approx(wavelength_mm(0.1, 2.0, 1.5))
     assert own["steps"] == list(SHIPPED["felt"].steps)
-    assert instruct_finishing({"process": "none"}, area_mm2=1.0, processes=SHIPPED) is None
-    assert instruct_finishing({}, area_mm2=1.0, processes=SHIPPED) is None
+    assert instruct_finishing({"process": "none"}, SHIPPED, area_mm2=1.0) is None
+    assert instruct_finishing({}, SHIPPED, area_mm2=1.0) is None
     assert (usual["pad_mm"], told(pad_mm=8.0)["pad_mm"]) == (10.0, 8.0)
     assert "pad_mm" not in told("lacquer") and "pad_mm" not in told("lacquer", pad_mm=5000.0)
     for name in SHIPPED:
-        json.dumps(instruct_finishing({"process": name}, area_mm2=900.0, processes=SHIPPED), allow_nan=False)
+        json.dumps(instruct_finishing({"process": name}, SHIPPED, area_mm2=900.0), allow_nan=False)
 
 
 @pytest.mark.parametrize("name", ["none", "magic"])
@@ -212,9 +212,9 @@ def test_what_the_sheet_says_is_made_anew_when_the_library_changes(
     facts = []
     for title in ("Buffing", "Buffing by night"):
         library(tmp_path, GOOD.replace("Buffing", title))
-        facts.append(facts_of(resolve_spec(overrides=["finish.process=buffing"]))["finish_process"])
+        facts.append(facts_of(resolve_job(overrides=["finish.process=buffing"]))["finish_process"])
     assert facts[0] != facts[1]
-    assert facts_of(resolve_spec())["finish_process"] is None
+    assert facts_of(resolve_job())["finish_process"] is None
 
 
 def test_a_finish_that_makes_it_worse_is_said_first() -> None:

@@ -12,7 +12,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from service.errors import SpecError
-from service.job.spec.loading import parse_override, require_same_lens, resolve_for_lens, resolve_spec, validate_spec
+from service.job.spec.loading import (
+    parse_override,
+    require_same_lens,
+    resolve_for_lens,
+    resolve_job,
+    resolve_spec,
+    validate_spec,
+)
 from service.job.spec.model import JobSpec
 
 BAD_VALUES = [
@@ -137,7 +144,7 @@ def test_the_lens_is_shaped_for_the_ball_that_finishes_it() -> None:
 
 def test_another_ball_for_an_earlier_lens_does_not_ask_for_another_lens(tmp_path: Path) -> None:
     stored(tmp_path)
-    assert resolve_for_lens(tmp_path, overrides=["passes.2.radius_mm=1"]).optics.min_radius_mm == 0.5
+    assert resolve_for_lens(tmp_path, overrides=["passes.2.radius_mm=1"]).spec.optics.min_radius_mm == 0.5
 
 
 def test_what_a_source_leaves_open_is_filled_in() -> None:
@@ -316,19 +323,19 @@ def test_another_mill_for_an_earlier_job_chooses_its_speeds_anew(tmp_path: Path)
     """24 000 rpm stand in spec.json as the first mill's start value; the second one turns 10 000 at most."""
     stored(tmp_path)
     other = ["machine.profile=grbl-3018"]
-    assert resolve_for_lens(tmp_path, overrides=other) == resolve_spec(overrides=other)
-    assert resolve_for_lens(tmp_path) == resolve_spec()
+    assert resolve_for_lens(tmp_path, overrides=other) == resolve_job(overrides=other)
+    assert resolve_for_lens(tmp_path) == resolve_job()
 
 
 def test_another_ball_for_an_earlier_job_chooses_its_feed_anew(tmp_path: Path) -> None:
     stored(tmp_path)
     other = ["passes.2.radius_mm=1.5"]
-    assert resolve_for_lens(tmp_path, overrides=other).passes[2] == resolve_spec(overrides=other).passes[2]
+    assert resolve_for_lens(tmp_path, overrides=other).spec.passes[2] == resolve_spec(overrides=other).passes[2]
 
 
 def test_speeds_that_a_person_chose_stay_with_the_job(tmp_path: Path) -> None:
     spec = stored(tmp_path, "passes.1.spindle_rpm=9000", "passes.2.feed_mm_per_min=123", "passes.0.step_down_mm=0.7")
-    again = resolve_for_lens(tmp_path)
+    again = resolve_for_lens(tmp_path).spec
     assert again == spec
     assert (again.passes[1].spindle_rpm, again.passes[2].feed_mm_per_min, again.passes[0].step_down_mm) == (
         9000, 123, 0.7,

@@ -13,6 +13,7 @@ from PIL import Image
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
+from service.job.spec.resolved import look_up
 from service.job.stages.order import FileRef, StageOrder, StageResult, merge_notes, merge_reports
 from service.job.stages.run import run_order
 from service.job.stages.table import plan, stage_key
@@ -60,6 +61,7 @@ class StagedJob:
             attempt=1,
             stage=stage,
             spec=self.spec.plain(),
+            figures=look_up(self.spec).figures.to_text(),
             image_sha256=self.image_sha256,
             image_name=self.image_name,
             scratch=str(self.scratch / f"job.1.{stage}"),
@@ -70,7 +72,7 @@ class StagedJob:
 
     def key(self, stage: str) -> str:
         return stage_key(
-            stage, self.spec, image_sha256=self.image_sha256, image_name=self.image_name, outputs=self.outputs
+            stage, look_up(self.spec), image_sha256=self.image_sha256, image_name=self.image_name, outputs=self.outputs
         )
 
     def run(self, stage: str) -> StageResult:

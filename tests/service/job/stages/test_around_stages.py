@@ -18,8 +18,9 @@ from service.job.files import is_program, programs_in_order
 from service.job.files import run_order as running_order
 from service.job.report.around import around_sentences
 from service.job.report.setup_sheet import render_report
-from service.job.spec.loading import resolve_spec
-from service.job.spec.resolve import cut_out_of, facing_task_of, machine_of, without_derived
+from service.job.spec.loading import resolve_job, resolve_spec
+from service.job.spec.resolve import cut_out_of, facing_task_of, without_derived
+from service.job.spec.resolved import look_up
 from service.job.stages.table import plan
 from tests.service.job.stages.jobs import StagedJob, staged_job, tiny_spec
 
@@ -65,9 +66,9 @@ def test_without_a_facing_the_first_pass_begins_so() -> None:
     from service.job.stages.programs import trace_of
 
     spec = tiny_spec("machine.trace_outline=true")
-    paths = trace_of(spec, machine_of(spec))
+    paths = trace_of(look_up(spec))
     at = np.concatenate([path.points_mm for path in paths])
-    assert (at[:, 2] == machine_of(spec).safe_z_mm).all()
+    assert (at[:, 2] == look_up(spec).machine.safe_z_mm).all()
     assert at[:, 0].min() == -1.5 and at[:, 0].max() == 4.5
 
 
@@ -176,7 +177,7 @@ def test_a_profile_may_say_so_and_a_job_may_say_otherwise(tmp_path: Path) -> Non
     profile = replace(load_profile("grbl"), coolant="air", warm_up_s=60.0, trace_outline=True)
 
     def machine(*values: str) -> Any:
-        return machine_of(resolve_spec(overrides=values, load=lambda name: profile), load=lambda name: profile)
+        return resolve_job(overrides=values, load=lambda name: profile).machine
 
     assert (machine().coolant, machine().warm_up_s, machine().trace_outline) == ("air", 60.0, True)
     quiet = machine("machine.coolant=none", "machine.warm_up_s=0", "machine.trace_outline=false")
@@ -200,10 +201,10 @@ def test_figures_left_out_follow_from_the_cutter_and_are_chosen_anew_for_another
     assert facing is not None and cut_out is not None
     assert facing.pitch_mm == 1.2 and facing.shape == "flat"
     assert cut_out.step_down_mm == 1.0 and cut_out.feed_mm_per_min > 0
-    asked = without_derived(spec)["stock"]
+    asked = without_derived(look_up(spec))["stock"]
     assert asked["face"] == {"above_mm": 0.5, "radius_mm": 1.0, "tool": "flat"}
     again = resolve_spec(
-        base={**without_derived(spec), "stock": {**asked, "face": {**asked["face"], "radius_mm": 3.0}}}
+        base={**without_derived(look_up(spec)), "stock": {**asked, "face": {**asked["face"], "radius_mm": 3.0}}}
     )
     assert again.stock.face is not None and again.stock.face.pitch_mm == 3.6
 
@@ -214,7 +215,7 @@ def test_an_estimate_counts_them(tmp_path: Path) -> None:
     from tests.service.job.stages.jobs import save_picture
 
     picture = save_picture(tmp_path / "blob.png")
-    told = estimate(tiny_spec(*AROUND), picture, limits=OWN_PICTURE, name="blob.png")
+    told = estimate(look_up(tiny_spec(*AROUND)), picture, limits=OWN_PICTURE, name="blob.png")
     assert [row["name"] for row in told["passes"]] == ["face", "rough", "finish", "cut-out"]
     assert told["hours"] == pytest.approx(sum(row["hours"] for row in told["passes"]))
     json.dumps(told)

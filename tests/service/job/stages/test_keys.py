@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
+from service.job.spec.resolved import look_up
 from service.job.stages.order import FileRef, StageResult
 from service.job.stages.run import run_order
 from service.job.stages.source_state import modules_used, state_of_sources
@@ -41,7 +42,10 @@ def own_keys(
 
 def keys_of(spec: JobSpec, *, image: str = "a", name: str = "a.png", files: Iterable[str] = ()) -> dict[str, str]:
     outputs = {file: FileRef(f"{file} {file in set(files)}", 1) for file in FILES}
-    return {stage: stage_key(stage, spec, image_sha256=image, image_name=name, outputs=outputs) for stage in plan(spec)}
+    return {
+        stage: stage_key(stage, look_up(spec), image_sha256=image, image_name=name, outputs=outputs)
+        for stage in plan(spec)
+    }
 
 
 BEFORE = own_keys()
@@ -176,16 +180,17 @@ def test_a_further_pass_leaves_those_before_the_last_alone() -> None:
     short = resolve_spec(base={**BASE, "passes": [BASE["passes"][0], BASE["passes"][0], BASE["passes"][1]]})
     outputs = {file: FileRef(file, 1) for file in FILES}
     keys = {
-        stage: stage_key(stage, short, image_sha256="a", image_name="a.png", outputs=outputs) for stage in plan(short)
+        stage: stage_key(stage, look_up(short), image_sha256="a", image_name="a.png", outputs=outputs)
+        for stage in plan(short)
     }
     for stage in ("image", "irradiance", "map", "heightfield", "caustic"):
-        unchanged = stage_key(stage, spec_with(), image_sha256="a", image_name="a.png", outputs=outputs)
+        unchanged = stage_key(stage, look_up(spec_with()), image_sha256="a", image_name="a.png", outputs=outputs)
         assert keys[stage] == unchanged
 
 
 @given(st.sets(st.sampled_from(KEYS)))
 def test_a_key_changes_exactly_with_the_declared_part_of_the_spec(keys: set[str]) -> None:
-    before, after = facts_of(spec_with()), facts_of(spec_with(*keys))
+    before, after = facts_of(look_up(spec_with())), facts_of(look_up(spec_with(*keys)))
     expected = {stage for stage in STAGES if any(part_of(before, k) != part_of(after, k) for k in stage_of(stage).spec)}
     assert changes(changed=keys) == expected
 
@@ -222,7 +227,7 @@ def undeclared(job: StagedJob, stage: str) -> list[str]:
 
 
 def part_values(stage: str, keys: Iterable[str]) -> list[Any]:
-    facts = facts_of(spec_with(*keys))
+    facts = facts_of(look_up(spec_with(*keys)))
     return [part_of(facts, key) for key in stage_of(stage).spec]
 
 
@@ -247,7 +252,7 @@ def test_what_a_stage_does_not_declare_does_not_show_in_what_it_makes(job: Stage
     result = run_order(order, job.store, lambda share: None)
     assert hashes(result.outputs) == hashes(job.results[stage].outputs), others
     assert _said(result) == _said(job.results[stage]), others
-    key = stage_key(stage, spec_with(*others), image_sha256=job.image_sha256, image_name="x", outputs=inputs)
+    key = stage_key(stage, look_up(spec_with(*others)), image_sha256=job.image_sha256, image_name="x", outputs=inputs)
     assert key == job.keys[stage]
 
 
@@ -314,9 +319,9 @@ def test_planning_needs_no_arrays() -> None:
     """The API and the worker plan; they must stay small."""
     code = (
         "import sys, service.job.stages.table, service.job.stages.order\n"
-        "from service.job.spec.loading import resolve_spec\n"
+        "from service.job.spec.loading import resolve_job\n"
         "from service.job.stages.table import plan, stage_key\n"
-        "stage_key('image', resolve_spec(), image_sha256='a', image_name='b', outputs={})\n"
+        "stage_key('image', resolve_job(), image_sha256='a', image_name='b', outputs={})\n"
         "print(*({'numpy', 'numba', 'scipy', 'PIL', 'matplotlib', 'trimesh', 'rich'} & set(sys.modules)))"
     )
     root = Path(__file__).parents[4]

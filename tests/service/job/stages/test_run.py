@@ -174,8 +174,8 @@ REFS = st.builds(FileRef, NAMES, st.integers(0))
 @given(st.dictionaries(NAMES, REFS), st.dictionaries(NAMES, st.lists(NAMES)), st.integers(1))
 def test_orders_and_results_survive_json(files: dict[str, FileRef], notes: dict[str, list[str]], number: int) -> None:
     order = StageOrder(
-        job_id="j", attempt=number, stage="map", spec={"a": [1.5, None]}, image_sha256="0", image_name="ä",
-        scratch="/s", inputs=files, report={"optics": {"history": []}}, notes=notes,
+        job_id="j", attempt=number, stage="map", spec={"a": [1.5, None]}, figures="{}", image_sha256="0",
+        image_name="ä", scratch="/s", inputs=files, report={"optics": {"history": []}}, notes=notes,
         limits=PictureLimits(max_pixels=number),
     )  # fmt: skip
     result = StageResult(outputs=files, report={}, notes=notes, seconds=0.5, peak_rss_mb=1.0)

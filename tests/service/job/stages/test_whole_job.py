@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from service.job import pipeline
+from service.job.spec.resolved import look_up
 from service.job.stages.order import merge_notes, merge_reports
 from service.job.stages.table import plan
 from service.progress import QuietReporter
@@ -29,7 +30,7 @@ def job(tmp_path_factory: pytest.TempPathFactory) -> StagedJob:
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("made")
     picture = save_picture(folder / "blob.png")
-    pipeline.make(picture, folder / "out", tiny_spec(CORRECTED, preset="paper"), reporter=QuietReporter())
+    pipeline.make(picture, folder / "out", look_up(tiny_spec(CORRECTED, preset="paper")), reporter=QuietReporter())
     return folder / "out"
 
 

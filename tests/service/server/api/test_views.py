@@ -13,9 +13,9 @@ BALL = {"radius_mm": 3.0, "pitch_mm": 0.2}
 def job(report: dict[str, object] | None) -> Job:
     spec = resolve_spec(preset="recommended").plain()
     return Job(
-        id="a" * 26, name="a", state=JobState.RUNNING, priority=0, spec=spec, image_sha256="b" * 64, image_bytes=1,
-        created_by="c", created_at=0.0, queued_at=0.0, started_at=0.0, ended_at=None, stage=None, progress=0.0,
-        error=None, report=report, cancel_requested=False, attempt=1, owner=None, fence=1, version=1,
+        id="a" * 26, name="a", state=JobState.RUNNING, priority=0, spec=spec, figures=None, image_sha256="b" * 64,
+        image_bytes=1, created_by="c", created_at=0.0, queued_at=0.0, started_at=0.0, ended_at=None, stage=None,
+        progress=0.0, error=None, report=report, cancel_requested=False, attempt=1, owner=None, fence=1, version=1,
     )  # fmt: skip
 
 

@@ -1,0 +1,123 @@
+"""A job as it is carried out: its spec, and the figures of mill, tools and finishing processes it was submitted with.
+
+They are looked up once, when a job is submitted, and go with it from then on: whoever works on it later may have other
+files under the same names, or a later version of them.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from typing import Any, cast
+
+from pydantic import TypeAdapter, ValidationError
+
+from cam.posts.setup import Coolant, HighPrecision, ProgramSetup, find_unsupported
+from cam.tools import Tool
+from machines.profiles import MachineProfile, ProfileError, UnknownProfileError, load_profile
+from service.errors import FailedError, SpecError
+from service.job.spec.finish import find_processes
+from service.job.spec.finish_library import Process
+from service.job.spec.model import JobSpec
+from service.job.spec.tools import load_tools
+
+LoadProfile = Callable[[str], MachineProfile]
+_PROFILE_KEYS = {
+    "travel_mm", "max_rate_mm_per_min", "acceleration_mm_per_s2", "step_mm", "z_noise_mm", "junction_deviation_mm",
+    "planner_blocks", "lines_per_s", "safe_z_mm", "spindle_rpm", "whole_steps", "most_program_mb", "most_program_hours",
+    "coolant", "blend_tolerance_mm", "high_precision", "warm_up_s", "trace_outline",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Figures:
+    """What stood in the files that a spec names.
+
+    profile   : of the mill
+    tools     : of the shop, where the passes are planned; else none
+    processes : of finishing, by name, that the job may come to use
+    """
+
+    profile: MachineProfile
+    tools: tuple[Tool, ...] = ()
+    processes: Mapping[str, Process]
+
+    def to_text(self) -> str:
+        """JSON, with Infinity where a figure is that."""
+        return json.dumps(asdict(self), separators=(",", ":"))
+
+    @classmethod
+    def from_text(cls, text: str) -> Figures:
+        """FailedError where another version has written it."""
+        try:
+            return _FIGURES.validate_python(json.loads(text))
+        except ValidationError as error:
+            place = ".".join(map(str, error.errors()[0]["loc"]))
+            raise FailedError(
+                f"the figures kept with this job are of another version ({place}): submit it again"
+            ) from None
+
+
+_FIGURES = TypeAdapter(Figures)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResolvedJob:
+    """A spec without gaps, and the figures behind the names in it."""
+
+    spec: JobSpec
+    figures: Figures
+
+    @cached_property
+    def machine(self) -> MachineProfile:
+        """The mill's profile with the job's own figures in place of its; SpecError where its control cannot do that."""
+        spec, own = self.spec, dict[str, Any]()
+        for key in _PROFILE_KEYS:
+            value = getattr(spec.machine, key)
+            if value is not None:
+                own[key] = tuple(value) if isinstance(value, list) else value
+        if spec.finish.finishes and spec.machine.whole_steps is None:
+            own["whole_steps"] = True  # a finish takes off errors that alternate from row to row, not the control's
+        machine = replace(self.figures.profile, **own)
+        unsupported = find_unsupported(machine.dialect, setup_of(machine))
+        if problems := [
+            (f"machine.{key}", f"{value} is not allowed; allowed: {allowed}") for key, value, allowed in unsupported
+        ]:
+            raise SpecError(problems)
+        return machine
+
+    def with_spec(self, spec: JobSpec) -> ResolvedJob:
+        """The same figures for another spec that names the same mill, tools and processes."""
+        return replace(self, spec=spec)
+
+
+def look_up(spec: JobSpec, load: LoadProfile = load_profile) -> ResolvedJob:
+    """The job of a spec with the figures that the files of this computer give now.
+
+    load : reads a mill's profile
+    SpecError names what the spec names and is not there; InputError what is wrong in a file of tools or processes.
+    """
+    try:
+        profile = load(spec.machine.profile)
+    except UnknownProfileError as error:
+        allowed = ", ".join(f"'{name}'" for name in error.known)
+        raise SpecError([("machine.profile", f"'{error.name}' is not known; allowed: {allowed}")]) from None
+    except ProfileError as error:
+        raise SpecError([("machine.profile", f"'{spec.machine.profile}' cannot be used: {error}")]) from None
+    tools = load_tools() if spec.to_be_planned else ()
+    return ResolvedJob(
+        spec=spec, figures=Figures(profile=profile, tools=tools, processes=find_processes(spec.finish.process))
+    )
+
+
+def setup_of(machine: MachineProfile) -> ProgramSetup:
+    """What programs for this mill switch on before they cut, and off afterwards."""
+    return ProgramSetup(
+        coolant=cast(Coolant, machine.coolant),
+        blend_tolerance_mm=machine.blend_tolerance_mm,
+        high_precision=cast(HighPrecision, machine.high_precision),
+        warm_up_s=machine.warm_up_s,
+        slowest_rpm=machine.spindle_rpm[0],
+    )
