@@ -1,4 +1,4 @@
-"""The link of a mill: opened again with growing patience, and what was asked for while it was away.
+"""The link of a mill: opened again with growing patience, what was asked for while it was away, what was told on it.
 
 Opening a link sends questions and, before them, a hold or an abort that somebody asked for in the meantime: never
 anything that can start motion.
@@ -6,15 +6,41 @@ anything that can start motion.
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 
-from machines.driver import Driver, MillState, MillStatus
+from machines.driver import Driver, MillState, MillStatus, StreamProgress
 from machines.errors import MachineError
+from machines.grbl.settings import ControllerSettings
 
 BACK_OFF_S = (0.2, 0.5, 1.0, 2.0, 5.0)
 AWAY = frozenset({MillState.DISCONNECTED, MillState.CONNECTING})
 NO_MILL = MillStatus()
+
+
+@dataclass(slots=True)
+class Setup:
+    """What is known of the mill's set-up since the link is there.
+
+    zeroed       : axes whose work zero was set, as far as the position is still trusted
+    homed        : a homing cycle was carried out, and the position was not lost since
+    parser_state : the controller's modes ($G) as told last
+    """
+
+    zeroed: str = ""
+    homed: bool = False
+    parser_state: str | None = None
+
+    def forget_place(self) -> None:
+        self.zeroed, self.homed = "", False
+
+    def digest(self, status: MillStatus, needs: tuple[str, ...]) -> str:
+        """Return a digest of what a start rests on, to tell whether a person has seen the mill as it is."""
+        offset = None if status.work_offset_mm is None else [round(one, 3) for one in status.work_offset_mm]
+        rests_on = (offset, self.zeroed, self.homed, status.position_trusted, status.epoch, needs)
+        return hashlib.sha256(repr(rests_on).encode()).hexdigest()[:16]
 
 
 class MillLink:
@@ -37,10 +63,15 @@ class MillLink:
         self.driver: Driver | None = None
         self.problem = ""
         self.latched = ""
+        self.setup = Setup()
 
     @property
     def status(self) -> MillStatus:
         return self.driver.status if self.driver is not None else NO_MILL
+
+    @property
+    def progress(self) -> StreamProgress:
+        return self.driver.progress if self.driver is not None else StreamProgress()
 
     @property
     def away(self) -> bool:
@@ -94,15 +125,21 @@ class MillLink:
                 self._say("command", f"{what}: waits for the link")
             self.latched = "abort" if "abort" in (what, self.latched) else what
 
+    def hold_unasked(self) -> None:
+        """Hold on our own account; a driver that refuses is told of, not raised."""
+        try:
+            self.order("hold")
+        except MachineError as error:
+            self._say("fault", f"hold: {error}")
+
     def seen(self) -> None:
         """The mill was heard: what was latched has been carried out."""
         self._tries, self.problem, self.latched = 0, "", ""
 
     def drop(self, words: str) -> None:
         """The link is lost, or given up."""
-        driver, self.driver = self.driver, None
-        if driver is not None:
-            driver.close()
+        self.setup = Setup()
+        self.close()
         self._fail(words)
 
     def _fail(self, words: str) -> None:
@@ -116,3 +153,9 @@ class MillLink:
         driver, self.driver = self.driver, None
         if driver is not None:
             driver.close()
+
+
+def get_settings(driver: Driver | None) -> ControllerSettings | None:
+    """Return what the controller has told of its settings; None where the link does not tell."""
+    settings = getattr(driver, "settings", None)
+    return settings if isinstance(settings, ControllerSettings) else None

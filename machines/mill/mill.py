@@ -4,34 +4,108 @@ Nothing here moves the mill by itself. A lost link is opened again with growing 
 unasked are questions and a hold or an abort that somebody had asked for while the link was away. Every start and every
 recovery needs a person's confirmation.
 
-The parts, each on top of the one before: mill_core (what is known), mill_following (the run follows the mill),
-mill_events (what a driver reports), mill_starting (start and recover); here are the controls and the end.
+The parts: `link` and `run_store` hold what there is, `run_control` the run that is streamed, `unattended` the runs
+whose mill went on alone; `commands` sends what is asked for beside a run, `cycle` reads the driver, `starting` starts
+and recovers; `view` has what they share, log and snapshot. `Mill` puts them together and carries out orders.
 """
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeVar
 
-from machines.driver import Command, Jog, JogCancel, MillState, Override, ReadSettings
-from machines.errors import JournalError, MachineError, NotAllowedError
-from machines.mill.orders import NOBODY, Caller, Stop
-from machines.mill.run import Run
-from machines.mill.starting import MillStarting
-from machines.mill.view import LogEntry, MillSnapshot
-from machines.runs import RunState
-
-__all__ = ["LogEntry", "Mill", "MillSnapshot"]
+from machines.driver import Command, Driver, JogCancel, MillState, MillStatus
+from machines.errors import MachineError, NotAllowedError
+from machines.journal.journal import Journal
+from machines.mill.commands import Commands
+from machines.mill.cycle import MillCycle
+from machines.mill.link import MillLink
+from machines.mill.orders import Caller, Order, OrderGate, Stop
+from machines.mill.run_control import RunControl
+from machines.mill.run_store import RunStore
+from machines.mill.starting import RecoveryPlanner, RunStarter
+from machines.mill.unattended import UnattendedRuns
+from machines.mill.view import MillContext, MillLog, MillSnapshot, SnapshotPublisher
+from machines.preflight.preflight import Preflight
+from machines.recovery.planning import RecoveryPlan, Reentry
+from machines.runs import Confirmation, RunView
 
 T = TypeVar("T")
 
 _MOVES = frozenset({MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING})
-_QUIET = frozenset({MillState.IDLE, MillState.ALARM, MillState.CHECK, MillState.SLEEP})
-_MOVES_NOTHING = (ReadSettings, Override, JogCancel)
 
 
-class Mill(MillStarting):
+class Mill:
     """One mill and the folder its runs live in."""
+
+    def __init__(
+        self,
+        *,
+        name: str,
+        connect: Callable[[], Driver],
+        folder: Path,
+        clock: Callable[[], float] = time.monotonic,
+        wall_clock: Callable[[], float] = time.time,
+        reentry: Reentry | None = None,
+        open_journal: Callable[[Path], Journal] = Journal,
+        pause: Callable[[float], object] | None = None,
+        orders: OrderGate | None = None,
+    ) -> None:
+        self.name = name
+        self.orders = orders or OrderGate(wall_clock=wall_clock)
+        self._order = Order()
+        self._closed = False
+        self._log = MillLog(wall_clock)
+        self._link = MillLink(connect, clock, pause, self._log.say)
+        self._runs = RunStore(folder, wall_clock, open_journal, self._log.say)
+        context = MillContext(
+            link=self._link, runs=self._runs, log=self._log, orders=self.orders, clock=clock, wall_clock=wall_clock
+        )
+        self._publisher = SnapshotPublisher(name, context)
+        unattended = UnattendedRuns(context)
+        self._control = RunControl(context)
+        self._commands = Commands(context, unattended)
+        self._cycle = MillCycle(context, self._control, self._commands, unattended, self.publish)
+        self._planner = RecoveryPlanner(context, self._cycle, reentry or Reentry())
+        self._starter = RunStarter(context, self._cycle, self._control, unattended, self._planner)
+        self.publish()
+
+    @property
+    def snapshot(self) -> MillSnapshot:
+        return self._publisher.snapshot
+
+    @property
+    def runs(self) -> tuple[RunView, ...]:
+        """All runs, newest first."""
+        return self._runs.views()
+
+    def run(self, run_id: str) -> RunView:
+        return self._runs.get(run_id).view
+
+    @property
+    def status(self) -> MillStatus:
+        return self._link.status
+
+    def publish(self) -> None:
+        """Renew the snapshot."""
+        self._publisher.publish()
+
+    def step(self, timeout_s: float) -> None:
+        """Read, decide, write; wait at most `timeout_s`."""
+        self._cycle.step(timeout_s)
+
+    def wake(self) -> None:
+        """End a waiting `step` (from any thread)."""
+        self._link.wake()
+
+    def urge(self, stop: str) -> bool:
+        """Write the byte that stops motion to the link at once, from any thread; whether there is one and it left."""
+        driver = self._link.driver
+        return driver is not None and driver.urge(stop)
+
+    # ------------------------------------------------------------------ orders
 
     def carry_out(self, doing: str, act: Callable[[Mill], T], caller: Caller, *, needs_lease: bool = False) -> T:
         """Carry out an order under the caller's grant; the log says whose it was and what came of it.
@@ -39,114 +113,97 @@ class Mill(MillStarting):
         The grant is looked at now, and again when nothing but the wire is left. OrderRefusedError, or that of `act`.
         """
         try:
-            self._permit = self.orders.redeem(caller.grant, doing, needs_lease=needs_lease)
-            self._caller = caller
+            self._order = Order(caller, self.orders.redeem(caller.grant, doing, needs_lease=needs_lease))
             answer = act(self)
         except MachineError as error:
-            self._say("order", f"{doing}: refused: {error}", caller=caller)
-            self._publish()
+            self._log.say("order", f"{doing}: refused: {error}", caller=caller)
+            self.publish()
             raise
         finally:
-            self._permit, self._caller = None, NOBODY
-        self._say("order", f"{doing}: taken", caller=caller)
-        self._publish()
+            self._order = Order()
+        self._log.say("order", f"{doing}: taken", caller=caller)
+        self.publish()
         return answer
+
+    def park(self, program: Preflight, path: Path, name: str) -> RunView:
+        """A run that waits for its start. Nothing is sent."""
+        self._require_open()
+        run = self._runs.park(program, path, name)
+        self.publish()
+        return run.view
+
+    def start(self, run_id: str, confirmation: Confirmation, *, setup: str | None = None) -> None:
+        """Stream a parked run from its first line.
+
+        setup : `MillSnapshot.setup` as the person saw it; OrderRefusedError where it is another by now
+        """
+        self._begin(lambda: self._starter.start(run_id, confirmation, self._order, setup=setup))
+
+    def plan_recovery(self, run_id: str) -> RecoveryPlan:
+        """How the run would go on now: what has to be done first, and what would be sent. Sends only questions."""
+        run = self._runs.get(run_id)
+        plan, _, _ = self._planner.plan(run)
+        self._runs.rest(run)
+        return plan
+
+    def recover(self, run_id: str, confirmation: Confirmation, *, plan_seen: str | None = None) -> None:
+        """Go on with an interrupted run, as the plan of this moment says.
+
+        plan_seen : digest of the plan that the person has read; OrderRefusedError where it is another by now
+        """
+        self._begin(lambda: self._starter.recover(run_id, confirmation, self._order, plan_seen=plan_seen))
+
+    def _begin(self, act: Callable[[], None]) -> None:
+        self._require_open()
+        try:
+            act()
+        except MachineError:
+            self.publish()
+            raise
+        self._cycle.look()
+
+    def resume(self) -> None:
+        """Go on after a hold."""
+        self._control.resume(self._order)
+        self._cycle.look()
+
+    def command(self, command: Command) -> None:
+        """Home, unlock, jog, probe, zero, override ...: the answer comes as an entry of the log."""
+        self._require_open()
+        self._commands.send(command, self._order)
+        self._cycle.look()
+
+    # ------------------------------------------------------------------ stops
 
     def carry_out_stop(self, stop: Stop, caller: Caller) -> None:
         """Hold, abort or end a jog, whoever asks; the log says who."""
-        self._say("order", stop.value, caller=caller)
+        self._log.say("order", stop.value, caller=caller)
         {Stop.HOLD: self.hold, Stop.ABORT: self.abort, Stop.JOG_CANCEL: self.cancel_jog}[stop]()
-
-    def publish(self) -> None:
-        """Renew the snapshot."""
-        self._publish()
-
-    def cancel_jog(self) -> None:
-        """End a jog, keeping the position. Nothing to do without a link."""
-        if self._driver is not None and not self._link.away:
-            self.command(JogCancel())
 
     def hold(self) -> None:
         """Stop motion, keeping the position. Always taken: without a link it is carried out when the link is back."""
         try:
-            self._link.order("hold")
+            self._control.hold()
         finally:
-            run = self._live()
-            if run is not None and run.state in (RunState.RUNNING, RunState.RECOVERING):
-                self._hold_asked = True
-                self._noted(run, RunState.HOLDING, "")
-            self._look()
-
-    def resume(self) -> None:
-        """Go on after a hold."""
-        driver = self._driver
-        if self._link.latched and self._link.away:
-            raise NotAllowedError(
-                f"resume: the mill is not connected; the {self._link.latched} is carried out first when it is back"
-            )
-        if driver is None:
-            raise NotAllowedError(f"resume: the mill is disconnected ({self._link.problem}); allowed when it is held")
-        run = self._live()
-        if run is not None:
-            if run.state not in (RunState.HELD, RunState.HOLDING):
-                raise NotAllowedError(f"resume: run {run.id} is {run.state.value}; allowed when it is held")
-            run.journal.repair()
-            run.journal.append("resume", wall_s=round(self._wall(), 3))
-            self._journal_words = ""
-        self._require_permit()
-        driver.resume()
-        self._hold_asked = False
-        self._look()
+            self._cycle.look()
 
     def abort(self) -> None:
         """End the run: hold, and from standstill clear what the controller holds. Always taken, as `hold` is."""
-        run = self._active
-        if run is not None and run.state is RunState.PARKED:
-            self._take_back(run)
-            if self.status.state in _QUIET:
-                return
-        self._abort_asked = True
         try:
-            self._link.order("abort")  # before anything that waits for a disk
+            self._control.abort()
         finally:
-            if run is not None and run.live and run.state is not RunState.STOPPING:
-                self._noted(run, RunState.STOPPING, "")
-            self._look()
+            self._cycle.look()
 
-    def _take_back(self, run: Run) -> None:
-        """A run that has not begun."""
-        try:
-            run.move(RunState.ABORTED, "taken back before its start", ended_s=round(self._wall(), 3))
-        except JournalError as error:
-            self._say("journal", str(error))
-        run.let_go()
-        self._look()
-
-    def command(self, command: Command) -> None:
-        """Home, unlock, jog, probe, zero, override ...: the answer comes as an entry of the log."""
-        self._open()
-        driver = self._driver
-        if driver is None:
-            raise NotAllowedError(f"{type(command).__name__}: the mill is disconnected ({self._link.problem})")
-        if not isinstance(command, _MOVES_NOTHING) and self._live() is None:
-            self._watch_adrift(driver.status)
-            try:
-                self._note_touch()
-            except JournalError as error:
-                raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
-        stood_mm = driver.status.machine_mm
-        self._require_permit()
-        driver.command(command)
-        self._commander = (command, self._caller)
-        if isinstance(command, Jog):
-            self._jog_from_mm = stood_mm
-        self._look()
+    def cancel_jog(self) -> None:
+        """End a jog, keeping the position. Nothing to do without a link."""
+        if self._link.driver is not None and not self._link.away:
+            self.command(JogCancel())
 
     # ------------------------------------------------------------------ ending
 
     def may_close(self, *, detach: bool = False) -> None:
         """NotAllowedError while the mill moves under a live run, unless it may go on unwatched."""
-        run = self._live()
+        run = self._runs.live
         if detach or run is None or self.status.state not in _MOVES:
             return
         raise NotAllowedError(f"stop: run {run.id} is {run.state.value}, the mill {self.status.state.value}; hold it, "
@@ -161,16 +218,15 @@ class Mill(MillStarting):
         try:
             self._link.close()
         finally:
-            for run in self._runs.values():
-                run.close()
-            self._lock.release()
+            self._runs.close()
 
     def note_failure(self, error: BaseException) -> None:
         """The owner thread ends because of this: hold what moves or may move, and leave the words behind."""
-        self._say("fault", f"the agent failed: {type(error).__name__}: {error}")
-        if self._driver is not None and (self._live() is not None or self.status.state in _MOVES):
-            try:
-                self._link.order("hold")
-            except MachineError as refused:
-                self._say("fault", f"hold: {refused}")
-        self._publish()
+        self._log.say("fault", f"the agent failed: {type(error).__name__}: {error}")
+        if self._link.driver is not None and (self._runs.live is not None or self.status.state in _MOVES):
+            self._link.hold_unasked()
+        self.publish()
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise NotAllowedError(f"mill {self.name} is closed")

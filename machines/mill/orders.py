@@ -261,6 +261,7 @@ class Permit:
         self._limit_s = CARRY_OUT_S
 
     def require(self) -> None:
+        """The last look before something leaves: is the order still for now? OrderRefusedError."""
         gate, grant = self._gate, self._grant
         lease = gate.get_lease()
         if gate.stops != grant.stops:
@@ -276,6 +277,22 @@ class Permit:
             )
         if self._needs_lease and lease is None:
             raise OrderRefusedError(Refusal.NOBODY, f"{self._doing}: nobody has control: take control first")
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """What is being carried out, on whose word; without a permit it was not asked for as an order."""
+
+    caller: Caller = NOBODY
+    permit: Permit | None = None
+
+    def extend(self) -> None:
+        if self.permit is not None:
+            self.permit.extend()
+
+    def require(self) -> None:
+        if self.permit is not None:
+            self.permit.require()
 
 
 def _make_held_error(lease: Lease, *, lost: bool = False) -> OrderRefusedError:

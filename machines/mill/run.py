@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +11,25 @@ from machines.driver import MillStatus, StreamProgress
 from machines.errors import JournalError
 from machines.gcode.program import ProgramReader
 from machines.journal.journal import Journal
-from machines.mill.files import RunFolders, view_of
 from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
 from machines.runs import LIVE, RunState, RunView, move_state
 
 MARK_EVERY_S = 0.5
+LINK_LOST = "link"  # why nobody attends to a run: here the journal knows the last line sent
+OWNER_LOST = "owner"  # here it is up to a second behind
 _PACE_AFTER_S = 20.0
 
 
 class Run:
-    """State changes go through `moved`, into the record, and onto the disk."""
+    """State changes go through `move`, into the record, and onto the disk."""
 
-    def __init__(self, record: dict[str, Any], open_journal: Callable[[], Journal]) -> None:
+    def __init__(
+        self, record: dict[str, Any], open_journal: Callable[[], Journal], load_facts: Callable[[], Preflight]
+    ) -> None:
         self.record = record
         self._open_journal = open_journal
+        self._load_facts = load_facts
         self._journal: Journal | None = None
         self._base_line = 0  # executed before the present stream began
         self._marked_s = float("-inf")
@@ -54,22 +58,25 @@ class Run:
         return self.state in LIVE
 
     @property
+    def unattended(self) -> str:
+        """LINK_LOST or OWNER_LOST as long as the place where the mill stands tells how far it went alone, else ""."""
+        return str(self.record.get("adrift") or "")
+
+    @property
     def executed_line(self) -> int:
         return int(self.record.get("executed_line", 0))
 
     @property
     def view(self) -> RunView:
         if self._view is None:
-            self._view = view_of(self.record, time_left_s=self._time_left_s())
+            self._view = _make_view(self.record, self._time_left_s())
         return self._view
 
-    def load(
-        self, folders: RunFolders, reader: Callable[[Preflight], ProgramReader]
-    ) -> tuple[Preflight, ProgramReader]:
+    def load(self) -> tuple[Preflight, ProgramReader]:
         """Facts and reader, from disk where they are not in memory."""
         if self.facts is None or self.reader is None:
-            self.facts = folders.load_facts(self.id)
-            self.reader = reader(self.facts)
+            self.facts = self._load_facts()
+            self.reader = ProgramReader(self.path, self.facts.index)
         return self.facts, self.reader
 
     @property
@@ -173,3 +180,27 @@ class Run:
         """A start that did not come about. Where the disk refuses this too, its next good record will have it."""
         with contextlib.suppress(JournalError):
             self.write("run", **fields)
+
+
+def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
+    """Return a run's record in the journal as others see it."""
+    return RunView(
+        id=str(record["id"]),
+        name=str(record.get("name", "")),
+        program=str(record.get("sha256", "")),
+        path=str(record.get("path", "")),
+        state=RunState(record["state"]),
+        words=str(record.get("words", "")),
+        operator=str(record.get("operator", "")),
+        lines=int(record.get("lines", 0)),
+        bytes=int(record.get("bytes", 0)),
+        sent_line=int(record.get("sent_line") or 0),
+        executed_line=int(record.get("executed_line") or 0),
+        time_s=float(record.get("time_s", 0.0)),
+        time_left_s=time_left_s,
+        created_s=float(record.get("created_s", 0.0)),
+        started_s=record.get("started_s"),
+        ended_s=record.get("ended_s"),
+        recoveries=int(record.get("recoveries", 0)),
+        warnings=tuple(record.get("warnings", ())),
+    )

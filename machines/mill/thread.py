@@ -14,8 +14,9 @@ from concurrent.futures import Future
 from typing import Any, TypeVar
 
 from machines.errors import MachineError, NotAllowedError
-from machines.mill.mill import Mill, MillSnapshot
+from machines.mill.mill import Mill
 from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
+from machines.mill.view import MillSnapshot
 
 T = TypeVar("T")
 

@@ -1,15 +1,22 @@
-"""What others see of a mill: one frozen snapshot, replaced whole at every change."""
+"""What is known of a mill: its log, what the parts of its owner share, and the snapshot that others see."""
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
 from machines.driver import DriverFacts, MillState, MillStatus, StreamProgress
 from machines.grbl.settings import ControllerSettings
-from machines.mill.orders import Lease
+from machines.mill.link import MillLink, get_settings
+from machines.mill.orders import NOBODY, Caller, Lease, OrderGate
+from machines.mill.run_store import RunStore
 from machines.runs import RunView
+
+LOG_ENTRIES = 200
+SHOWN_RUNS = 100
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +35,39 @@ class LogEntry:
         plain = {"number": self.number, "at_s": self.at_s, "kind": self.kind, "words": self.words}
         said = {"answer": self.answer, "by": self.by, "from": self.origin}
         return plain | {name: value for name, value in said.items() if value}
+
+
+class MillLog:
+    """What has happened to the mill of late, numbered. `wall_clock` gives seconds since 1970."""
+
+    def __init__(self, wall_clock: Callable[[], float]) -> None:
+        self._wall = wall_clock
+        self._entries: deque[LogEntry] = deque(maxlen=LOG_ENTRIES)
+        self.count = 0
+
+    def say(self, kind: str, words: str, answer: dict[str, object] | None = None, caller: Caller = NOBODY) -> None:
+        self.count += 1
+        at_s = round(self._wall(), 3)
+        self._entries.append(LogEntry(self.count, at_s, kind, words, dict(answer or {}), caller.name, caller.origin))
+
+    def after(self, known: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
+        """All entries; the very tuple that is known already where nothing was added."""
+        return known if known and known[-1].number == self.count else tuple(self._entries)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MillContext:
+    """What the parts of a mill's owner share.
+
+    clock, wall_clock : seconds that nobody sets; seconds since 1970
+    """
+
+    link: MillLink
+    runs: RunStore
+    log: MillLog
+    orders: OrderGate
+    clock: Callable[[], float]
+    wall_clock: Callable[[], float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,3 +135,40 @@ class MillSnapshot:
 
 def _plain(value: MillStatus | StreamProgress | DriverFacts) -> dict[str, Any]:
     return {name: list(one) if isinstance(one := getattr(value, name), tuple) else one for name in value.__slots__}
+
+
+class SnapshotPublisher:
+    """Owns the snapshot: `snapshot` may be read from any thread."""
+
+    def __init__(self, name: str, context: MillContext) -> None:
+        self._link = context.link
+        self._runs = context.runs
+        self._log = context.log
+        self._orders = context.orders
+        self.snapshot = MillSnapshot(name=name)
+
+    def publish(self) -> None:
+        """Replace the snapshot if anything in it differs."""
+        link, driver, before = self._link, self._link.driver, self.snapshot
+        status, needs, active = link.status, self._runs.needs(), self._runs.active
+        snapshot = replace(
+            before,
+            status=status if driver is not None else replace(status, detail=link.problem),
+            progress=driver.progress if driver is not None else before.progress,
+            protections=driver.protections if driver is not None else (),
+            facts=driver.facts if driver is not None else before.facts,
+            settings=get_settings(driver) if driver is not None else before.settings,
+            run=active.view if active is not None else None,
+            runs=self._runs.views(SHOWN_RUNS),
+            latched=link.latched,
+            problem=link.problem,
+            needs=needs,
+            zeroed=link.setup.zeroed,
+            homed=link.setup.homed,
+            setup=link.setup.digest(status, needs),
+            stops=self._orders.stops,
+            lease=self._orders.get_lease(),
+            events=self._log.after(before.events),
+        )
+        if snapshot != before:
+            self.snapshot = replace(snapshot, version=before.version + 1)

@@ -114,7 +114,7 @@ class Bench:
 
     def kill(self, *, host_power: bool) -> None:
         """The owner is gone between two instructions. Its locks go with it."""
-        self.mill._lock.release()
+        self.mill._runs._lock.release()
         if host_power:
             self.disk.lose_power(self.chance)
 

@@ -58,7 +58,7 @@ def one_kill(seed: int, folder: Path | None = None, segments: int = 150) -> Tria
             bench.mill.step(0.1)
         if bench.mill.run(run_id).state in (RunState.FINISHED, RunState.INTERRUPTED):
             break
-        known = bench.mill._runs[run_id].executed_line
+        known = bench.mill._runs.get(run_id).executed_line
         died_s = bench.sim.now_s if bench.mill.run(run_id).state is RunState.RUNNING else None
         host_power = chance.random() < 0.5
         bench.kill(host_power=host_power)
@@ -73,7 +73,7 @@ def one_kill(seed: int, folder: Path | None = None, segments: int = 150) -> Tria
         if view.state is not RunState.INTERRUPTED:
             trial.faults.append(f"found as {view.state.value}")
         if died_s is not None:
-            written_s = bench.mill._runs[run_id].record["wall_s"] - 1.8e9
+            written_s = bench.mill._runs.get(run_id).record["wall_s"] - 1.8e9
             trial.journal_loss_s = max(trial.journal_loss_s, died_s - written_s)
         if view.executed_line > known:
             trial.faults.append(f"the journal says {view.executed_line} executed, its writer knew of {known}")

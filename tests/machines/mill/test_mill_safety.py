@@ -13,8 +13,8 @@ import pytest
 from machines.driver import Home, Jog, MillState, SendBlock, SetZero
 from machines.errors import JournalError, MachineError, NotAllowedError
 from machines.journal.journal import read_journal
-from machines.mill.files import RunFolders
 from machines.mill.mill import Mill
+from machines.mill.run_store import RunFolders
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
 from machines.runs import RunState
@@ -206,7 +206,7 @@ def test_a_clock_set_back_keeps_the_order_of_runs(shop: Shop) -> None:
     times = iter([1.9e9, 1.9e9, 1.7e9, 1.7e9, 1.8e9])
     made = []
     for wall_s in times:
-        shop.mill._wall = lambda wall_s=wall_s: wall_s
+        shop.mill._runs._wall = lambda wall_s=wall_s: wall_s
         made.append(shop.mill.park(shop.facts, shop.path, "part").id)
     assert made == sorted(made) and len(set(made)) == 5
     replaced_owner(shop)
@@ -222,7 +222,7 @@ def test_an_interrupted_run_is_the_one_shown_after_the_death_of_its_owner(shop: 
 
 
 def test_old_finished_runs_leave_the_disk_but_no_interrupted_one(shop: Shop, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("machines.mill.core.KEPT_RUNS", 3)
+    monkeypatch.setattr("machines.mill.run_store.KEPT_RUNS", 3)
     unplugged(shop.started(), 5.0)
     shop.bench.until_state(MillState.IDLE)
     for _ in range(6):
@@ -291,7 +291,7 @@ def test_a_way_back_in_goes_no_higher_than_the_mill_does(shop: Shop) -> None:
     """The program itself stays low enough; the height at which the tool should be brought back does not."""
     abort_a_run(shop, zero_z_mm=-6.0)
     assert shop.mill.plan_recovery(shop.id).ready
-    shop.mill._reentry = dataclasses.replace(shop.mill._reentry, safe_z_mm=9.0)
+    shop.mill._planner._reentry = dataclasses.replace(shop.mill._planner._reentry, safe_z_mm=9.0)
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.ready and "G0 Z7" in plan.blocks
 
@@ -300,7 +300,7 @@ def test_where_nobody_knows_how_high_the_mill_gets_a_way_back_in_beyond_that_is_
     abort_a_run(shop, zero_z_mm=-6.0)
     replaced_owner(shop)
     shop.bench.until_state(MillState.IDLE)
-    shop.mill._reentry = dataclasses.replace(shop.mill._reentry, safe_z_mm=9.0)
+    shop.mill._planner._reentry = dataclasses.replace(shop.mill._planner._reentry, safe_z_mm=9.0)
     plan = shop.mill.plan_recovery(shop.id)
     assert plan.refusals == () and any("not certain: on the way back in Z would go" in words for words in plan.words)
 

@@ -22,7 +22,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
-from machines.mill.console_lines import describe_effect
+from machines.mill.commands import describe_effect
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
 from service.http.problems import Problem

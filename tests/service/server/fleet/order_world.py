@@ -32,7 +32,7 @@ from machines.grbl.driver import GrblDriver
 from machines.journal.disk import InlineSyncer
 from machines.journal.journal import Journal
 from machines.mill.mill import Mill
-from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
+from machines.mill.orders import NOBODY, Caller, OrderGate, Permit, Stop
 from machines.mill.run import Run
 from machines.mill.thread import MillThread
 from machines.preflight.preflight import Preflight
@@ -129,24 +129,46 @@ def _empty_database() -> bytes:
         return path.read_bytes()
 
 
-class _OwnedMill(Mill):
+class _WatchedPermit(Permit):
     """Notes what leaves, at the last moment there is."""
+
+    def __init__(self, permit: Permit, world: World) -> None:
+        vars(self).update(vars(permit))
+        self._world = world
+
+    def require(self) -> None:
+        super().require()
+        self._world.note_act()
+
+
+class _WatchedGate(OrderGate):
+    world: World
+
+    def redeem(self, word: str, doing: str, *, needs_lease: bool = False) -> Permit:
+        return _WatchedPermit(super().redeem(word, doing, needs_lease=needs_lease), self.world)
+
+
+class _OwnedMill(Mill):
+    """Notes the plan and the set-up that orders rest on."""
 
     world: World
     last_plan = last_setup = ""
 
-    def _planned(self, run: Run) -> Any:
-        planned = super()._planned(run)
-        self.last_plan = planned[0].digest
-        return planned
+    def watch(self, world: World) -> None:
+        self.world = world
+        plan, vouch = self._planner.plan, self._starter._vouch
 
-    def _vouch(self, driver: Driver) -> None:
-        self.last_setup = self._setup_digest(self.status)  # before the person's word makes the position a trusted one
-        super()._vouch(driver)
+        def note_plan(run: Run) -> Any:
+            planned = plan(run)
+            self.last_plan = planned[0].digest
+            return planned
 
-    def _require_permit(self) -> None:
-        super()._require_permit()
-        self.world.note_act(self)
+        def note_setup(driver: Driver) -> None:  # before the person's word makes the position a trusted one
+            self.last_setup = self._link.setup.digest(self.status, self._runs.needs())
+            vouch(driver)
+
+        self._planner.plan = note_plan  # type: ignore[method-assign]
+        self._starter._vouch = note_setup  # type: ignore[method-assign]
 
 
 class _OwnedThread(MillThread):
@@ -227,9 +249,10 @@ class World:
         def open_journal(folder: Path) -> Journal:
             return Journal(folder, syncer=InlineSyncer(self.now_s))
 
-        self.gate = OrderGate(
+        self.gate = _WatchedGate(
             clock=self.now_s, wall_clock=lambda: 1.8e9 + self.sim.now_s, make_secret=lambda: f"s{next(self._numbers)}"
         )
+        self.gate.world = self
         mill = _OwnedMill(
             name=MACHINE,
             connect=lambda: GrblDriver(MemoryPort(self.sim, baud=None)),
@@ -240,7 +263,7 @@ class World:
             pause=lambda seconds: self.sim.advance(self.sim.now_s + seconds),
             orders=self.gate,
         )
-        mill.world = self
+        mill.watch(self)
         self.mill, self.thread = mill, _OwnedThread(mill)
         settings = AgentSettings(
             machine=MACHINE,
@@ -282,9 +305,9 @@ class World:
 
     # ------------------------------------------------------------------ what leaves
 
-    def note_act(self, mill: Mill) -> None:
-        if mill._caller.origin:
-            lease, number = self.gate.get_lease(), int(mill._caller.origin)
+    def note_act(self) -> None:
+        if origin := self.mill._order.caller.origin:
+            lease, number = self.gate.get_lease(), int(origin)
             press = self.presses[number]
             seen = self._present(press.what) if press.seen else ""
             digest = lease.digest if lease is not None else ""
@@ -407,9 +430,9 @@ class World:
         self._until(lambda: not self.on_the_way)
         known = self.loop.run_until_complete(self.core.renew_link(MACHINE))
         self.loop.run_until_complete(known.address())  # else the first press of a server would have messages of its own
-        if mill._live() is not None:
+        if mill._runs.live is not None:
             mill.abort()
-        self._until(lambda: mill._live() is None and mill.status.state in _QUIET)
+        self._until(lambda: mill._runs.live is None and mill.status.state in _QUIET)
         if mill.status.state is not MillState.IDLE:
             mill.command(Reset() if mill.status.state is MillState.HELD else Unlock())
             self._until(lambda: mill.status.state is MillState.IDLE)

@@ -1,4 +1,4 @@
-"""Whether a program, or the way back into it, stays within the machine where its work zero is now.
+"""What is looked at before a program is sent: its file, the modes it relies on, whether it stays within the machine.
 
 A controller with soft limits would stop in the middle of the cut, one without would run into its end. Machine
 coordinates mean something where the machine was homed, or where the controller itself goes by them (soft limits);
@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from machines.driver import MillStatus
-from machines.errors import MachineError
+from machines.errors import MachineError, NotAllowedError, ProgramChangedError
 from machines.gcode.interpreter import Interpreter
 from machines.gcode.modal import ModalState
 from machines.gcode.program import ProgramReader
 from machines.grbl.settings import ControllerSettings
+from machines.mill.run import Run
 from machines.preflight.limits import placement_problems
 from machines.preflight.preflight import Bounds, Preflight
 
+_PRESUMED = ("G54", "G17", "G94")  # what a program that does not say takes for granted, beside `Preflight.assumed`
 LINES_LOOKED_AT = 50_000  # for the first line that leaves the travel: half a second
 
 
@@ -28,6 +31,28 @@ class Placement:
 
     problems: tuple[str, ...] = ()
     certain: bool = False
+
+
+def check_file(run: Run, facts: Preflight) -> None:
+    try:
+        size = run.path.stat().st_size
+    except OSError as error:
+        raise ProgramChangedError(f"{run.path}: cannot be read any more ({error.strerror})") from None
+    if size != facts.bytes:
+        raise ProgramChangedError(f"{run.path}: has {size} bytes, pre-flight read {facts.bytes}; load it again")
+
+
+def check_modes(facts: Preflight, answer: dict[str, Any] | None) -> None:
+    """A program that takes modes for granted must find them."""
+    modes = str((answer or {}).get("parser_state") or "").split()
+    if not modes:
+        return
+    missing = [mode for mode in (*facts.assumed, *_PRESUMED) if mode not in modes]
+    if missing:
+        raise NotAllowedError(
+            f"start: the program takes {' '.join(missing)} for granted, the controller is in {' '.join(modes)}: "
+            f"send '{' '.join(missing)}' first"
+        )
 
 
 def program_placement(
@@ -43,7 +68,20 @@ def program_placement(
     return Placement(tuple(f"{problem} ({where})" for problem in problems), _certain(settings, status))
 
 
-def way_in_placement(
+def recovery_placement(
+    blocks: Sequence[str],
+    facts: Preflight,
+    reader: ProgramReader,
+    settings: ControllerSettings | None,
+    status: MillStatus,
+) -> Placement:
+    """The way in, and the rest of the program as a whole: what is cut already did fit there."""
+    whole = program_placement(facts, reader, settings, status)
+    way = _way_in_placement(blocks, facts, settings, status)
+    return Placement((*whole.problems, *way.problems), whole.certain or way.certain)
+
+
+def _way_in_placement(
     blocks: Sequence[str], facts: Preflight, settings: ControllerSettings | None, status: MillStatus
 ) -> Placement:
     """The blocks of a recovery, from where the tool stands."""

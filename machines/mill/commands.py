@@ -1,0 +1,206 @@
+"""Commands beside a run: sent, told of in words when they end, and what a line from the console would change.
+
+A console line that protects the mill, or tells where things are, is asked for again. Reading ($$, $#, $G, $I, $N) and
+plain moves pass. Of what begins with $, only what is known to be harmless passes: a controller knows more commands than
+this table. $H, $J, $X, $C and $SLP are refused elsewhere, for commands of their own. Meanings: GRBL's wiki (v1.1
+Commands, v1.1 Configuration), LinuxCNC's G-code reference.
+"""
+
+from __future__ import annotations
+
+import re
+
+from machines.driver import (
+    CheckMode,
+    Command,
+    CommandDone,
+    Home,
+    Jog,
+    JogCancel,
+    Override,
+    ProbeZ,
+    ReadSettings,
+    Reset,
+    SendBlock,
+    SetZero,
+    Triple,
+    TrustPosition,
+    Unlock,
+)
+from machines.errors import JournalError, NotAllowedError
+from machines.gcode.words import strip_block
+from machines.mill.orders import NOBODY, Caller, Order
+from machines.mill.unattended import UnattendedRuns
+from machines.mill.view import MillContext
+
+_MOVES_NOTHING = (ReadSettings, Override, JogCancel)
+_AXES = "XYZ"
+_STEP_MM = 0.02  # of a coarse mill: its jogs end that much beside what they were asked for
+_NAMES: dict[type[Command], str] = {
+    Home: "Home",
+    Unlock: "Unlock",
+    Reset: "Reset",
+    JogCancel: "End jog",
+    TrustPosition: "Position taken as right",
+    ReadSettings: "Read settings",
+}
+
+# The first row that fits counts. A pattern is held against the whole of a $ command, or against one word (G92.1).
+EFFECTS: tuple[tuple[str, str], ...] = (
+    (r"\$RST=.*", "sets the controller back to factory values: travel, limits, steps per mm and zeros may be gone"),
+    (r"\$N\d*=.*", "stores a line that the controller runs by itself each time it is reset or switched on"),
+    (r"\$[01]=.*", "changes how the motors are driven and held: steps may be lost"),
+    (r"\$[2-6]=.*", "changes what the signals mean: axes may run the wrong way, limits or probe may go unseen"),
+    (r"\$10=.*", "changes what the controller reports: positions may be missing or mean something else"),
+    (r"\$13=.*", "changes the unit of the reports, mm or inches: positions may be read 25.4 times wrong"),
+    (r"\$20=0", "switches the soft limits off: nothing stops the mill before the end of its travel"),
+    (r"\$21=0", "switches the limit switches off: nothing stops the mill at the end of its travel"),
+    (r"\$22=0", "switches homing off: the mill does not know where its travel ends"),
+    (r"\$2[3-7]=.*", "changes how the mill homes: where its travel begins may be wrong"),
+    (r"\$3[01]=.*", "changes which spindle speed an S word means"),
+    (r"\$32=1", "switches laser mode on: the spindle stops in every rapid and turns slower in slow moves"),
+    (r"\$10[0-9]=.*", "changes the steps per mm: every length is wrong until it has been measured again"),
+    (r"\$1[12][0-9]=.*", "changes how fast an axis may move or speed up: steps may be lost"),
+    (r"\$13[0-9]=.*", "changes the travel that the soft limits guard"),
+    (r"\$(F|SD/RUN|LOCALFS/RUN)=.*", "runs a file of the controller's own, which nobody has checked"),
+    (r"\$[^=]*=.*", "changes a setting of the controller, for good"),
+    (r"\$(\$|#|G|I|N|\d+|[HJXC].*|SLP)?", ""),
+    (r"\$.*", "is a command that is not known here: it may move the mill or change what protects it"),
+    (r"\[.*", "is a command to the controller's files and network: it may run a file or change a setting"),
+    (r"#.*", "writes a parameter of the controller, which may be a zero or the length of a tool"),
+    (r"G10", "sets a work zero or a tool's length: what is cut afterwards lies elsewhere"),
+    (r"G92(\.[123])?|G52", "shifts the work zero: what is cut afterwards lies elsewhere"),
+    (r"G5[5-9]|G59\.[123]", "selects another work coordinate system, whose zero may lie anywhere"),
+    (r"G43(\.[12])?|G49", "changes the length of the tool in use: Z lies elsewhere"),
+    (r"G5[01]|G6[89]", "scales, mirrors or turns what is cut afterwards"),
+    (r"G28\.1|G30\.1", "stores this place as the one to which G28 or G30 drives"),
+    (r"G20", "reads all numbers from now on as inches"),
+)
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)"
+_WORD, _SETTING = re.compile(f"([A-Z])({_NUMBER})"), re.compile(rf"\$({_NUMBER})=(.*)")
+
+
+class Commands:
+    """Sends what a person asks for beside a run, and takes over what it has changed."""
+
+    def __init__(self, context: MillContext, unattended: UnattendedRuns) -> None:
+        self._link = context.link
+        self._runs = context.runs
+        self._log = context.log
+        self._unattended = unattended
+        self._last: tuple[Command, Caller] | None = None  # whose the last command is
+        self._jog_from_mm: Triple | None = None  # machine coordinates
+
+    def send(self, command: Command, order: Order) -> None:
+        driver = self._link.driver
+        if driver is None:
+            raise NotAllowedError(f"{type(command).__name__}: the mill is disconnected ({self._link.problem})")
+        if not isinstance(command, _MOVES_NOTHING) and self._runs.live is None:
+            self._unattended.watch()
+            try:
+                self._unattended.note_touch()
+            except JournalError as error:
+                raise NotAllowedError(f"{type(command).__name__}: {error}; an interrupted run rests on it") from None
+        stood_mm = driver.status.machine_mm
+        order.require()
+        driver.command(command)
+        self._last = (command, order.caller)
+        if isinstance(command, Jog):
+            self._jog_from_mm = stood_mm
+
+    def note_end(self, event: CommandDone) -> None:
+        command, setup = event.command, self._link.setup
+        words = command_words(event, from_mm=self._jog_from_mm, at_mm=self._link.status.machine_mm)
+        caller = self._last[1] if self._last is not None and self._last[0] is command else NOBODY
+        self._log.say("command", words, event.answer, caller)
+        if event.failure:
+            return
+        if isinstance(command, ReadSettings):
+            setup.parser_state = str(event.answer.get("parser_state", "")) or None
+        axes = command.axes if isinstance(command, SetZero) else "Z" if isinstance(command, ProbeZ) else ""
+        if isinstance(command, Home):
+            setup.homed = True
+        if "Z" in axes:
+            self._runs.note_touch_off()
+        if axes:
+            setup.zeroed = "".join(sorted({*setup.zeroed, *axes}))
+            self._runs.note_zero(axes)
+
+
+def command_words(done: CommandDone, *, from_mm: Triple | None, at_mm: Triple | None) -> str:
+    """A line of the log. from_mm, at_mm: machine coordinates before a jog, and now."""
+    return f"{_word_question(done.command)}: {done.failure or _came_of_it(done, from_mm, at_mm)}"
+
+
+def _word_question(command: Command) -> str:
+    match command:
+        case Jog():
+            return f"Jog {_way(command.by_mm)}"
+        case ProbeZ():
+            return f"Probe Z down by at most {command.depth_mm:g} mm, plate {command.plate_mm:g} mm"
+        case SetZero():
+            return f"{_together(command.axes)} = 0 here"
+        case Override():
+            return f"{'rapids' if command.what == 'rapid' else command.what} at {command.percent} %".capitalize()
+        case CheckMode():
+            return f"Check mode {'on' if command.on else 'off'}"
+        case SendBlock():
+            return f"Line {command.text}"
+        case _:
+            return _NAMES[type(command)]
+
+
+def _came_of_it(done: CommandDone, from_mm: Triple | None, at_mm: Triple | None) -> str:
+    match done.command:
+        case Jog(by_mm=by_mm) if from_mm is not None and at_mm is not None:
+            gone_mm = (at_mm[0] - from_mm[0], at_mm[1] - from_mm[1], at_mm[2] - from_mm[2])
+            if all(abs(gone - by) <= _STEP_MM for gone, by in zip(gone_mm, by_mm, strict=True)):
+                return "done"
+            return f"ended after {_way(gone_mm)}"
+        case SetZero(axes=axes) if at_mm is not None:
+            places = (f"{axis} {at_mm[_AXES.index(axis)]:.3f}" for axis in axes)
+            return f"done, at machine {', '.join(places)} mm"
+        case ProbeZ() if isinstance(contact := done.answer.get("contact_machine_mm"), list):
+            return f"touched at machine Z {contact[2]:.3f} mm"
+        case _:
+            return "done"
+
+
+def _way(by_mm: Triple) -> str:
+    """As in "X +10 mm, Z -0.5 mm"."""
+    moved = ((axis, round(by, 3)) for axis, by in zip(_AXES, by_mm, strict=True))
+    return ", ".join(f"{axis} {by:+g} mm" for axis, by in moved if by) or "by nothing"
+
+
+def _together(axes: str) -> str:
+    """As in "X, Y and Z"."""
+    return " and ".join((", ".join(axes[:-1]), axes[-1])) if len(axes) > 1 else axes
+
+
+def describe_effect(text: str) -> str:
+    """What the line would change, as the end of a sentence that begins with it; "" where it need not be asked for."""
+    line = strip_block(text.encode("ascii", "replace")).decode()
+    parts = (
+        [_normalize_setting(line)] if line[:1] in ("$", "[", "#") else [_word(*found) for found in _WORD.findall(line)]
+    )
+    for part in parts:
+        if words := next((words for pattern, words in EFFECTS if re.fullmatch(pattern, part)), ""):
+            return words
+    return ""
+
+
+def _normalize_setting(line: str) -> str:
+    """$020=0.0 is $20=0 to a controller."""
+    if found := _SETTING.fullmatch(line):
+        number, value = found.groups()
+        return f"${_plain(number)}={_plain(value) if re.fullmatch(_NUMBER, value) else value}"
+    return line
+
+
+def _word(letter: str, number: str) -> str:
+    """G092.10 is G92.1 to a controller."""
+    return f"{letter}{_plain(number)}"
+
+
+def _plain(number: str) -> str:
+    return f"{float(number):g}"

@@ -1,0 +1,267 @@
+"""The runs of one mill: whose their folder is, what lies in it, and which run the mill is about.
+
+lock                       held by the one process that owns the mill
+runs/<id>/preflight.json   what is known of the program
+runs/<id>/journal-*.log    what happened to the run
+"""
+
+from __future__ import annotations
+
+import calendar
+import fcntl
+import os
+import re
+import time
+from collections.abc import Callable, Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+from machines.errors import JournalError, NotAllowedError
+from machines.gcode.program import ProgramReader
+from machines.journal.disk import os_words
+from machines.journal.journal import Journal, JournalContent, read_journal
+from machines.mill.run import OWNER_LOST, Run
+from machines.preflight.preflight import Preflight
+from machines.runs import RECOVERABLE, RunState, RunView
+
+KEPT_RUNS = 200
+_ID = re.compile(r"[0-9A-Za-z][0-9A-Za-z-]{0,79}")
+_TIME = "%Y%m%d-%H%M%S"
+_MADE = re.compile(r"20[0-9]{2}(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01])-([01][0-9]|2[0-3])[0-5][0-9][0-5][0-9]-.*")
+
+
+class FolderLock:
+    """The folder belongs to this process until `release`, or until the process ends, however it ends."""
+
+    def __init__(self, folder: Path) -> None:
+        path = folder / "lock"
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        except OSError as error:
+            raise JournalError(
+                f"folder {folder}: {os_words(error)}; the journal needs one that can be written"
+            ) from None
+        try:
+            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            owner = os.pread(self._descriptor, 32, 0).decode("ascii", "replace").strip()
+            os.close(self._descriptor)
+            words = f" (process {owner})" if owner else ""
+            raise NotAllowedError(
+                f"folder {folder}: another agent or stream{words} owns this mill; stop that one first"
+            ) from None
+        os.ftruncate(self._descriptor, 0)
+        os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
+
+    def release(self) -> None:
+        if self._descriptor >= 0:
+            os.close(self._descriptor)
+            self._descriptor = -1
+
+
+class RunFolders:
+    """The runs of one mill on disk."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder / "runs"
+
+    def path(self, run_id: str) -> Path:
+        if not _ID.fullmatch(run_id):
+            raise NotAllowedError(f"'{run_id[:40]}' is not the id of a run")
+        return self.folder / run_id
+
+    def new_id(self, wall_s: float, sha256: str) -> str:
+        """Unique in this folder, and sorts behind all that are there, even after the wall clock was set back."""
+        newest_s = max((calendar.timegm(time.strptime(name[:15], _TIME)) for name in self._names()), default=0)
+        return time.strftime(_TIME, time.gmtime(max(wall_s, newest_s + 1))) + f"-{sha256[:6]}"
+
+    def _names(self) -> list[str]:
+        if not self.folder.is_dir():
+            return []
+        return [path.name for path in self.folder.iterdir() if _MADE.fullmatch(path.name)]
+
+    def remove(self, run_id: str) -> bool:
+        """A run leaves the disk, its journal first; False where something of it stays."""
+        folder = self.path(run_id)
+        try:
+            for path in (*sorted(folder.glob("journal-*.log")), *sorted(folder.glob("preflight.*"))):
+                path.unlink()
+            folder.rmdir()
+        except OSError:
+            return False
+        return True
+
+    def save_facts(self, run_id: str, facts: Preflight) -> None:
+        """preflight.json, whole or not at all."""
+        folder = self.path(run_id)
+        part = folder / "preflight.part"
+        try:
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            with part.open("w", encoding="utf-8") as file:
+                file.write(facts.to_json())
+                file.flush()
+                os.fsync(file.fileno())
+            part.replace(folder / "preflight.json")
+        except OSError as error:
+            raise JournalError(f"folder {folder}: {os_words(error)}") from error
+
+    def load_facts(self, run_id: str) -> Preflight:
+        path = self.path(run_id) / "preflight.json"
+        try:
+            return Preflight.from_json(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise JournalError(f"{path}: {os_words(error)}; the run cannot go on without it") from error
+        except (ValueError, KeyError, TypeError) as error:
+            raise JournalError(f"{path}: damaged ({error}); the run cannot go on without it") from error
+
+    def found(self) -> Iterator[tuple[str, JournalContent]]:
+        """Every run with a readable journal, oldest first."""
+        if not self.folder.is_dir():
+            return
+        for path in sorted(self.folder.iterdir()):
+            if path.is_dir() and _ID.fullmatch(path.name) and (content := read_journal(path)) is not None:
+                yield path.name, content
+
+
+class RunStore:
+    """All runs of one mill. The folder is this process's until `close`.
+
+    active : the run the mill is about: the live one, else the one touched last
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        wall_clock: Callable[[], float],
+        open_journal: Callable[[Path], Journal],
+        say: Callable[[str, str], None],
+    ) -> None:
+        self._wall = wall_clock
+        self._open_journal = open_journal
+        self._say = say
+        self._folders = RunFolders(folder)
+        self._runs: dict[str, Run] = {}
+        self.active: Run | None = None
+        self._lock = FolderLock(folder)
+        try:
+            self._find_runs()
+        except BaseException:
+            self._lock.release()
+            raise
+
+    def views(self, most: int | None = None) -> tuple[RunView, ...]:
+        """Return the newest runs as others see them, newest first."""
+        return tuple(run.view for run in islice(reversed(self._runs.values()), most))
+
+    def get(self, run_id: str) -> Run:
+        run = self._runs.get(run_id)
+        if run is None:
+            raise NotAllowedError(f"no run '{run_id[:80]}' on this mill")
+        return run
+
+    @property
+    def live(self) -> Run | None:
+        return self.active if self.active is not None and self.active.live else None
+
+    def recoverable(self) -> list[Run]:
+        return [run for run in self._runs.values() if run.state in RECOVERABLE]
+
+    def park(self, program: Preflight, path: Path, name: str) -> Run:
+        """Add a run that waits for its start."""
+        run_id = self._folders.new_id(self._wall(), program.sha256)
+        self._folders.save_facts(run_id, program)
+        record = {
+            "id": run_id, "name": name, "sha256": program.sha256, "path": str(path.absolute()), "lines": program.lines,
+            "bytes": program.bytes, "time_s": program.time_s, "profile": program.profile,
+            "created_s": round(self._wall(), 3),
+            "warnings": list(program.warnings), "state": RunState.PARKED.value, "executed_line": 0,
+        }  # fmt: skip
+        run = self._make_run(run_id, {"id": run_id, "state": RunState.PARKED.value})
+        run.write("parked", **record)
+        run.journal.hasten()
+        run.facts, run.reader = program, ProgramReader(path, program.index)
+        self._runs[run_id] = run
+        if self.live is None:
+            if self.active is not None:
+                self.active.let_go()
+            self.active = run
+        self._say("run", f"{name}: parked")
+        self._forget_old_runs()
+        return run
+
+    def rest(self, run: Run) -> None:
+        """Let go of files and index of a run that the mill is not about."""
+        if run is not self.active:
+            run.let_go()
+
+    def close(self) -> None:
+        for run in self._runs.values():
+            run.close()
+        self._lock.release()
+
+    def _make_run(self, run_id: str, record: dict[str, Any]) -> Run:
+        return Run(
+            record,
+            lambda: self._open_journal(self._folders.path(run_id)),
+            lambda: self._folders.load_facts(run_id),
+        )
+
+    def _find_runs(self) -> None:
+        left: Run | None = None
+        for run_id, content in self._folders.found():
+            run = self._make_run(run_id, dict(content.state))
+            self._runs[run_id] = run
+            if content.torn:
+                run.record["torn"] = content.torn
+                self._say("journal", f"run {run_id}: {content.torn}")
+            if run.live:  # whoever wrote that has gone without saying so
+                words = f"the agent ended while the run was {run.record['state']}"
+                run.write("run", state=RunState.INTERRUPTED.value, words=words, found_s=round(self._wall(), 3),
+                          adrift="" if run.record.get("restarted") else OWNER_LOST)  # fmt: skip
+                run.journal.sync()
+                self._say("run", f"{run.view.name}: interrupted ({words}); nothing goes on by itself")
+                left = run
+            run.let_go()
+            self.active = left or run
+
+    def _forget_old_runs(self) -> None:
+        """Finished runs beyond the newest KEPT_RUNS leave the disk; one that could still be recovered never does."""
+        old = [run for run in list(self._runs.values())[:-KEPT_RUNS] if run is not self.active]
+        for run in old:
+            if run.state is RunState.FINISHED or (run.state is RunState.ABORTED and not run.record.get("started_s")):
+                run.let_go()
+                if self._folders.remove(run.id):
+                    del self._runs[run.id]
+
+    # ------------------------------------------------------------------ what is done to the mill between programs
+
+    def note_restart(self) -> None:
+        """All runs that could be recovered learn that the controller has forgotten its position."""
+        for run in self.recoverable():
+            run.write("restarted", restarted=True)
+            self.rest(run)
+
+    def note_zero(self, axes: str) -> None:
+        """The work zero of these axes was set anew by a person."""
+        for run in self.recoverable():
+            vouched = "".join(sorted({*str(run.record.get("zeroed", "")), *axes}))
+            run.write("zeroed", zeroed=vouched)
+            self.rest(run)
+        for run in (one for one in self._runs.values() if one.state is RunState.PARKED):
+            run.write("zeroed", warnings=run.lasting_warnings)  # its start asks again, at the new zero
+
+    def note_touch_off(self) -> None:
+        for run in self._to_touch_off():
+            run.write("touched off", touch_off="")
+            self.rest(run)
+
+    def needs(self) -> tuple[str, ...]:
+        """Return what a person has to do before the next start, in words."""
+        if self.live is not None:
+            return ()
+        return tuple(f"re-probe Z: {run.record['touch_off']}" for run in self._to_touch_off()[-1:])
+
+    def _to_touch_off(self) -> list[Run]:
+        return [run for run in self._runs.values() if run.record.get("touch_off")]
