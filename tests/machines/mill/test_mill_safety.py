@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 import threading
 import time
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 
 from machines.driver import Home, Jog, MillState, SendBlock, SetZero
 from machines.errors import JournalError, MachineError, NotAllowedError
+from machines.journal.disk import RealFile
 from machines.journal.journal import read_journal
 from machines.mill.mill import Mill
 from machines.mill.run_store import RunFolders
@@ -141,6 +143,17 @@ def test_of_two_latched_orders_the_abort_stays_and_resume_is_refused(
     shop.mill.close()
 
 
+def test_an_abort_whose_end_was_not_seen_is_given_again_when_the_link_is_back(tmp_path: Path, kill_trial: Any) -> None:
+    shop = Shop(tmp_path, kill_trial, LONG_MOVES).started(2)
+    shop.mill.abort()
+    shop.bench.sim.unplug()
+    shop.until(RunState.INTERRUPTED)
+    assert shop.mill.snapshot.latched == "abort"
+    shop.bench.sim.replug()
+    shop.until(RunState.ABORTED)
+    shop.mill.close()
+
+
 def test_a_link_that_refuses_its_handshake_is_tried_again(shop: Shop) -> None:
     link, connect, tries = shop.mill._link, shop.mill._link._connect, []
 
@@ -189,6 +202,20 @@ def test_a_failing_owner_holds_a_run_that_pauses_between_two_lines(shop: Shop) -
 
 
 # ---------------------------------------------------------------------- disk and clock
+
+
+def test_no_byte_of_a_program_leaves_before_its_start_is_safe_on_disk(
+    shop: Shop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: RealFile) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(RealFile, "sync", refuse)
+        with pytest.raises(JournalError, match="not safe on disk"):
+            shop.mill.start(shop.id, YES)
+    shop.pass_s(5.0)
+    assert shop.cuts == 0 and shop.state is RunState.PARKED
 
 
 def test_the_reminder_to_touch_off_outlives_the_agent(shop: Shop) -> None:
@@ -242,6 +269,15 @@ def test_a_folder_that_cannot_be_written_is_one_clear_line(tmp_path: Path) -> No
 
 
 # ---------------------------------------------------------------------- place and frame
+
+
+def test_what_was_zeroed_is_not_told_of_a_mill_that_was_out_of_sight(shop: Shop) -> None:
+    shop.bench.command_done(SetZero("XY"))
+    shop.bench.sim.unplug()
+    shop.bench.until_state(MillState.DISCONNECTED)
+    shop.bench.sim.replug()
+    shop.bench.until_state(MillState.IDLE)
+    assert shop.mill.snapshot.zeroed == ""
 
 
 def homed(shop: Shop, soft_limits: bool, jog: tuple[float, float, float] = (-100.0, -100.0, -40.0)) -> None:
