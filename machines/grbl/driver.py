@@ -6,7 +6,8 @@ from collections.abc import Iterator
 
 from machines.driver import Command, DriverFacts, Event, FaultCause, Faulted, MillStatus, ProgramLine, StreamProgress
 from machines.errors import MachineError, NotAControllerError, PortError
-from machines.grbl.session import GrblOptions, GrblSession
+from machines.grbl.link import GrblOptions
+from machines.grbl.session import GrblSession
 from machines.grbl.settings import ControllerSettings
 from machines.port import Port
 
@@ -23,28 +24,28 @@ class GrblDriver:
 
     @property
     def facts(self) -> DriverFacts:
-        return self._session.facts
+        return self._session.reporter.facts
 
     @property
     def status(self) -> MillStatus:
-        return self._session.status
+        return self._session.reporter.status
 
     @property
     def progress(self) -> StreamProgress:
-        return self._session.progress
+        return self._session.streamer.progress
 
     @property
     def protections(self) -> tuple[str, ...]:
-        return self._session.protections
+        return self._session.reporter.protections
 
     @property
     def settings(self) -> ControllerSettings:
-        return self._session.settings
+        return self._session.link.view.settings
 
     @property
     def offers_reset(self) -> bool:
         """Nothing answers, and a `Reset` would be tried: GRBL hears nothing else after ALARM:1 and ALARM:2."""
-        return self._session.offers_reset
+        return self._session.link.offers_reset
 
     def connect(self) -> None:
         self.failure = None
@@ -93,7 +94,7 @@ class GrblDriver:
 
         An abort of a mill that stands idle needs none: '!' would leave it in Hold.
         """
-        if stop == "abort" and self._session.is_quiet:
+        if stop == "abort" and self._session.stops.is_quiet:
             return True
         return self._port.write_realtime(JOG_CANCEL if stop == "jog-cancel" else FEED_HOLD)
 

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
+from machines.driver import CommandDone, Override
+from machines.grbl.link import GrblLink
+from machines.grbl.replies import Status
+
 # what -> (place in Ov:, back to 100 %, +10, -10, +1, -1)
 _STEPS = {
     "feed": (0, 0x90, 0x91, 0x92, 0x93, 0x94),
@@ -12,8 +18,8 @@ PATIENCE_REPORTS = 6  # reports without any change after which a step is sent ag
 GIVE_UP_S = 15.0
 
 
-def refusal(what: str, percent: int) -> str:
-    """Why this override cannot be set; "" if it can."""
+def find_refusal(what: str, percent: int) -> str:
+    """Say why this override cannot be set; "" if it can."""
     if what == "rapid":
         return "" if percent in _RAPID else f"rapid override {percent} %: only 25, 50 and 100 exist"
     if what not in _STEPS:
@@ -21,13 +27,13 @@ def refusal(what: str, percent: int) -> str:
     return "" if 10 <= percent <= 200 else f"{what} override {percent} %: from 10 to 200"
 
 
-def value_in_report(what: str, overrides: tuple[int, int, int]) -> int:
-    """This override in a report's Ov."""
+def _read_percent(what: str, overrides: tuple[int, int, int]) -> int:
+    """Return this override of a report's Ov."""
     return overrides[1] if what == "rapid" else overrides[_STEPS[what][0]]
 
 
-def next_bytes(what: str, now_percent: int, percent: int) -> bytes:
-    """Realtime bytes that bring the override nearer: at most one coarse and one fine step. b"" when it is there."""
+def _make_step(what: str, now_percent: int, percent: int) -> bytes:
+    """Return realtime bytes that bring the override nearer: at most one coarse and one fine step."""
     if now_percent == percent:
         return b""
     if what == "rapid":
@@ -43,3 +49,51 @@ def next_bytes(what: str, now_percent: int, percent: int) -> bytes:
     if fine:
         out.append(up1 if away > 0 else down1)
     return bytes(out)
+
+
+@dataclass(slots=True, eq=False)
+class OverrideControl:
+    """Brings one override at a time to its value, as reports show it. Goes beside whatever is under way."""
+
+    link: GrblLink
+    _command: Override | None = None
+    _until_s: float = 0.0
+    _reports: int = 0  # since the last step
+
+    @property
+    def active(self) -> bool:
+        return self._command is not None
+
+    def begin(self, command: Override, now_s: float) -> None:
+        self.end("replaced by a newer override")
+        self._command, self._until_s = command, now_s + GIVE_UP_S
+        self._reports = PATIENCE_REPORTS
+        self.link.poll_at_s = now_s
+
+    def end(self, failure: str = "") -> None:
+        """Tell the end of the override under way, if there is one."""
+        command, self._command = self._command, None
+        if command is not None:
+            self.link.events.append(CommandDone(command, failure))
+
+    def drop(self) -> None:
+        """Forget the override under way without a word: the program or the epoch it belonged to is over."""
+        self._command = None
+
+    def take_report(self, report: Status, now_s: float) -> None:
+        """Compare a report with what is wanted; put the next step on its way."""
+        command, view = self._command, self.link.view
+        if command is None:
+            return
+        self._reports += 1
+        if report.overrides is None and self._reports < PATIENCE_REPORTS:
+            return
+        percent = _read_percent(command.what, view.overrides)
+        step = _make_step(command.what, percent, command.percent)
+        if not step and (report.overrides is not None or view.override_reports):
+            self.end()
+        elif now_s > self._until_s:
+            self.end(f"{command.what} override stays at {percent} %")
+        elif self._reports >= 2:
+            self.link.urgent += step
+            self._reports = 0

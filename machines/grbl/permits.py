@@ -19,7 +19,7 @@ from machines.driver import (
     Unlock,
 )
 from machines.errors import NotAllowedError
-from machines.grbl import overrides
+from machines.grbl.overrides import find_refusal
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
 from machines.grbl.streaming import PLAIN
@@ -50,7 +50,8 @@ _BESIDE = (JogCancel, Override, TrustPosition)
 def check_command(
     command: Command, state: MillState, phase: Phase, settings: ControllerSettings, *, silent: bool
 ) -> None:
-    """Raises NotAllowedError, or returns. silent: nothing answers; then a person may send a reset."""
+    """Raise NotAllowedError unless the command may be carried out now. silent: nothing answers; then a person may send
+    a reset."""
     name = type(command).__name__
     if silent and isinstance(command, Reset):
         return
@@ -67,9 +68,20 @@ def check_command(
         raise NotAllowedError(f"{name}: {refusal}")
 
 
+def check_start(state: MillState, phase: Phase, settings: ControllerSettings) -> None:
+    """Raise NotAllowedError unless a program may start now."""
+    if phase is not Phase.READY or state not in (MillState.IDLE, MillState.CHECK):
+        raise NotAllowedError(f"start: the mill is {state.value}, it must be idle")
+    if settings.laser_mode:
+        raise NotAllowedError(
+            "start: laser mode is on ($32=1): the spindle would stop wherever the mill stands, and the next cut go "
+            "with a dead one; send '$32=0' to mill"
+        )
+
+
 def _values(command: Command, settings: ControllerSettings) -> str:
     if isinstance(command, Override):
-        return overrides.refusal(command.what, command.percent)
+        return find_refusal(command.what, command.percent)
     if isinstance(command, Home) and settings.homing is False:
         return "homing is switched off ($22=0); set the zero by hand"
     if isinstance(command, SetZero):

@@ -6,7 +6,7 @@ Strict on purpose: a line that is nearly right has been damaged on the way, and 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 # Longest line a controller sends ($-help and board descriptions of grblHAL stay under 300 bytes).
 LONGEST_LINE = 1024
@@ -50,7 +50,6 @@ class Status:
     pins: str = ""
     line: int | None = None
     accessories: str | None = None
-    others: dict[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,12 +171,7 @@ def _status(line: bytes) -> Reply:
         if not _FIELD.match(key) or key in values:
             return Garbled(line)
         values[key] = value
-    return _fields(line, state, int(sub) if colon and sub.isdecimal() else _sub(head), values)
-
-
-def _sub(head: str) -> int | None:
-    sub = head.partition(":")[2]
-    return int(sub) if sub else None
+    return _fields(line, state, int(sub) if sub else None, values)
 
 
 def _fields(line: bytes, state: str, sub: int | None, values: dict[str, str]) -> Reply:
@@ -209,11 +203,7 @@ def _fields(line: bytes, state: str, sub: int | None, values: dict[str, str]) ->
         pins=values.get("Pn", ""),
         line=line_number,
         accessories=values.get("A", "" if overrides else None),
-        others={key: value for key, value in values.items() if key not in _KNOWN},
     )
-
-
-_KNOWN = frozenset({"MPos", "WPos", "WCO", "FS", "F", "Bf", "Ov", "Ln", "Pn", "A"})
 
 
 def _axes(values: dict[str, str], key: str) -> tuple[float, ...] | None:

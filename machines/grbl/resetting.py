@@ -1,9 +1,17 @@
-"""When 0x18 goes out, and again, until the banner: a reset that nobody has answered is none."""
+"""Resets: when 0x18 goes out, and again, until the banner. A reset that nobody has answered is none."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import inf
 
+from machines.driver import FaultCause, Notice
+from machines.grbl.link import GrblLink
+from machines.grbl.states import Phase
+from machines.grbl.streaming import Streamer
+from machines.grbl.timeouts import BANNER_S, PERSON_S
+
+BUSY_S = 0.05  # between status requests while the mill is being stopped
 RESET = b"\x18"
 # After ALARM:1 and ALARM:2 GRBL 1.1 stands still for 500 ms, forgets a reset that came meanwhile, says so and waits.
 MESSAGE = "Reset to continue"
@@ -55,3 +63,61 @@ class ResetSequence:
         slow = self.repeats and now_s > self._begun_s + SLOW_AFTER_S
         self.due_s = now_s + (SLOW_S if slow else self._again_s)
         return RESET
+
+
+@dataclass(slots=True, eq=False)
+class ResetControl:
+    """Owns the reset under way, in Phase.CLEARING: planner and receive buffer are emptied by it."""
+
+    link: GrblLink
+    streamer: Streamer
+    _sequence: ResetSequence | None = None
+
+    @property
+    def sequence(self) -> ResetSequence | None:
+        """The reset under way."""
+        return self._sequence if self.link.phase is Phase.CLEARING else None
+
+    def begin(self, sequence: ResetSequence, now_s: float) -> None:
+        """Put a reset on its way, or another one in its place. Of what waits to be written only '!' goes before it."""
+        link = self.link
+        self.streamer.end()
+        link.text.clear()
+        link.urgent = bytearray((b"!" if b"!" in link.urgent else b"") + sequence.take(now_s))
+        if link.phase is not Phase.CLEARING:
+            link.enter(Phase.CLEARING, now_s)
+        self._sequence = sequence
+        link.poll_at_s = now_s + BUSY_S
+
+    def begin_for_person(self, now_s: float) -> None:
+        """Carry out a reset that a person asks for: of a mill that stands, or of one that answers nothing."""
+        reset = ResetSequence.by_a_person if self.link.offers_reset else ResetSequence.at_standstill
+        self.begin(reset(now_s), now_s)
+
+    def take_message(self, words: str, now_s: float) -> None:
+        """Pass a message on; after a critical alarm one says that the controller waits for a reset."""
+        link, sequence = self.link, self.sequence
+        link.events.append(Notice(f"controller: {words}"))
+        if words != MESSAGE:
+            return
+        if sequence is not None and sequence.repeats:
+            sequence.message_came(now_s)
+        elif link.phase is Phase.HAILING:  # its ALARM: line came before our time
+            self.begin(ResetSequence.after_critical_alarm(now_s), now_s)
+            self.take_message(words, now_s)
+
+    def watch(self, now_s: float) -> bool:
+        """Look at the clock. True: of a reset that is sent once no banner has come; whether the mill stands is open."""
+        link, sequence, waited_s = self.link, self.sequence, self.link.silence.waited_s
+        if sequence is None:
+            return False
+        if not sequence.repeats:
+            return waited_s > BANNER_S
+        if not sequence.ours and waited_s > PERSON_S:
+            words = f"nothing answers, not even {sequence.sent} resets: mill off, another port, or another baud rate"
+            link.close(words, now_s, FaultCause.DEVICE)
+        elif waited_s > BANNER_S and not link.silence.notified:
+            link.silence.notified = True
+            words = "no answer to {} resets after the alarm: is an emergency stop pressed, is the mill without power?"
+            link.events.append(Notice(words.format(sequence.sent)))
+        return False

@@ -12,6 +12,8 @@ from machines.grbl.replies import Push, Reply, Setting
 
 Triple = tuple[float, float, float]
 MM_PER_INCH = 25.4
+# Both tell in the letters of [OPT:] where M7 is built in; of FluidNC that is not known.
+MIST, _TELL_MIST = "M", frozenset({"grbl", "grblhal"})
 OFFSET_TAGS = frozenset({"G54", "G55", "G56", "G57", "G58", "G59", "G59.1", "G59.2", "G59.3", "G28", "G30", "G92"})
 
 
@@ -203,3 +205,17 @@ def _offsets(pushes: Iterable[Push], unit_mm: float) -> dict[str, Triple]:
         elif len(numbers) >= 3:
             offsets[push.tag] = (numbers[0], numbers[1], numbers[2])
     return offsets
+
+
+def find_missing_option(settings: ControllerSettings, *, mist_line: int) -> str:
+    """Say why this controller would refuse a block of the program in the middle of a cut; "" if it would not.
+
+    mist_line : first line with M7, 0 for none. Nothing is said where the controller does not tell its options.
+    """
+    letters = settings.option_letters
+    if not mist_line or letters is None or settings.firmware not in _TELL_MIST or MIST in letters:
+        return ""
+    return (
+        f"line {mist_line}: M7 (mist) is error:20 on this controller: it is built without it ([OPT:{settings.options}] "
+        "has no M); take M7 out of the program, or use M8"
+    )

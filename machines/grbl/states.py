@@ -15,7 +15,7 @@ class Phase(Enum):
     HAILING = "hailing"  # '?' until a status report comes back; nothing else is sent
     IDENTIFYING = "identifying"  # $I $$ $# $G, only while the mill stands
     READY = "ready"  # nothing under way
-    ERRAND = "errand"  # one command, send and wait
+    COMMAND = "command"  # one command, send and wait
     STREAMING = "streaming"  # a program: lines are sent or still answered and executed
     STOPPING = "stopping"  # '!' is sent; waits until the mill stands
     CLEARING = "clearing"  # Ctrl-X is sent from standstill; waits for the banner
@@ -26,13 +26,17 @@ MOVES: dict[Phase, frozenset[Phase]] = {
     Phase.CLOSED: frozenset({Phase.HAILING}),
     Phase.HAILING: frozenset({Phase.IDENTIFYING, Phase.STOPPING, Phase.CLEARING}),
     Phase.IDENTIFYING: frozenset({Phase.READY, Phase.STOPPING, Phase.CLEARING}),
-    Phase.READY: frozenset({Phase.ERRAND, Phase.STREAMING, Phase.STOPPING, Phase.CLEARING}),
-    Phase.ERRAND: frozenset({Phase.READY, Phase.STOPPING, Phase.CLEARING}),
+    Phase.READY: frozenset({Phase.COMMAND, Phase.STREAMING, Phase.STOPPING, Phase.CLEARING}),
+    Phase.COMMAND: frozenset({Phase.READY, Phase.STOPPING, Phase.CLEARING}),
     Phase.STREAMING: frozenset({Phase.READY, Phase.STOPPING, Phase.CLEARING}),
     Phase.STOPPING: frozenset({Phase.CLEARING}),
     Phase.CLEARING: frozenset({Phase.STOPPING}),
 }
 FROM_EVERYWHERE = frozenset({Phase.CLOSED, Phase.HAILING})
+
+
+# A program goes on from these when a person says so.
+HELD_STATES = frozenset({"Hold", "Door", "Sleep", "Tool"})
 
 
 def may_move(before: Phase, after: Phase) -> bool:

@@ -1,237 +1,242 @@
-"""How a session stops: '!' before everything else, reset only at standstill, and what ends with it."""
+"""How the mill is stopped: '!' before everything else, a reset only at standstill: in motion it loses the position.
+
+Nothing that is not written yet may start motion after a stop.
+"""
 
 from __future__ import annotations
 
-from machines.driver import (
-    CommandDone,
-    Event,
-    FaultCause,
-    Faulted,
-    MillState,
-    Notice,
-    Restarted,
-    Stopped,
-)
-from machines.grbl import replies
-from machines.grbl import timeouts as stall
-from machines.grbl.greeting import Greeting
-from machines.grbl.known import SessionKnown
-from machines.grbl.resetting import ResetSequence
-from machines.grbl.runner import ErrandRunner
-from machines.grbl.states import Phase, may_move, stands
+from dataclasses import dataclass
 
-BUSY_S = 0.05  # between status requests while the mill is being stopped
+from machines.driver import FaultCause, Faulted, MillState, Notice, Stopped
+from machines.errors import NotAllowedError
+from machines.grbl.codes import CRITICAL_ALARMS, alarm_words
+from machines.grbl.commands import CommandChannel
+from machines.grbl.link import STARTING, TOOL_DONE, GrblLink
+from machines.grbl.replies import Status
+from machines.grbl.resetting import ResetControl, ResetSequence
+from machines.grbl.states import HELD_STATES, Phase, detail_words, stands
+from machines.grbl.status import StatusReporter
+from machines.grbl.streaming import Streamer
+from machines.grbl.timeouts import HOLD_S
+
+RESUME_POLL_S = 0.05
 HOLD_AGAIN_S = 0.4
-TOOL_DONE = b"\xa3"
-STARTING = b"~" + TOOL_DONE  # realtime bytes that can start motion
 HELD = "a hold came before it had ended: it is not taken up again"
 NOT_SENT = "a stop came before it was sent"
 
 
-class SessionStopping(SessionKnown):
-    """Faults, holds and aborts."""
+@dataclass(slots=True, eq=False)
+class StopControl:
+    """Brings the mill to rest: hold, fault, abort, alarm. Owns what it knows of the hold sent last."""
 
-    def _move(self, phase: Phase, now_s: float) -> None:
-        if not may_move(self.phase, phase):
-            raise AssertionError(f"no way from {self.phase.value} to {phase.value}")
-        self.phase = phase
-        self._phase_at_s = now_s
-        self._phase_spent_s = self._patience.spent_s
-        self._patience.begin()
-        self._poll_at_s = self._watch_at_s = now_s
-        self._stop_reports = self._idle_reports = 0
-        self._offers_reset = self._silence_told = False
-        if phase is not Phase.CLEARING:
-            self._reset = None
-
-    def _close(self, words: str, now_s: float, event: Event | None) -> None:
-        self.failure = words
-        self._urgent.clear()
-        self._text.clear()
-        self._hold_wanted = self._paused = False
-        self._held_line = ""
-        self._tell_restart()
-        self.view.position_lost()
-        self._move(Phase.CLOSED, now_s)
-        if event is not None:
-            self._events.append(event)
-
-    def _fault(self, cause: FaultCause, words: str, line: int, now_s: float) -> None:
-        """The stream is dead from here on, and '!' goes out before anything else."""
-        if self.phase is not Phase.STREAMING:
-            return
-        self._put_hold()
-        self._events.append(Faulted(cause, words, line, now_s))
-        self._stop(now_s)
-
-    def _put_hold(self) -> None:
-        """'!' before everything that waits to be written; what could start motion again is dropped."""
-        self._urgent = bytearray(b"!" + self._urgent.translate(None, STARTING))
-
-    def _drop_motion(self) -> None:
-        """Nothing that is not written yet may start motion after a stop: no resume, no line of a command."""
-        self._urgent = self._urgent.translate(None, STARTING)
-        if self._text and self._errand is not None and self._errand.command is not None:
-            self._text.clear()
-            self._give_up_errand(NOT_SENT)
-
-    def _give_up_errand(self, words: str) -> None:
-        self._end_errand(words)
-        if self.phase is Phase.ERRAND:
-            self._move(Phase.READY, self._phase_at_s)
-
-    def _stop(self, now_s: float) -> None:
-        self._text.clear()
-        self._steer = None
-        self._reset = None
-        self._hold_at_s = now_s
-        self._move(Phase.STOPPING, now_s)
-
-    def _hold_again(self, now_s: float) -> None:
-        self._put_hold()
-        self._hold_at_s = now_s
-
-    def _clear(self, now_s: float) -> None:
-        """Reset at standstill: planner and receive buffer are emptied, the position is kept."""
-        self._begin_reset(ResetSequence.at_standstill(now_s), now_s)
-
-    def _begin_reset(self, reset: ResetSequence, now_s: float) -> None:
-        self._end_stream()
-        self._text.clear()
-        self._urgent = bytearray((b"!" if b"!" in self._urgent else b"") + reset.take(now_s))
-        if self.phase is not Phase.CLEARING:
-            self._move(Phase.CLEARING, now_s)
-        self._reset = reset
-        self._phase_at_s = now_s
-        self._poll_at_s = now_s + BUSY_S
-
-    def _tell_restart(self) -> None:
-        """Restarted, and Stopped if it ends a stop: told with the verdict on the position."""
-        if self._restart is None:
-            return
-        (banner, stops), self._restart = self._restart, None
-        kept = self.view.judge_place()
-        self._events.append(Restarted(banner))
-        if stops:
-            self._events.append(Stopped(position_kept=kept))
-
-    def _end_stream(self) -> None:
-        if self._stream is not None:
-            if self.phase is Phase.STREAMING and self._stream.drained:
-                state = self._modes_after
-                self._modes = state if state else self._modes
-            self._progress = self._stream.progress(streaming=False)
-            self._stream = None
-
-    @property
-    def _modes_after(self) -> str:
-        return self._interpreter.state.words(with_motion=False) if self._stream is not None else ""
-
-    def _end_errand(self, words: str) -> None:
-        if self._errand is not None:
-            self._errand.fail(words)
-            if self._errand.command is not None:
-                self._events.append(CommandDone(self._errand.command, words))
-            self._errand = None
-        if self._steer is not None:
-            self._events.append(CommandDone(self._steer[0], words))
-            self._steer = None
-
-    def _watch_stop(self, now_s: float) -> None:
-        report = self.view.report
-        if now_s > self._hold_at_s + HOLD_AGAIN_S and not (report is not None and report.state in ("Hold", "Door")):
-            self._hold_again(now_s)
-        if now_s > self._phase_at_s + stall.HOLD_S:
-            self._phase_at_s = now_s
-            self._events.append(Notice("the mill does not confirm the hold: use its own stop button"))
-
-    def _settle(self, report: replies.Status, now_s: float) -> None:
-        """While stopping: is it certain that the mill stands?"""
-        stream = self._stream
-        if stream is not None and report.state in ("Run", "Hold"):
-            position = self.view.work_mm
-            if position is not None:
-                stream.tracker.reported(position)
-        if not stands(report):
-            self._stop_reports = 0
-            return
-        # A standing Hold is certain. Idle may be a report from before the '!', or before the next queued line.
-        self._stop_reports += 1
-        needed = 2 if report.state == "Hold" else 6
-        if report.state == "Idle" and self._stop_reports < needed and not now_s < self._hold_at_s + HOLD_AGAIN_S:
-            self._hold_again(now_s)
-        if self._stop_reports >= needed:
-            if stream is not None and self.view.work_mm is not None and report.state in ("Idle", "Hold"):
-                stream.tracker.stands_at(self.view.work_mm, exact_mm=self._exact_mm())
-            self._clear(now_s)
-
-    def hold(self, now_s: float) -> None:
-        """Stop motion. What is not written yet is dropped; a command is ended; a program waits for a resume."""
-        self._drop_motion()
-        phase = self.phase
-        self._hold_wanted = phase is not Phase.CLEARING
-        if phase in (Phase.CLOSED, Phase.CLEARING):
-            return  # carried out with the first report; or on the way to a reset, which leaves nothing to hold
-        if self.state is MillState.HOMING:
-            self._reset_homing(now_s)
-            return
-        self._put_hold()
-        if self._errand is not None:
-            self._hold_errand(self._errand, now_s)
-        self._paused = True
-        self._hold_seen = False
-        self._hold_reports = -self._patience.unanswered
-        self._hold_at_s = self._poll_at_s = now_s
-
-    def _hold_errand(self, errand: ErrandRunner, now_s: float) -> None:
-        """A held controller reads no line: a command ends here, the handshake begins anew when the mill is let go."""
-        if self.phase is Phase.IDENTIFYING:
-            self._hail_again(now_s)
-        else:
-            self._held_line = errand.asked
-            self._give_up_errand(HELD)
-
-    def _hail_again(self, now_s: float) -> None:
-        self._end_errand("held")
-        self._text.clear()
-        self._hail = Greeting(recognised=True)
-        self._move(Phase.HAILING, now_s)
-
-    def _reset_homing(self, now_s: float) -> None:
-        """A homing cycle obeys no hold; its position means nothing yet, so a reset loses nothing."""
-        self._end_errand("homing was stopped")
-        self.view.position_lost()
-        self._clear(now_s)
+    link: GrblLink
+    streamer: Streamer
+    commands: CommandChannel
+    reporter: StatusReporter
+    resets: ResetControl
+    abort_wanted: bool = False  # of a link that was away: carried out with the first report
+    _hold_seen: bool = False  # the mill has reported standing since the last hold
+    _hold_reports: int = 0  # reports since then: the first may have been made before it
+    _hold_at_s: float = 0.0
+    _notified_at_s: float = 0.0
+    _still_reports: int = 0  # in a row, while stopping
 
     @property
     def is_quiet(self) -> bool:
         """Nothing moves, and nothing that was sent can make it move."""
-        report = self.view.report
-        at_rest = self.phase in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING) and report is not None
+        report = self.link.view.report
+        at_rest = self.link.phase in (Phase.READY, Phase.IDENTIFYING, Phase.HAILING)
         return at_rest and report is not None and report.state in ("Idle", "Alarm")
 
+    # ------------------------------------------------------------------ asked for by a person
+
+    def hold(self, now_s: float) -> None:
+        """Stop motion. What is not written yet is dropped; a command is ended; a program waits for a resume."""
+        link = self.link
+        self.drop_motion(now_s)
+        link.hold_wanted = link.phase is not Phase.CLEARING
+        if link.phase in (Phase.CLOSED, Phase.CLEARING):
+            return  # carried out with the first report; or on the way to a reset, which leaves nothing to hold
+        if self.reporter.state is MillState.HOMING:
+            self._reset_homing(now_s)
+            return
+        link.put_hold()
+        if self.commands.busy:
+            self._hold_command(now_s)
+        link.paused = True
+        self._hold_seen = False
+        self._hold_reports = -link.silence.unanswered
+        self._hold_at_s = link.poll_at_s = now_s
+
+    def resume(self, now_s: float) -> None:
+        """Let the mill go on that is held, or that waits for a person."""
+        link, state, report = self.link, self.reporter.state, self.link.view.report
+        ready = link.phase in (Phase.HAILING, Phase.READY, Phase.COMMAND, Phase.STREAMING) and report is not None
+        if not ready or state not in (MillState.HELD, MillState.TOOL, MillState.DOOR):
+            raise NotAllowedError(f"resume: the mill is {state.value}, it must be held")
+        assert report is not None
+        if report.state == "Door" and report.sub:
+            raise NotAllowedError(f"resume: {detail_words(report)}")
+        if self.commands.held_line:
+            raise NotAllowedError(
+                f"resume: '{self.commands.held_line}' was ended by the hold and is not taken up again; send a reset "
+                "(from standstill the position is kept), then give the command anew"
+            )
+        link.hold_wanted = self.abort_wanted = False
+        if report.state == "Check":
+            link.paused = False
+            return
+        link.urgent += (TOOL_DONE if report.state == "Tool" else b"") + (b"" if b"~" in link.urgent else b"~")
+        link.poll_at_s = min(link.poll_at_s, now_s + RESUME_POLL_S)  # nobody who presses often postpones it
+
     def abort(self, now_s: float) -> None:
-        self._drop_motion()
-        phase, report = self.phase, self.view.report
-        if phase is Phase.CLOSED:
-            self._abort_wanted = True
+        """Hold, and when the mill stands clear the controller's buffers; ends with Stopped."""
+        link = self.link
+        self.drop_motion(now_s)
+        if link.phase is Phase.CLOSED:
+            self.abort_wanted = True
             return
-        if phase is Phase.HAILING and report is None:
-            self._abort_wanted = True
-            self._put_hold()  # a mill that is not heard may hear
-            if self._offers_reset:
-                self._begin_reset(ResetSequence.by_a_person(now_s), now_s)
+        if link.phase is Phase.HAILING and link.view.report is None:
+            self.abort_wanted = True
+            link.put_hold()  # a mill that is not heard may hear
+            if link.offers_reset:
+                self.resets.begin(ResetSequence.by_a_person(now_s), now_s)
             return
-        self._abort_wanted = False
-        if phase in (Phase.STOPPING, Phase.CLEARING):
+        self.abort_wanted = False
+        if link.phase in (Phase.STOPPING, Phase.CLEARING):
             return
-        if self.state is MillState.HOMING:
+        if self.reporter.state is MillState.HOMING:
             self._reset_homing(now_s)
             return
         if self.is_quiet:
-            self._events.append(Stopped(position_kept=self.view.trusted))
+            link.events.append(Stopped(position_kept=link.view.trusted))
             return
-        self._end_errand("aborted")
-        self._put_hold()
-        self._late_answers = True
-        self._stop(now_s)
+        self.commands.end("aborted")
+        link.put_hold()
+        self.streamer.late_answers = True
+        self._begin_stop(now_s)
+
+    def drop_motion(self, now_s: float) -> None:
+        """Drop what is not written yet and may start motion: a resume, the line of a command."""
+        link = self.link
+        link.urgent = link.urgent.translate(None, STARTING)
+        if link.text and self.commands.command is not None:
+            link.text.clear()
+            self.commands.give_up(NOT_SENT, now_s)
+
+    def _hold_command(self, now_s: float) -> None:
+        """A held controller reads no line: a command ends here, the handshake begins anew when the mill is let go."""
+        if self.link.phase is Phase.IDENTIFYING:
+            self._greet_again(now_s)
+        else:
+            self.commands.held_line = self.commands.asked
+            self.commands.give_up(HELD, now_s)
+
+    def _greet_again(self, now_s: float) -> None:
+        self.commands.end("held")
+        self.link.text.clear()
+        self.link.greet(now_s, recognised=True)
+
+    def _reset_homing(self, now_s: float) -> None:
+        """A homing cycle obeys no hold; its position means nothing yet, so a reset loses nothing."""
+        self.commands.end("homing was stopped")
+        self.link.view.position_lost()
+        self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
+
+    # ------------------------------------------------------------------ shown by the controller
+
+    def fault(self, cause: FaultCause, words: str, line: int, now_s: float) -> None:
+        """End the program for a fault, '!' before anything else. The first sign counts."""
+        if self.link.phase is not Phase.STREAMING:
+            return
+        self.link.put_hold()
+        self.link.events.append(Faulted(cause, words, line, now_s))
+        self._begin_stop(now_s)
+
+    def take_alarm(self, number: int, now_s: float) -> None:
+        """End what an alarm ends; after a critical one begin the reset that alone is heard then."""
+        link, words = self.link, alarm_words(number)
+        link.view.alarmed(number)
+        if self.commands.busy:
+            self.commands.give_up(words, now_s)
+        if link.phase is Phase.STREAMING:
+            self.fault(FaultCause.ALARM, words, self.streamer.first_line, now_s)
+        else:
+            link.events.append(Notice(words))
+        if number in CRITICAL_ALARMS:
+            # Stands already and will hear nothing but a new reset; what it holds must not survive.
+            self.resets.begin(ResetSequence.after_critical_alarm(now_s), now_s)
+
+    def take_report(self, report: Status, now_s: float) -> None:
+        """Follow hold, door and cycle start as the mill reports them; while stopping, wait for standstill."""
+        link = self.link
+        self._hold_reports += 1
+        if report.state in HELD_STATES:
+            link.paused = True
+            self._hold_seen = self._hold_reports > 0
+            if link.phase is Phase.IDENTIFYING:
+                self._greet_again(now_s)  # no line is read now
+        elif report.state == "Run" and link.hold_wanted and link.phase is Phase.STREAMING:
+            self._note_running(now_s)
+        elif report.state in ("Run", "Idle") and link.paused and not link.hold_wanted:
+            link.paused = False
+        if link.phase is Phase.STOPPING:
+            self._settle(report, now_s)
+
+    def watch(self, now_s: float) -> None:
+        """Look at the clock while a stop or a reset is under way."""
+        if self.link.phase is Phase.STOPPING:
+            self._watch_stop(now_s)
+        elif self.resets.watch(now_s):
+            self.link.events.append(Notice("no banner after the reset: asking again whether the mill stands"))
+            self.link.put_hold()
+            self._await_standstill(now_s)
+
+    def _begin_stop(self, now_s: float) -> None:
+        self.link.text.clear()
+        self.commands.override.drop()
+        self._await_standstill(now_s)
+
+    def _await_standstill(self, now_s: float) -> None:
+        self._hold_at_s = self._notified_at_s = now_s
+        self._still_reports = 0
+        self.link.enter(Phase.STOPPING, now_s)
+
+    def _hold_again(self, now_s: float) -> None:
+        self.link.put_hold()
+        self._hold_at_s = now_s
+
+    def _note_running(self, now_s: float) -> None:
+        """The mill runs although a hold was asked for: someone pressed cycle start, or the '!' was lost."""
+        if now_s <= self._hold_at_s + HOLD_AGAIN_S:
+            return
+        if self._hold_seen:
+            self.link.hold_wanted = self.link.paused = False
+        else:
+            self._hold_again(now_s)
+
+    def _settle(self, report: Status, now_s: float) -> None:
+        """While stopping: is it certain that the mill stands?"""
+        stream, position = self.streamer.stream, self.link.view.work_mm
+        if stream is not None and position is not None and report.state in ("Run", "Hold"):
+            stream.tracker.reported(position)
+        if not stands(report):
+            self._still_reports = 0
+            return
+        # A standing Hold is certain. Idle may be a report from before the '!', or before the next queued line.
+        self._still_reports += 1
+        needed = 2 if report.state == "Hold" else 6
+        if report.state == "Idle" and self._still_reports < needed and not now_s < self._hold_at_s + HOLD_AGAIN_S:
+            self._hold_again(now_s)
+        if self._still_reports >= needed:
+            if stream is not None and position is not None and report.state in ("Idle", "Hold"):
+                stream.tracker.stands_at(position, exact_mm=self.link.view.exact_mm)
+            self.resets.begin(ResetSequence.at_standstill(now_s), now_s)
+
+    def _watch_stop(self, now_s: float) -> None:
+        report = self.link.view.report
+        if now_s > self._hold_at_s + HOLD_AGAIN_S and not (report is not None and report.state in ("Hold", "Door")):
+            self._hold_again(now_s)
+        if now_s > self._notified_at_s + HOLD_S:
+            self._notified_at_s = now_s
+            self.link.events.append(Notice("the mill does not confirm the hold: use its own stop button"))

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 
 from machines.driver import ProgramLine, StreamProgress
 from machines.errors import MachineError, ProgramChangedError
+from machines.gcode.interpreter import Interpreter
+from machines.gcode.modal import ModalState
 from machines.gcode.step import Step
-from machines.grbl.counting import AnswerCount
-from machines.grbl.tracking import Tracker
-from machines.grbl.window import SendWindow
+from machines.grbl.flow_control import AnswerCount, SendWindow, usable_bytes
+from machines.grbl.link import GrblLink
+from machines.grbl.states import Phase
+from machines.grbl.tracking import SEGMENTS, Tracker
 
 # Bytes that a block may consist of: printable, without the characters that act at once wherever they stand (! ? ~).
 PLAIN = bytes(set(range(0x20, 0x7F)) - set(b"!?~"))
+DEFAULT_PLANNER_BLOCKS = 15
 Flight = tuple[ProgramLine, Step]
 
 
@@ -24,12 +29,12 @@ class Stream:
         lines: Iterator[ProgramLine],
         *,
         capacity: int,
-        interpret: Callable[[bytes], Step],
+        interpreter: Interpreter,
         tracker: Tracker,
         count: AnswerCount,
     ) -> None:
         self._lines = lines
-        self._interpret = interpret
+        self.interpreter = interpreter
         self._next: Flight | None = None
         self._rest = b""  # counted, not yet given out: the wire has no room for them now
         self._alone = False  # a line that writes settings is under way: nothing else may be
@@ -39,6 +44,7 @@ class Stream:
         self.wants_wire = False  # more could be sent if the wire were less full
         self.sent_line = self.sent_offset = self.answered_line = 0
         self.echoed = False  # the oldest line under way has been echoed
+        self.compared = False  # a reported position was found on the path
         self.agreed_line = 0  # as many answers had come as lines, when this one was answered
         self.count = count
 
@@ -87,7 +93,7 @@ class Stream:
             )
         if not line.text or line.text.translate(None, PLAIN):
             raise MachineError(f"line {line.number}: {line.text!r} is not a plain block: run pre-flight again")
-        self._next = (line, self._interpret(line.text))
+        self._next = (line, self.interpreter.take(line.text))
         return self._next
 
     def answered(self) -> Flight:
@@ -128,3 +134,91 @@ class Stream:
             lines_in_flight=len(self.window),
             streaming=streaming,
         )
+
+
+@dataclass(slots=True, eq=False)
+class Streamer:
+    """Owns the program under way, from its start until the controller's buffers hold nothing of it any more.
+
+    echoes       : the controller echoes every line it has read
+    late_answers : answers to a program that is being stopped still count
+    """
+
+    link: GrblLink
+    stream: Stream | None = None
+    echoes: bool = False
+    late_answers: bool = False
+    _progress: StreamProgress = field(default_factory=StreamProgress)
+
+    @property
+    def window_bytes(self) -> int:
+        return usable_bytes(self.link.options.rx_bytes or self.link.view.settings.rx_bytes)
+
+    @property
+    def planner_blocks(self) -> int:
+        return self.link.view.settings.planner_blocks or DEFAULT_PLANNER_BLOCKS
+
+    @property
+    def corridor_mm(self) -> float:
+        """How far a reported position may be off: the option, and what rounding, steps and chords add."""
+        view = self.link.view
+        return self.link.options.corridor_mm + view.exact_mm + (view.settings.arc_tolerance_mm or 0.002)
+
+    @property
+    def progress(self) -> StreamProgress:
+        if self.stream is None:
+            return self._progress
+        return self.stream.progress(streaming=self.link.phase is Phase.STREAMING)
+
+    @property
+    def first_line(self) -> int:
+        """Number of the oldest line under way; 0 if none is."""
+        return self.stream.first_line if self.stream is not None else 0
+
+    @property
+    def waits_for_person(self) -> bool:
+        """The oldest line under way is answered when a person lets the mill go on."""
+        first = self.stream.first if self.stream is not None else None
+        return first is not None and first[1].withholds_ok
+
+    def start(self, lines: Iterator[ProgramLine], now_s: float) -> None:
+        """Begin a program where the mill stands, in the modes that it is in."""
+        link, settings, modes = self.link, self.link.view.settings, self.link.view.modes.split()
+        state = ModalState(
+            position_mm=link.view.work_mm or (None, None, None),
+            units="G20" if "G20" in modes else "G21",
+            distance="G91" if "G91" in modes else "G90",
+        )
+        self.stream = Stream(
+            lines,
+            capacity=self.window_bytes,
+            interpreter=Interpreter(state, dialect=link.options.dialect),
+            tracker=Tracker(
+                planner_blocks=self.planner_blocks,
+                tolerance_mm=self.corridor_mm,
+                segments=SEGMENTS[settings.firmware],
+                least_block_mm=1.7321 * max(settings.step_mm or (0.01,)),  # then some axis makes a step
+            ),
+            count=AnswerCount(now_s),
+        )
+        link.paused = link.hold_wanted = self.late_answers = False
+        link.enter(Phase.STREAMING, now_s)
+
+    def end(self) -> None:
+        """Forget the program but for its progress, and for the modes that it leaves where it was carried out whole."""
+        stream, self.stream = self.stream, None
+        if stream is not None:
+            if self.link.phase is Phase.STREAMING and stream.drained:
+                modes = stream.interpreter.state.words(with_motion=False)
+                self.link.view.modes = modes or self.link.view.modes
+            self._progress = stream.progress(streaming=False)
+
+    def take_late_answer(self, error: int) -> None:
+        """Count an answer to a line of a program that is being stopped."""
+        stream = self.stream
+        if stream is None or not self.late_answers or not stream.window.used:
+            return
+        if error or self.echoes:
+            self.late_answers = False
+        else:
+            stream.answered()

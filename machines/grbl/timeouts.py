@@ -6,8 +6,8 @@ Three signs, from quick to slow, each enough by itself:
   a spindle: a line or a reply was lost, or the stepper ran dry;
 - no answer, no new position and no step proven for longer than everything still under way can take at worst.
 
-Time is that of patience.py: only such in which we, and for the last two the link, could have heard. Nothing is lost by
-patience: a mill that gets no lines runs dry and waits. The clock of the last two starts anew with every answer, every
+Time is SilenceClock's: only such in which we, and for the last two the link, could have heard. Nothing is lost by
+waiting: a mill that gets no lines runs dry and waits. The clock of the last two starts anew with every answer, every
 change of a reported position and every hold, so that the worst case need not be close: it is there for motion that
 looks like standing (a circle in one poll).
 """
@@ -35,7 +35,55 @@ UNKNOWN_MM = 2000.0  # a move from or to a place the program does not tell, wher
 SLOWEST_MM_PER_MIN = 1.0  # no firmware moves slower
 OFFER_S = 1.0  # nothing answers for so long: a person may send a reset
 TELL_S = 3.0  # silence while a program runs, that the operator is told of
-PERSON_S = 10.0  # patience with a controller that a person has sent resets to
+PERSON_S = 10.0  # until a controller that a person has sent resets to is given up
+LOOK_S = 0.25  # five times what lies between two looks of a computer that is not busy
+REPORT_S = 0.25  # a report is due ten times a second
+
+
+class SilenceClock:
+    """Time that counts while something is awaited. spent_s: our own; heard_s: the link's. Both only go on.
+
+    A wall clock runs while our process waits for a processor, while the computer sleeps, and while replies wait in a
+    driver or a network. None of that is silence of the mill. So our own time passes in looks, each worth LOOK_S at
+    most, and the link's in reports: between two of them as much of our time as passed, REPORT_S at most. Answers and
+    reports come in the order in which they were made; a report that is here shows that no earlier answer is still on
+    its way.
+    """
+
+    __slots__ = ("_begun_s", "_looked_at_s", "_reported_s", "heard_s", "notified", "spent_s", "unanswered")
+
+    def __init__(self) -> None:
+        self.spent_s = self.heard_s = 0.0
+        self.unanswered = 0  # '?' written since the last report
+        self.notified = False  # the operator knows of this silence
+        self._begun_s = self._looked_at_s = self._reported_s = 0.0
+
+    def look(self, now_s: float) -> None:
+        """Count the time since the last look."""
+        self.spent_s += min(max(now_s - self._looked_at_s, 0.0), LOOK_S)
+        self._looked_at_s = now_s
+
+    def take_report(self) -> None:
+        """End the silence: a report has come."""
+        self.heard_s += min(self.spent_s - self._reported_s, REPORT_S)
+        self._reported_s = self.spent_s
+        self.unanswered = 0
+        self.notified = False
+
+    def begin_wait(self) -> None:
+        """Begin to wait for reports: a phase begins."""
+        self._begun_s = self._reported_s = self.spent_s
+        self.notified = False
+
+    @property
+    def waited_s(self) -> float:
+        """Our time since the phase began."""
+        return self.spent_s - self._begun_s
+
+    @property
+    def silent_s(self) -> float:
+        """Our time without a report."""
+        return self.spent_s - self._reported_s
 
 
 class Waiting(QueuedMove, Protocol):

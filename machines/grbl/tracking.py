@@ -46,6 +46,7 @@ class QueuedMove(Protocol):
     waits_for_empty_buffer: bool
     pause_s: float
     ends_program: bool
+    probes: bool
     start_mm: Position
     end_mm: Position
     arc: Arc | None
@@ -97,9 +98,9 @@ class Tracker:
         "_short_rapid_mm",
         "_short_s",
         "_steps",
-        "_tolerance_mm",
         "_usual_beyond",
         "executed_line",
+        "tolerance_mm",
     )
 
     def __init__(
@@ -127,7 +128,7 @@ class Tracker:
         self._short_rapid_mm = SHORT_RAPID_MM_PER_S * self._short_s
         self._short_left = 0
         self._distrusted = False
-        self._tolerance_mm = tolerance_mm
+        self.tolerance_mm = tolerance_mm
 
     def sent(self, number: int, step: QueuedMove) -> None:
         self._steps.append((number, step))
@@ -197,7 +198,7 @@ class Tracker:
         """A position in the work frame of the program was reported while it runs or stands within the program."""
         if self._distrusted:
             return Sight(Place.UNTOLD)
-        tolerance_mm = self._tolerance_mm
+        tolerance_mm = self.tolerance_mm
         nearest, nearest_mm = 0, float("inf")
         for index, (number, step) in enumerate(self._steps):
             if not step.moves:
@@ -221,7 +222,7 @@ class Tracker:
             self._drop(index)
             return Sight(Place.ON_PATH, number, away_mm)
         before = self._nearest_before(position_mm)
-        if before is not None and before.distance_mm <= self._tolerance_mm:
+        if before is not None and before.distance_mm <= self.tolerance_mm:
             return Sight(Place.ON_PATH, before.line, before.distance_mm)
         if before is None and not any(step.moves for step in self.unproven_answered):
             return Sight(Place.UNTOLD)  # nothing has run yet: the mill stands by chance on a later line
@@ -249,11 +250,11 @@ class Tracker:
             return
         (found,) = ends
         behind = next((k for k in range(found + 1, len(steps)) if steps[k][1].moves), None)
-        if behind is not None and _apart_mm(position_mm, steps[behind][1].end_mm) <= self._tolerance_mm:
+        if behind is not None and _apart_mm(position_mm, steps[behind][1].end_mm) <= self.tolerance_mm:
             return  # that one may just as well have come back
         others = [step for index, (_, step) in enumerate(steps) if index not in (found, behind)]
         others += [step for _, step in islice(reversed(self._recent), BEHIND)]
-        if not any(step.moves and step.distance_mm(position_mm) <= self._tolerance_mm for step in others):
+        if not any(step.moves and step.distance_mm(position_mm) <= self.tolerance_mm for step in others):
             self._drop(found + 1)
 
     def _nearest_before(self, position_mm: Triple) -> Sight | None:
@@ -269,7 +270,7 @@ class Tracker:
             away_mm = step.distance_mm(position_mm)
             if found is None or away_mm < found.distance_mm:
                 found = Sight(Place.ON_PATH, number, away_mm)
-                if away_mm <= self._tolerance_mm:
+                if away_mm <= self.tolerance_mm:
                     break
         return found
 

@@ -18,11 +18,11 @@ class MachineView:
         self.settings = ControllerSettings()
         self.identified = False
         self.report: Status | None = None
-        self.report_at_s = float("-inf")
         self.reports = 0
         self.alarm = 0  # number of the alarm that stands, 0 for none
         self.locked_by = 0  # the same, beyond the banner that ends it: as long as the controller stays locked
         self.work_offset: Triple | None = None  # report units
+        self.modes = ""  # [GC:] words, or what the last program has left
         self.overrides = (100, 100, 100)
         self.override_reports = 0  # reports with Ov so far
         self.spindle_on: bool | None = None
@@ -81,11 +81,11 @@ class MachineView:
         if number not in SPINDLE_ON_ALARMS:
             self.spindle_on, self.spindle_stopped = False, True
 
-    def take(self, report: Status, now_s: float) -> bool:
+    def take(self, report: Status) -> bool:
         """A report has come; says whether it shows another place than the one before."""
         before = self.report
         moved = before is None or (before.machine, before.work) != (report.machine, report.work)
-        self.report, self.report_at_s = report, now_s
+        self.report = report
         self.spindle_stopped = False
         self.reports += 1
         if report.state != "Alarm":
@@ -145,3 +145,9 @@ class MachineView:
     def report_step_mm(self) -> float:
         """Last digit of a reported position: 3 decimals in mm, 4 in inch."""
         return 0.0001 * MM_PER_INCH if self.settings.reports_in_inch else 0.001
+
+    @property
+    def exact_mm(self) -> float:
+        """How far a report of a mill that stands at a point may be from that point: a step and the last digit."""
+        steps = self.settings.step_mm or (0.01, 0.01, 0.01)
+        return 1.7321 * self.report_step_mm + 0.5 * sum(step * step for step in steps) ** 0.5

@@ -11,7 +11,7 @@ from typing import Any
 
 from machines.driver import Driver, MillState, TrustPosition
 from machines.errors import JournalError, MachineError, NotAllowedError
-from machines.grbl.options import find_missing_option
+from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
 from machines.mill.link import get_settings
 from machines.mill.orders import Order, OrderRefusedError, Refusal

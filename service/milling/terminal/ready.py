@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 
 from machines.driver import Command, CommandDone, Home, Reset, SendBlock, TrustPosition, Unlock
 from machines.errors import MachineError, NotAllowedError
-from machines.grbl.greeting import SILENT
+from machines.grbl.link import SILENT
 from machines.mill.commands import command_words
 from machines.mill.thread import MillThread
 from machines.recovery.needs import needs_of_standing_mill

@@ -19,7 +19,7 @@ from rich.console import Console
 from machines.driver import MillState
 from machines.errors import MachineError, NotAControllerError
 from machines.gcode.program import ProgramReader
-from machines.grbl.greeting import SILENT
+from machines.grbl.link import SILENT
 from machines.grbl.settings import ControllerSettings
 from machines.mill.mill import Mill
 from machines.mill.thread import MillThread

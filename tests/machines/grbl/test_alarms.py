@@ -25,8 +25,8 @@ from machines.driver import (
     Unlock,
 )
 from machines.errors import NotAllowedError
-from machines.grbl.options import find_missing_option
 from machines.grbl.session import GrblSession
+from machines.grbl.settings import find_missing_option
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import GRBL_11, GRBLHAL, Traits
 
@@ -114,7 +114,7 @@ def test_back_to_work_after(number: int) -> None:
     assert status.state is MillState.ALARM
     assert status.spindle_on is row.spindle_on and bench.mill.firmware.spindle_on() is row.spindle_on
     assert (status.spindle_rpm == 0.0) is not row.spindle_on
-    ready = lambda: bench.state() is MillState.ALARM and bench.driver._session.phase.value == "ready"  # noqa: E731
+    ready = lambda: bench.state() is MillState.ALARM and bench.driver._session.link.phase.value == "ready"  # noqa: E731
     assert bench.until(ready, 10.0), bench.driver.status
     written = b"".join(data for _, data in bench.tap.written[begin:])
     assert (b"\x18" in written) is row.resets
@@ -144,7 +144,7 @@ def test_a_critical_alarm_is_left_though_message_or_reset_are_lost(traits: Trait
         bench.mill.arm(Faults((Fault(kind="drop", at_s=bench.mill.now_s + 0.51),)))
     assert bench.of(Faulted)[0].cause is FaultCause.ALARM
     assert bench.until(lambda: bench.of(Restarted)[1:] and bench.state() is MillState.ALARM, 3.0)
-    assert bench.until(lambda: bench.driver._session.phase.value == "ready", 3.0)
+    assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 3.0)
     resets = b"".join(data for _, data in bench.tap.written).count(b"\x18")
     assert 1 <= resets <= 4
 
@@ -160,7 +160,7 @@ def test_a_mill_that_takes_no_reset_is_told_of_and_asked_on() -> None:
     assert any("emergency stop" in event.words for event in bench.of(Notice))
     bench.mill.power_cycle()
     assert bench.until(lambda: bench.of(Restarted)[1:], 5.0)
-    assert bench.until(lambda: bench.driver._session.phase.value == "ready", 5.0)
+    assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 5.0)
     assert not bench.driver.status.position_trusted
 
 
@@ -180,12 +180,12 @@ def test_at_opening_a_port_that_answers_nothing_gets_no_reset_but_one_may_be_sen
     bench = critical_at_opening()
     with pytest.raises(NotAllowedError):
         bench.driver.command(Reset())  # not at once: it may only be slow
-    assert bench.until(lambda: bench.driver._session.offers_reset, 3.0)
+    assert bench.until(lambda: bench.driver._session.link.offers_reset, 3.0)
     assert "send a reset" in bench.driver.status.detail
     assert set(b"".join(data for _, data in bench.tap.written)) == set(b"?")
     bench.driver.command(Reset())
     assert bench.until(lambda: bench.state() is MillState.ALARM, 5.0)
-    assert bench.until(lambda: bench.driver._session.phase.value == "ready", 5.0)
+    assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 5.0)
     assert not bench.driver.status.position_trusted
 
 
@@ -193,10 +193,10 @@ def test_a_stop_where_nothing_answers_is_written_and_ends_in_a_reset() -> None:
     bench = critical_at_opening()
     bench.driver.hold()
     assert b"!" in bench.tap.written[-1][1]
-    assert bench.until(lambda: bench.driver._session.offers_reset, 3.0)
+    assert bench.until(lambda: bench.driver._session.link.offers_reset, 3.0)
     bench.driver.abort()
     assert bench.until(lambda: bench.of(Stopped), 5.0)
-    assert bench.until(lambda: bench.driver._session.phase.value == "ready", 5.0)
+    assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 5.0)
 
 
 def test_a_silent_port_is_given_up_in_words_that_speak_of_the_reset() -> None:
@@ -205,7 +205,7 @@ def test_a_silent_port_is_given_up_in_words_that_speak_of_the_reset() -> None:
     assert "hears nothing but a reset" in bench.of(Faulted)[0].words
     bench = critical_at_opening()
     bench.mill._off = True
-    assert bench.until(lambda: bench.driver._session.offers_reset, 3.0)
+    assert bench.until(lambda: bench.driver._session.link.offers_reset, 3.0)
     bench.driver.command(Reset())
     assert bench.until(lambda: bench.state() is MillState.DISCONNECTED, 20.0)
     assert "not even" in bench.of(Faulted)[0].words
@@ -220,10 +220,10 @@ def test_a_mill_that_falls_silent_while_it_is_stopped_can_be_reset() -> None:
     bench.mill.firmware.raise_alarm(1)
     bench.mill.output()
     bench.mill.serial.out.clear()
-    bench.until(lambda: bench.driver._session.offers_reset, 5.0)
+    bench.until(lambda: bench.driver._session.link.offers_reset, 5.0)
     if not bench.of(Restarted)[1:]:
         bench.driver.command(Reset())
-    assert bench.until(lambda: bench.driver._session.phase.value == "ready", 5.0)
+    assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 5.0)
 
 
 # -- where the machine stands after a banner -------------------------------------------------------------------------
@@ -241,7 +241,7 @@ def restarted(bench: Bench) -> bool:
     count = len(bench.of(Restarted))
     assert bench.until(lambda: len(bench.of(Restarted)) > count, 10.0)
     trusted = bench.driver.status.position_trusted
-    assert bench.until(lambda: bench.driver._session.phase.value == "ready", 5.0)
+    assert bench.until(lambda: bench.driver._session.link.phase.value == "ready", 5.0)
     assert bench.driver.status.position_trusted is trusted
     return trusted
 
@@ -299,7 +299,7 @@ def test_laser_mode_is_refused_with_the_cure() -> None:
 
 
 def test_what_it_was_tried_on_is_told() -> None:
-    assert "GRBL 1.1h compiled for a host with UART pacing" in GrblSession().facts.tried_on
+    assert "GRBL 1.1h compiled for a host with UART pacing" in GrblSession().reporter.facts.tried_on
 
 
 @pytest.mark.parametrize(

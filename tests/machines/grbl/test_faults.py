@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from machines.driver import FaultCause, Faulted, Home, MillState, ProgramDone, ProgramLine, Stopped
 from machines.errors import ProgramChangedError
 from machines.grbl.driver import GrblDriver
-from machines.grbl.session import GrblOptions, GrblSession
+from machines.grbl.link import GrblOptions
+from machines.grbl.session import GrblSession
 from machines.grbl.states import Phase
 from machines.grbl.timeouts import REPORT_SILENCE_S
 from machines.simulated.faults import Fault
@@ -184,7 +185,7 @@ def ready_session() -> GrblSession:
         session.output(0.1)
         session.receive(data, 0.2 + number * 0.1)
     session.take_events()
-    assert session.phase is Phase.READY
+    assert session.link.phase is Phase.READY
     return session
 
 
@@ -217,12 +218,12 @@ def test_the_first_sign_is_answered_in_the_same_call(said: bytes, cause: FaultCa
     faults = [event for event in session.take_events() if isinstance(event, Faulted)]
     assert [fault.cause for fault in faults] == [cause] and faults[0].words
     assert cause is FaultCause.RESET or data[:1] in (b"!", b"\x18")
-    assert b"X" not in data and session.phase is not Phase.STREAMING
+    assert b"X" not in data and session.link.phase is not Phase.STREAMING
 
 
 def test_silence_is_a_fault() -> None:
     session, now_s = streaming_session(), 1.0
-    while session.phase is Phase.STREAMING and now_s < 100.0:
+    while session.link.phase is Phase.STREAMING and now_s < 100.0:
         now_s += 0.05
         session.tick(now_s)
         session.output(now_s)
@@ -255,7 +256,7 @@ def long_move() -> GrblSession:
 def test_idle_with_lines_unanswered_is_a_stall_however_long_the_next_move() -> None:
     session = long_move()
     said_for(session, IDLE, 1.5, 1.0)
-    assert session.phase is Phase.STREAMING
+    assert session.link.phase is Phase.STREAMING
     said_for(session, IDLE, 2.0, 2.5)
     (fault,) = [event for event in session.take_events() if isinstance(event, Faulted)]
     assert fault.cause is FaultCause.STALL and "Idle" in fault.words
@@ -266,7 +267,7 @@ def test_idle_in_between_is_no_standing() -> None:
     session = long_move()
     now_s = said_for(session, IDLE, 1.0, 1.0)
     said_for(session, RUN, 20.0, now_s)
-    assert session.phase is Phase.STREAMING
+    assert session.link.phase is Phase.STREAMING
 
 
 @pytest.mark.thorough
@@ -283,7 +284,7 @@ def test_counting_costs_half_a_per_cent_where_the_planner_never_covers_it() -> N
 
     counted_s = seconds()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("machines.grbl.counting.COUNT_EVERY_S", 1e9)
+        patch.setattr("machines.grbl.flow_control.COUNT_EVERY_S", 1e9)
         assert counted_s < 1.005 * seconds()
     assert sum(map(len, blocks)) + len(blocks) > 0.97 * 11520 * counted_s
 
@@ -321,7 +322,7 @@ def test_an_error_before_the_banner_answers_nothing() -> None:
     for number, data in enumerate(IDENTITY):
         session.output(0.1)
         session.receive(data, 0.2 + number * 0.1)
-    assert session.phase is Phase.READY and session.epoch == 1
+    assert session.link.phase is Phase.READY and session.link.epoch == 1
 
 
 REPORTS = ["Hold:0", "Hold:1", "Run", "Door:0", "Sleep", "Check", "Jog", "Tool", "Home", "Idle", "Alarm"]
@@ -345,9 +346,10 @@ def test_no_bytes_and_no_times_break_the_session(script: list[tuple[bytes, float
         session.receive(data, now_s)
         out = session.output(now_s)
         assert set(out) <= set(b"?!\x18$IG#XYZF0123456789.-\n")
-        assert session.progress.bytes_in_flight <= session.window_bytes
+        assert session.streamer.progress.bytes_in_flight <= session.streamer.window_bytes
         assert session.next_deadline_s >= 0.0
-        assert session.status.state in MillState and session.facts and session.protections is not None
+        assert session.reporter.status.state in MillState and session.reporter.facts
+        assert session.reporter.protections is not None
         session.take_events()
 
 
@@ -361,7 +363,7 @@ def test_chunks_of_replies_change_nothing(sizes: list[int]) -> None:
     for size in [*sizes, len(said)]:
         pieces.receive(said[start : start + size], 1.1)
         start += size
-    assert pieces.progress == whole.progress
+    assert pieces.streamer.progress == whole.streamer.progress
     assert pieces.output(1.1) == whole.output(1.1)
     assert pieces.take_events() == whole.take_events()
 
@@ -370,7 +372,7 @@ def test_a_line_that_writes_settings_is_under_way_alone() -> None:
     """While the EEPROM is written the controller hears nothing: no counted line may be before or behind it."""
     session = ready_session()
     session.start(iter(numbered([b"G21G90G94G17G1F600", b"X1", b"G10L2P2X0", b"X2", b"X3"])), 1.0)
-    session._urgent.clear()
+    session.link.urgent.clear()
     written = []
     for _ in range(4):
         written.append(session.output(1.0).replace(b"?", b""))
@@ -392,9 +394,9 @@ def test_a_lost_hold_is_sent_again_and_a_cycle_start_is_believed() -> None:
     session.receive(run, 1.6)
     assert b"!" in session.output(1.6)
     session.receive(run.replace(b"Run", b"Hold:0"), 1.8)
-    assert session.state is MillState.HELD
+    assert session.reporter.state is MillState.HELD
     session.receive(run, 2.5)
-    assert session.state is MillState.RUN and b"!" not in session.output(2.5)
+    assert session.reporter.state is MillState.RUN and b"!" not in session.output(2.5)
 
 
 def test_a_hold_asked_for_while_the_link_was_away_is_carried_out_on_return() -> None:

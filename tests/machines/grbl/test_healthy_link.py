@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from machines.driver import FaultCause, Faulted, MillState, Override, ProgramDone, Stopped
 from machines.errors import NotAllowedError
-from machines.grbl.counting import COUNT_EVERY_S, COUNT_LATE_S
+from machines.grbl.flow_control import COUNT_EVERY_S, COUNT_LATE_S
 from machines.grbl.timeouts import IDLE_S, REPORT_SILENCE_S
 from machines.simulated.faults import Fault, Faults
 from machines.simulated.traits import FLUIDNC, GRBL_11, GRBL_11_ECHO, GRBLHAL, Traits
@@ -153,7 +153,7 @@ def test_counting_does_not_slow_the_mill() -> None:
 
     with_counts = seconds()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("machines.grbl.counting.COUNT_EVERY_S", 1e9)
+        patch.setattr("machines.grbl.flow_control.COUNT_EVERY_S", 1e9)
         assert seconds() == pytest.approx(with_counts, abs=0.15)
     assert with_counts > 4 * COUNT_EVERY_S
 

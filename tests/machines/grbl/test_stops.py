@@ -85,17 +85,17 @@ def test_after_a_stop_nothing_that_starts_motion_is_written_unasked(script: list
     stopped, mark = "", 0
     for name in script:
         if name in STOPS:
-            if name == "jog-cancel" and bench.driver._session._stream is not None:
+            if name == "jog-cancel" and bench.driver._session.streamer.stream is not None:
                 continue  # is for jogs; a program goes on
             with contextlib.suppress(NotAllowedError):
                 STOPS[name](bench)
                 stopped, mark = name, len(bench.tap.written)
         elif name in ORDERS:
-            before = bench.driver._session._urgent[:], bench.driver._session._text[:]
+            before = bench.driver._session.link.urgent[:], bench.driver._session.link.text[:]
             try:
                 ORDERS[name](bench)
             except NotAllowedError:
-                assert before == (bench.driver._session._urgent, bench.driver._session._text)
+                assert before == (bench.driver._session.link.urgent, bench.driver._session.link.text)
             else:
                 stopped = ""
         else:
@@ -185,14 +185,14 @@ def test_a_resume_key_held_down_postpones_no_poll(again_s: float) -> None:
     bench.pass_time(1.0)
     bench.mill.press("close-door")
     bench.pass_time(0.5)
-    reports = bench.driver._session.view.reports
+    reports = bench.driver._session.link.view.reports
     end_s = bench.mill.now_s + 3.0
     while bench.mill.now_s < end_s:
         with contextlib.suppress(NotAllowedError):
             bench.driver._session.resume(bench.mill.now_s)
-            bench.driver._session._urgent = bench.driver._session._urgent.replace(b"~", b"")  # its wire is cut
+            bench.driver._session.link.urgent = bench.driver._session.link.urgent.replace(b"~", b"")  # its wire is cut
         bench.events += bench.driver.poll(again_s)
-    assert bench.driver._session.view.reports > reports + 20
+    assert bench.driver._session.link.view.reports > reports + 20
     assert not bench.of(Faulted)
 
 
@@ -202,4 +202,4 @@ def test_an_order_refused_leaves_nothing_behind() -> None:
     bench.pass_time(1.0)
     with pytest.raises(NotAllowedError):
         bench.driver.resume()
-    assert bench.driver._session._urgent.count(b"~") == 0
+    assert bench.driver._session.link.urgent.count(b"~") == 0

@@ -6,8 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from machines.grbl.pacing import AHEAD_S, Pacer
-from machines.grbl.window import SendWindow, usable_bytes
+from machines.grbl.flow_control import AHEAD_S, Pacer, SendWindow, usable_bytes
 
 
 @given(st.lists(st.one_of(st.integers(1, 80), st.none()), max_size=200), st.integers(80, 200))

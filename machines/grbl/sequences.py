@@ -1,4 +1,4 @@
-"""Commands beside the stream, each as a generator: it yields what to send or to wait for and gets the answer back.
+"""Command sequences: a command as a generator that yields what to send or to wait for and gets the answer back.
 
 One line at a time, the next only after the answer: settings and offsets are written to EEPROM, and while that is
 written the controller hears nothing, so such lines must never be part of a counted stream.
@@ -6,7 +6,7 @@ written the controller hears nothing, so such lines must never be part of a coun
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator
+from collections.abc import Generator
 from dataclasses import dataclass, field
 
 from machines.driver import CheckMode, Command, Home, Jog, ProbeZ, ReadSettings, SendBlock, SetZero, Unlock
@@ -51,21 +51,21 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a finished errand leaves behind."""
+    """What a finished sequence leaves behind."""
 
     answer: dict[str, object] = field(default_factory=dict)
     settings: ControllerSettings | None = None
     vouched: str = ""  # axes whose coordinates are right from now on
 
 
-class ErrandFailedError(Exception):
-    """The errand cannot go on; the text is for the operator."""
+class SequenceFailedError(Exception):
+    """The sequence cannot go on; the text is for the operator."""
 
 
-Errand = Generator[Ask | WaitStill, Answer, Outcome]
+CommandSequence = Generator[Ask | WaitStill, Answer, Outcome]
 
 
-def identify(banner: str) -> Errand:
+def identify(banner: str) -> CommandSequence:
     """$I, $$, $#, $G: who is there and how it is set. Moves nothing, changes nothing."""
     heard: list[replies.Reply] = []
     version = Answer("not asked")
@@ -75,16 +75,16 @@ def identify(banner: str) -> Errand:
         if not version.failure:
             break
     heard += version.heard
-    heard += yield from _told(b"$$", "$")
-    heard += yield from _told(b"$#", OFFSET_TAG)
-    heard += yield from _told(b"$G", PARSER_TAG)
+    heard += yield from _ask_twice(b"$$", "$")
+    heard += yield from _ask_twice(b"$#", OFFSET_TAG)
+    heard += yield from _ask_twice(b"$G", PARSER_TAG)
     settings = read_settings(heard, banner)
     if version.failure and not banner and not settings.values and not settings.parser_state:
-        raise ErrandFailedError(f"answers '?' like GRBL, but neither $I nor $$ ({version.failure})")
+        raise SequenceFailedError(f"answers '?' like GRBL, but neither $I nor $$ ({version.failure})")
     return Outcome(settings=settings, answer=describe_settings(settings))
 
 
-def _told(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
+def _ask_twice(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[replies.Reply, ...]]:
     """What the controller says to this twice in the same words: a byte lost on the way makes 300 mm of travel 0 mm.
 
     Nothing, where it does not answer twice running.
@@ -101,7 +101,7 @@ def _told(text: bytes, expect: str) -> Generator[Ask | WaitStill, Answer, tuple[
             return answer.heard
         else:
             last = answer.heard
-    raise ErrandFailedError(f"{text.decode('ascii')} is answered differently every time: the link damages bytes")
+    raise SequenceFailedError(f"{text.decode('ascii')} is answered differently every time: the link damages bytes")
 
 
 def describe_settings(settings: ControllerSettings) -> dict[str, object]:
@@ -113,51 +113,51 @@ def describe_settings(settings: ControllerSettings) -> dict[str, object]:
     }
 
 
-def _ask(answer: Answer) -> Answer:
+def _require_ok(answer: Answer) -> Answer:
     if answer.failure:
-        raise ErrandFailedError(answer.failure)
+        raise SequenceFailedError(answer.failure)
     return answer
 
 
-def home(settings: ControllerSettings) -> Errand:
-    _ask((yield Ask(b"$H", longest_homing_s(settings))))
-    _ask((yield WaitStill(REPLY_S)))
+def home(settings: ControllerSettings) -> CommandSequence:
+    _require_ok((yield Ask(b"$H", longest_homing_s(settings))))
+    _require_ok((yield WaitStill(REPLY_S)))
     return Outcome(vouched="XYZ")
 
 
-def unlock() -> Errand:
-    _ask((yield Ask(b"$X")))
+def unlock() -> CommandSequence:
+    _require_ok((yield Ask(b"$X")))
     return Outcome()
 
 
-def jog(command: Jog, settings: ControllerSettings) -> Errand:
+def jog(command: Jog, settings: ControllerSettings) -> CommandSequence:
     axes = "".join(f"{axis}{value:.4f}" for axis, value in zip("XYZ", command.by_mm, strict=True) if value)
     if not axes:
         return Outcome()
     length_mm = sum(value * value for value in command.by_mm) ** 0.5
-    _ask((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
+    _require_ok((yield Ask(f"$J=G91G21{axes}F{command.feed_mm_per_min:.1f}".encode())))
     slowest = min((command.feed_mm_per_min, *(settings.max_rate_mm_per_min or (500.0,))))
-    _ask((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
+    _require_ok((yield WaitStill(10.0 + 3.0 * length_mm / max(slowest, 1.0) * 60.0)))
     return Outcome()
 
 
-def probe(command: ProbeZ, settings: ControllerSettings) -> Errand:
+def probe(command: ProbeZ, settings: ControllerSettings) -> CommandSequence:
     """Down until contact; then the zero is set so that the *contact point*, not the place after braking, has its Z."""
-    modal = _ask((yield Ask(b"$G", expect=PARSER_TAG)))
+    modal = _require_ok((yield Ask(b"$G", expect=PARSER_TAG)))
     restore = _words_to_restore(modal)
     seconds = 20.0 + 3.0 * command.depth_mm / command.feed_mm_per_min * 60.0
     down = f"G21G91G38.2Z{-abs(command.depth_mm):.4f}F{command.feed_mm_per_min:.1f}"
-    answer = _ask((yield Ask(down.encode(), seconds, PROBE_TAG)))
+    answer = _require_ok((yield Ask(down.encode(), seconds, PROBE_TAG)))
     contact = _contact(answer, settings.unit_mm)
-    still = _ask((yield WaitStill()))
+    still = _require_ok((yield WaitStill()))
     if still.machine_mm is None:
-        raise ErrandFailedError("the probe touched, but the controller reports no machine position: zero not set")
+        raise SequenceFailedError("the probe touched, but the controller reports no machine position: zero not set")
     height_mm = command.plate_mm + still.machine_mm[2] - contact[2]
-    _ask((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
-    _ask((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
-    _ask((yield WaitStill()))
-    _ask((yield Ask(restore)))
-    offsets = yield from _told(b"$#", OFFSET_TAG)
+    _require_ok((yield Ask(f"G10L20P0Z{height_mm:.4f}".encode())))
+    _require_ok((yield Ask(f"G91G0Z{abs(command.retract_mm):.4f}".encode(), BLOCK_S)))
+    _require_ok((yield WaitStill()))
+    _require_ok((yield Ask(restore)))
+    offsets = yield from _ask_twice(b"$#", OFFSET_TAG)
     again = read_settings((*_as_heard(settings), *offsets))
     return Outcome(
         answer={"contact_machine_mm": list(contact), "offsets": {k: list(v) for k, v in again.offsets.items()}},
@@ -182,13 +182,13 @@ def _contact(answer: Answer, unit_mm: float) -> Triple:
                 break
             if success == "1":
                 return (x, y, z)
-    raise ErrandFailedError("the probe did not touch: zero not set")
+    raise SequenceFailedError("the probe did not touch: zero not set")
 
 
-def set_zero(command: SetZero, settings: ControllerSettings) -> Errand:
+def set_zero(command: SetZero, settings: ControllerSettings) -> CommandSequence:
     words = "".join(f"{axis}0" for axis in command.axes)
-    _ask((yield Ask(f"G10L20P0{words}".encode())))
-    offsets = yield from _told(b"$#", OFFSET_TAG)
+    _require_ok((yield Ask(f"G10L20P0{words}".encode())))
+    offsets = yield from _ask_twice(b"$#", OFFSET_TAG)
     again = read_settings((*_as_heard(settings), *offsets))
     answer: dict[str, object] = {"offsets": {name: list(value) for name, value in again.offsets.items()}}
     return Outcome(answer=answer, settings=_with_offsets(settings, again), vouched=command.axes)
@@ -203,26 +203,26 @@ def _with_offsets(settings: ControllerSettings, again: ControllerSettings) -> Co
     return ControllerSettings.from_dict({**settings.to_dict(), "offsets": {**settings.offsets, **again.offsets}})
 
 
-def check_mode() -> Errand:
+def check_mode() -> CommandSequence:
     """$C is a toggle; off ends in a soft reset of the controller's own, with a banner."""
-    _ask((yield Ask(b"$C")))
+    _require_ok((yield Ask(b"$C")))
     return Outcome()
 
 
-def send_block(command: SendBlock, settings: ControllerSettings) -> Errand:
+def send_block(command: SendBlock, settings: ControllerSettings) -> CommandSequence:
     text = command.text.strip().encode("ascii")
-    answer = _ask((yield Ask(text, BLOCK_S)))
+    answer = _require_ok((yield Ask(text, BLOCK_S)))
     if not text.startswith(b"$"):
-        _ask((yield WaitStill()))
+        _require_ok((yield WaitStill()))
     heard = [*answer.heard]
     again = yield from identify(settings.version) if text.startswith(b"$") else _modal_again(settings)
     return Outcome(answer={"heard": [str(reply) for reply in heard]}, settings=again.settings)
 
 
-def _modal_again(settings: ControllerSettings) -> Errand:
+def _modal_again(settings: ControllerSettings) -> CommandSequence:
     heard: list[replies.Reply] = [*_as_heard(settings)]
-    heard += yield from _told(b"$#", OFFSET_TAG)
-    heard += yield from _told(b"$G", PARSER_TAG)
+    heard += yield from _ask_twice(b"$#", OFFSET_TAG)
+    heard += yield from _ask_twice(b"$G", PARSER_TAG)
     again = read_settings(heard)
     fresh = _with_offsets(settings, again).to_dict()
     if again.parser_state:
@@ -230,22 +230,24 @@ def _modal_again(settings: ControllerSettings) -> Errand:
     return Outcome(settings=ControllerSettings.from_dict(fresh))
 
 
-def errand_for(command: Command, settings: ControllerSettings) -> Errand | None:
-    """The errand that carries out a command; None for commands that are realtime bytes or notes only."""
-    makers: dict[type, Callable[[], Errand]] = {
-        Home: lambda: home(settings),
-        Unlock: unlock,
-        ReadSettings: lambda: identify(settings.version),
-    }
-    if isinstance(command, Jog):
-        return jog(command, settings)
-    if isinstance(command, ProbeZ):
-        return probe(command, settings)
-    if isinstance(command, SetZero):
-        return set_zero(command, settings)
-    if isinstance(command, CheckMode):
-        return check_mode()
-    if isinstance(command, SendBlock):
-        return send_block(command, settings)
-    maker = makers.get(type(command))
-    return maker() if maker else None
+def make_sequence(command: Command, settings: ControllerSettings) -> CommandSequence:
+    """Return the sequence that carries out a command; all but those that are a realtime byte or a note have one."""
+    match command:
+        case Home():
+            return home(settings)
+        case Unlock():
+            return unlock()
+        case ReadSettings():
+            return identify(settings.version)
+        case Jog():
+            return jog(command, settings)
+        case ProbeZ():
+            return probe(command, settings)
+        case SetZero():
+            return set_zero(command, settings)
+        case CheckMode():
+            return check_mode()
+        case SendBlock():
+            return send_block(command, settings)
+        case _:
+            raise AssertionError(f"{type(command).__name__} has no sequence")

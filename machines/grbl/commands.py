@@ -1,0 +1,172 @@
+"""Commands beside a program: one line, its answer, the next. Lines in, lines out, time given."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from machines.driver import CheckMode, Command, CommandDone, Home, JogCancel, MillState, Override, TrustPosition
+from machines.grbl import sequences
+from machines.grbl.codes import error_words
+from machines.grbl.link import GrblLink
+from machines.grbl.overrides import OverrideControl
+from machines.grbl.replies import Push, Reply, Setting, Status
+from machines.grbl.sequences import Answer, Ask, CommandSequence, Outcome, WaitStill
+from machines.grbl.settings import is_parser_state
+from machines.grbl.states import Phase
+from machines.grbl.timeouts import BANNER_S
+
+STILL_REPORTS = 2  # a report may have been made just before the motion of an answered line began
+OnEnd = Callable[[str, dict[str, object], float], None]
+"""What follows a sequence that has ended by itself: its failure in words, its answer, the time."""
+
+
+@dataclass(slots=True, eq=False)
+class CommandChannel:
+    """Carries out commands: one sequence at a time, which has the link for itself, and an override beside it.
+
+    command      : of the sequence under way; None if there is none, and for the questions of the handshake
+    held_line    : of a sequence that a hold has ended: the controller may still carry it out
+    banner_due_s : until then a banner is the answer to $C
+    """
+
+    link: GrblLink
+    override: OverrideControl
+    command: Command | None = None
+    held_line: str = ""
+    banner_due_s: float = 0.0
+    _sequence: CommandSequence | None = None  # only in IDENTIFYING and COMMAND
+    _waiting: Ask | WaitStill | None = None
+    _due_s: float = 0.0  # of our own time
+    _heard: list[Reply] = field(default_factory=list)
+    _still: int = 0
+    _on_end: OnEnd = field(init=False)
+
+    @property
+    def busy(self) -> bool:
+        return self._sequence is not None
+
+    @property
+    def asked(self) -> str:
+        """The line whose answer is awaited; "" if none is."""
+        return self._waiting.text.decode("ascii") if isinstance(self._waiting, Ask) else ""
+
+    @property
+    def homes(self) -> bool:
+        """A homing cycle is under way."""
+        return isinstance(self.command, Home)
+
+    def carry_out(self, command: Command, state: MillState, now_s: float) -> None:
+        """Begin a command that is allowed now."""
+        link = self.link
+        if isinstance(command, Override):
+            self.override.begin(command, now_s)
+        elif isinstance(command, TrustPosition):
+            link.view.vouch("XYZ")
+            link.events.append(CommandDone(command))
+        elif isinstance(command, JogCancel):
+            link.urgent += b"\x85"
+            link.events.append(CommandDone(command))
+        elif isinstance(command, CheckMode) and command.on == (state is MillState.CHECK):
+            link.events.append(CommandDone(command))
+        else:
+            link.hold_wanted = link.paused = False
+            link.enter(Phase.COMMAND, now_s)
+            if isinstance(command, CheckMode) and not command.on:
+                self.banner_due_s = now_s + BANNER_S
+            self.command = command
+            self.run(sequences.make_sequence(command, link.view.settings), self._end_command, now_s)
+
+    def run(self, sequence: CommandSequence, on_end: OnEnd, now_s: float) -> None:
+        """Begin a sequence."""
+        self._sequence, self._on_end = sequence, on_end
+        self._advance(None, now_s)
+
+    def take_reply(self, reply: Push | Setting) -> None:
+        """Keep what comes before an `ok` for the answer."""
+        if isinstance(self._waiting, Ask):
+            self._heard.append(reply)
+
+    def take_answer(self, error: int, now_s: float) -> None:
+        """Take `ok` (0) or an error number for the answer of the line sent last, unless it answers an earlier one."""
+        ask = self._waiting
+        if not isinstance(ask, Ask):
+            return
+        failure = ""
+        if error:
+            failure = f"{self.asked}: {error_words(error)}"
+        elif ask.expect and not any(_is(reply, ask.expect) for reply in self._heard):
+            if not any(isinstance(reply, Push) and reply.tag == ask.expect for reply in self._heard):
+                return
+            failure = f"{self.asked}: its answer was damaged on the way"
+        self._advance(Answer(failure, tuple(self._heard)), now_s)
+
+    def take_report(self, report: Status, now_s: float) -> None:
+        """Count reports of standstill where that is waited for; bring an override on."""
+        if isinstance(self._waiting, WaitStill):
+            self._still = self._still + 1 if report.state in ("Idle", "Check") else 0
+            if self._still >= STILL_REPORTS:
+                self._advance(Answer(machine_mm=self.link.view.machine_mm), now_s)
+        self.override.take_report(report, now_s)
+
+    def watch(self, now_s: float) -> None:
+        """Give up where nothing comes."""
+        waiting = self._waiting
+        if waiting is not None and self.link.silence.spent_s >= self._due_s:
+            what = self.asked or "standstill"
+            self._advance(Answer(f"{what}: no answer in {waiting.timeout_s:g} s", tuple(self._heard)), now_s)
+
+    def end(self, words: str) -> None:
+        """End what is under way, for a reason; the override too."""
+        if self._sequence is not None:
+            self._sequence.close()
+            self._sequence = self._waiting = None
+        command, self.command = self.command, None
+        if command is not None:
+            self.link.events.append(CommandDone(command, words))
+        self.override.end(words)
+
+    def give_up(self, words: str, now_s: float) -> None:
+        """End the command under way and make the link ready for the next."""
+        self.end(words)
+        if self.link.phase is Phase.COMMAND:
+            self.link.enter(Phase.READY, now_s)
+
+    def _advance(self, answer: Answer | None, now_s: float) -> None:
+        """Go on to the next line of the sequence, or to its end."""
+        sequence = self._sequence
+        assert sequence is not None
+        self._heard, self._still = [], 0
+        try:
+            self._waiting = waiting = next(sequence) if answer is None else sequence.send(answer)
+        except StopIteration as stop:
+            self._finish(stop.value, "", now_s)
+        except sequences.SequenceFailedError as failed:
+            self._finish(Outcome(), str(failed), now_s)
+        else:
+            self._due_s = self.link.silence.spent_s + waiting.timeout_s
+            if isinstance(waiting, Ask):
+                self.link.text += waiting.text + b"\n"
+
+    def _finish(self, outcome: Outcome, failure: str, now_s: float) -> None:
+        """Take over what a sequence leaves behind."""
+        self._sequence = self._waiting = None
+        view = self.link.view
+        if outcome.settings is not None:
+            view.settings = outcome.settings
+            view.modes = outcome.settings.parser_state or view.modes
+        view.vouch(outcome.vouched)
+        self._on_end(failure, outcome.answer, now_s)
+
+    def _end_command(self, failure: str, answer: dict[str, object], now_s: float) -> None:
+        command, self.command = self.command, None
+        assert command is not None
+        self.link.enter(Phase.READY, now_s)
+        self.link.events.append(CommandDone(command, failure, answer))
+
+
+def _is(reply: Reply, expect: str) -> bool:
+    if expect == "$":
+        return isinstance(reply, Setting)
+    parser_state = expect == sequences.PARSER_TAG
+    return isinstance(reply, Push) and reply.tag == expect and (not parser_state or is_parser_state(reply.body))

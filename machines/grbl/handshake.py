@@ -1,0 +1,132 @@
+"""The handshake: who answers, after a link was opened and after every start of the controller."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from machines.driver import FaultCause, Faulted, Notice
+from machines.grbl import replies
+from machines.grbl.codes import POSITION_LOST_ALARMS
+from machines.grbl.commands import CommandChannel
+from machines.grbl.link import GrblLink
+from machines.grbl.resetting import ResetControl
+from machines.grbl.sequences import identify
+from machines.grbl.settings import ControllerSettings
+from machines.grbl.states import Phase, stands
+from machines.grbl.stopping import StopControl
+from machines.grbl.streaming import Streamer
+from machines.grbl.timeouts import READY_SILENCE_S
+
+NAMES = {"grbl": "Grbl", "grblhal": "grblHAL", "fluidnc": "FluidNC"}
+
+
+@dataclass(slots=True, eq=False)
+class Handshake:
+    """Asks '?' until a report comes, then $I $$ $# $G while the mill stands. A banner begins it anew.
+
+    Owns the banner; what it learns goes into the link.
+    """
+
+    link: GrblLink
+    streamer: Streamer
+    commands: CommandChannel
+    resets: ResetControl
+    stops: StopControl
+    _banner: str = ""
+
+    def begin(self, now_s: float) -> None:
+        """Begin on a link that was just opened: whoever was there before may have left anything behind."""
+        link, view = self.link, self.link.view
+        link.urgent.clear()
+        link.text.clear()
+        link.failure = self._banner = self.commands.held_line = ""
+        self.streamer.echoes = False
+        view.new_epoch(position_kept=False)
+        view.judge_place()
+        view.locked_by = 0
+        view.spindle_on = None  # no banner has stopped it: whoever was here before may have left it on
+        link.greet(now_s, recognised=False)
+
+    def take_banner(self, banner: str, now_s: float) -> None:
+        """Begin a new epoch: everything the controller held is gone."""
+        link, commands, streamer = self.link, self.commands, self.streamer
+        link.tell_restart()
+        reset, report = self.resets.sequence, link.view.report
+        checked_off = reset is None and now_s < commands.banner_due_s
+        sure = reset is not None and reset.ours and (report is None or report.state != "Sleep")
+        kept = (sure and link.view.alarm not in POSITION_LOST_ALARMS) or checked_off
+        streaming, line = link.phase is Phase.STREAMING, streamer.first_line
+        known = bool(link.controller)
+        link.restart = banner, reset is not None or link.phase is Phase.STOPPING
+        link.epoch += 1
+        self._banner, link.controller = banner, banner.partition("[")[0].strip()
+        link.urgent.clear()
+        link.text.clear()
+        link.hold_wanted = link.paused = self.stops.abort_wanted = False
+        streamer.echoes = streamer.late_answers = False
+        commands.banner_due_s, commands.held_line = 0.0, ""
+        commands.override.drop()
+        link.view.new_epoch(position_kept=kept)
+        commands.end("" if checked_off else "the controller restarted")
+        streamer.end()
+        link.greet(now_s, recognised=known)
+        link.greeting.banner = True
+        if streaming:
+            words = f"the controller restarted by itself ('{banner}'): reset button, power or a reset line"
+            link.events.append(Faulted(FaultCause.RESET, words, line, now_s))
+
+    def take_reply(self, reply: replies.Reply, line: bytes, now_s: float) -> None:
+        """Take a line in HAILING, where only a status report, an alarm or a banner means anything."""
+        self.link.greeting.take(reply, line)
+        if isinstance(reply, replies.Message):
+            self.resets.take_message(reply.text, now_s)
+        elif isinstance(reply, replies.AlarmReply):
+            self.stops.take_alarm(reply.number, now_s)
+        elif isinstance(reply, replies.Status):
+            self._take_report(reply, now_s)
+
+    def _take_report(self, report: replies.Status, now_s: float) -> None:
+        link = self.link
+        link.silence.take_report()
+        link.offers_reset = False
+        link.view.take(report)
+        link.greeting.recognised = True
+        link.tell_restart()
+        if self.stops.abort_wanted:
+            self.stops.abort(now_s)
+        elif link.hold_wanted and not stands(report):
+            link.put_hold()  # asked for while the link was away
+        elif report.state in ("Idle", "Alarm", "Check"):
+            link.enter(Phase.IDENTIFYING, now_s)
+            self.commands.run(identify(self._banner), self._note_identity, now_s)
+
+    def _note_identity(self, failure: str, _: dict[str, object], now_s: float) -> None:
+        link = self.link
+        if failure:
+            words = f"something answers, but it is not a GRBL controller: {failure}"
+            link.close(words, now_s, FaultCause.DEVICE)
+            return
+        link.view.identified = True
+        link.hold_wanted = False
+        version = link.view.settings.version
+        if version:
+            link.controller = _name_controller(link.view.settings)
+        elif not link.controller:
+            link.controller = "Grbl"
+        link.enter(Phase.READY, now_s)
+
+    def watch(self, now_s: float) -> None:
+        """Look at the clock: nobody answers, or nobody does any more."""
+        link, silent_s = self.link, self.link.silence.silent_s
+        if link.phase is Phase.READY:
+            if silent_s > READY_SILENCE_S:
+                link.events.append(Notice(f"no answer to '?' for {silent_s:.0f} s"))
+                link.view.report = None
+                link.greet(now_s, recognised=True)
+        elif not link.greeting.recognised and link.silence.waited_s >= link.options.identify_s:
+            self.commands.end("not connected")
+            link.close(link.greeting.verdict(), now_s, FaultCause.DEVICE)
+
+
+def _name_controller(settings: ControllerSettings) -> str:
+    return f"{NAMES[settings.firmware]} {settings.version.partition(':')[0]}".strip()

@@ -1,0 +1,237 @@
+"""Watches a program under way: answers, echoes, reports and silence, each held against what was sent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from machines.driver import FaultCause, Notice, ProgramDone
+from machines.grbl.codes import error_words
+from machines.grbl.flow_control import Pacer
+from machines.grbl.link import GrblLink
+from machines.grbl.replies import Status
+from machines.grbl.states import HELD_STATES, Phase
+from machines.grbl.stopping import StopControl
+from machines.grbl.streaming import Flight, Stream, Streamer
+from machines.grbl.timeouts import IDLE_REPORTS, IDLE_S, MARGIN_S, REPORT_SILENCE_S, TELL_S, longest_wait_s
+from machines.grbl.tracking import Place
+
+DONE_REPORTS = 2  # one Idle may be reported between the `ok` of a move and its start
+
+
+@dataclass(slots=True, eq=False)
+class StreamMonitor:
+    """Finds the first sign of a fault, and the end of a program. Owns the signs by which a mill is known to go on.
+
+    A sign is an answer, a new position, a step proven or a hold; its time is the link's (SilenceClock.heard_s).
+    """
+
+    link: GrblLink
+    streamer: Streamer
+    stops: StopControl
+    pacer: Pacer
+    _sign_heard_s: float = 0.0
+    _idle_reports: int = 0  # Idle with nothing unanswered
+    _standing_reports: int = 0  # Idle in a row, with no answer between
+    _standing_heard_s: float = 0.0  # when the first of them came
+
+    def note_sign(self) -> None:
+        """Begin anew to wait for a sign."""
+        self._sign_heard_s = self.link.silence.heard_s
+
+    def note_sent(self) -> None:
+        """Begin to wait for an answer: lines were sent where none was under way."""
+        self.note_sign()
+        self._standing_reports = 0
+
+    def begin(self) -> None:
+        """Begin to watch a program."""
+        self.note_sign()
+        self._idle_reports = 0
+
+    def take_ok(self, stream: Stream) -> None:
+        """Take an `ok` that can be nothing else: the short way, for nearly every line that a controller says."""
+        stream.answered()
+        self._note_answer()
+
+    def _note_answer(self) -> None:
+        self._sign_heard_s = self.link.silence.heard_s
+        self._idle_reports = self._standing_reports = 0
+
+    def take_answer(self, error: int, now_s: float) -> None:
+        """Take `ok` (0) or the number of an error for the oldest line under way."""
+        streamer, stream = self.streamer, self._stream
+        self._note_answer()
+        words = error_words(error) if error else "ok"
+        first = stream.first
+        if first is None:
+            words = f"{words} came although every line was answered already"
+            self.stops.fault(FaultCause.REPLY_COUNT, words, 0, now_s)
+        elif streamer.echoes and not stream.echoed:
+            line = stream.first_line
+            words = f"line {line} was answered ({words}) without its echo"
+            self.stops.fault(FaultCause.ECHO, words, line, now_s)
+        elif error:
+            block = first[0]
+            words = f"line {block.number} '{show(block.text)}' was refused: {words}"
+            self.stops.fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
+        else:
+            stream.answered()
+
+    def take_echo(self, text: bytes, now_s: float) -> None:
+        """Compare a line as the controller has read it with the oldest line under way."""
+        if self.link.phase is not Phase.STREAMING:
+            self.streamer.echoes = True
+            return
+        stream = self._stream
+        first = stream.first
+        if first is None:
+            words = f"the controller has read '{show(text)}', which was not sent"
+            self.stops.fault(FaultCause.ECHO, words, 0, now_s)
+        elif stream.echoed or _as_read(first[0].text) != _as_read(text):
+            block = first[0]
+            words = f"line {block.number} was sent as '{show(block.text)}', but read as '{show(text)}'"
+            self.stops.fault(FaultCause.ECHO, words, block.number, now_s)
+        else:
+            self.streamer.echoes = stream.echoed = True
+
+    def take_garbled(self, raw: bytes, now_s: float) -> None:
+        """End the program for a line that no controller says."""
+        if self.link.phase is Phase.STREAMING:
+            words = f"'{show(raw)}' is nothing a controller says: damaged on the way"
+            self.stops.fault(FaultCause.GARBLED_REPLY, words, self.streamer.first_line, now_s)
+        elif self.link.phase is not Phase.CLEARING:
+            self.link.events.append(Notice(f"not understood: '{show(raw)}'"))
+
+    def note_report(self, report: Status, now_s: float, *, moved: bool) -> None:
+        """Take the signs from a report, in every phase."""
+        if moved or report.state in HELD_STATES:  # waiting for a person is not a stall
+            self.note_sign()
+        if self.streamer.stream is not None:
+            self.streamer.stream.count.reported(now_s)
+        if report.state not in ("Idle", "Check"):
+            self._standing_reports = 0
+            return
+        self._standing_reports += 1
+        if self._standing_reports == 1:
+            self._standing_heard_s = self.link.silence.heard_s
+
+    def compare(self, report: Status, now_s: float) -> None:
+        """Compare a report with the program under way: on the path, off it, done?"""
+        stream = self._stream
+        if report.state in ("Alarm", "Sleep") and not self.link.view.alarm:
+            words = f"the controller reports '{report.state}' in the middle of a program"
+            self.stops.fault(FaultCause.ALARM, words, stream.first_line, now_s)
+            return
+        if report.state in ("Run", "Hold", "Idle"):
+            self._compare_place(stream, now_s)
+            if self.link.phase is not Phase.STREAMING:
+                return
+        if report.state not in ("Idle", "Check") or stream.window.used:
+            self._idle_reports = 0
+            return
+        self._idle_reports += 1
+        if self._idle_reports >= DONE_REPORTS:
+            stream.tracker.all_executed()
+            if stream.drained:
+                self._finish(stream, report, now_s)
+
+    def _compare_place(self, stream: Stream, now_s: float) -> None:
+        position = self.link.view.work_mm
+        if position is None:
+            return
+        sight = stream.tracker.reported(position)
+        if sight.place is Place.ON_PATH:
+            stream.compared = True
+        elif sight.place is Place.OFF_PATH:
+            stream.tracker.distrust_positions()
+            at = " ".join(f"{axis}{value:.3f}" for axis, value in zip("XYZ", position, strict=True))
+            words = (
+                f"the mill reports {at}, {sight.distance_mm:.3f} mm from the nearest line that can be under way "
+                f"(line {sight.line}; allowed {stream.tracker.tolerance_mm:.3f} mm): a byte was damaged or a step lost"
+            )
+            self.stops.fault(FaultCause.OFF_PATH, words, sight.line, now_s)
+        elif sight.place is Place.UNANSWERED:
+            line = stream.first_line
+            words = f"the mill is on line {sight.line}, but line {line} was never answered: a reply was lost"
+            self.stops.fault(FaultCause.REPLY_COUNT, words, line, now_s)
+
+    def _finish(self, stream: Stream, report: Status, now_s: float) -> None:
+        """Everything is sent, answered and executed: does the mill stand where the program ends?"""
+        last, position = stream.tracker.last_move, self.link.view.work_mm
+        if report.state == "Idle" and last is not None and position is not None and not last.probes:
+            away = max((abs(p - e) for p, e in zip(position, last.end_mm, strict=True) if e is not None), default=0.0)
+            if away > stream.tracker.tolerance_mm:
+                words = f"the program is done, but the mill stands {away:.3f} mm from its end"
+                self.stops.fault(FaultCause.OFF_PATH, words, stream.answered_line, now_s)
+                return
+        self.streamer.end()
+        self.link.enter(Phase.READY, now_s)
+        self.link.events.append(ProgramDone())
+
+    def watch(self, now_s: float) -> None:
+        """Look at the clock: is the mill silent, is a count of the answers due, is a sign overdue?"""
+        link, stream, silence = self.link, self._stream, self.link.silence
+        silent_s = silence.silent_s
+        if silent_s > REPORT_SILENCE_S:
+            self.streamer.late_answers = True
+            words = f"no answer to '?' for {silent_s:.1f} s"
+            self.stops.fault(FaultCause.STALL, words, stream.first_line, now_s)
+            return
+        if silent_s > TELL_S and not silence.notified:
+            silence.notified = True
+            words = (
+                f"no answer to '?' for {silent_s:.0f} s: where the mill is, is not known; hold and stop are "
+                f"written all the same; after {REPORT_SILENCE_S:.0f} s the run is interrupted"
+            )
+            link.events.append(Notice(words))
+        if not link.paused and not stream.exhausted and now_s >= stream.count.due_s:
+            covered_s = stream.tracker.last_sent_s(self.streamer.planner_blocks - 2, link.view.overrides[0])
+            stream.count.consider(covered_s, now_s, paced=self.pacer.paced)
+        if not link.paused:
+            self._watch_signs(stream, now_s)
+
+    def _watch_signs(self, stream: Stream, now_s: float) -> None:
+        view, heard_s = self.link.view, self.link.silence.heard_s
+        waited_s = heard_s - self._sign_heard_s
+        if waited_s < MARGIN_S or not (stream.window.used or stream.drained):
+            return
+        standing = self._standing_reports >= IDLE_REPORTS and heard_s > self._standing_heard_s + IDLE_S
+        first = stream.first
+        allowed_s = longest_wait_s(
+            first[1] if first is not None else None,
+            stream.tracker.unproven_answered,
+            view.settings,
+            view.overrides,
+            standing=standing,
+        )
+        if allowed_s is None or waited_s <= allowed_s:
+            return
+        words = _word_stall(first, waited_s, allowed_s, standing)
+        if standing and first is not None:
+            words += f" after line {stream.agreed_line} (if a line, it was not cut: look at the part from there on)"
+        self.stops.fault(FaultCause.STALL, words, stream.first_line, now_s)
+
+    @property
+    def _stream(self) -> Stream:
+        stream = self.streamer.stream
+        assert stream is not None  # in Phase.STREAMING
+        return stream
+
+
+def _word_stall(first: Flight | None, waited_s: float, allowed_s: float, standing: bool) -> str:
+    if first is None:
+        return f"every line is answered, but the mill neither moves nor comes to rest, for {waited_s:.1f} s now"
+    words = f"line {first[0].number} '{show(first[0].text)}' got no answer and nothing moved for {waited_s:.1f} s"
+    if standing:
+        return f"{words}; the mill reports Idle: a line or a reply was lost"
+    return f"{words} (at most {allowed_s:.1f} s are explained by what is under way)"
+
+
+def show(text: bytes) -> str:
+    words = text.decode("ascii", "backslashreplace")
+    return words if len(words) <= 80 else words[:77] + "..."
+
+
+def _as_read(text: bytes) -> bytes:
+    """A block as GRBL's reader keeps it: no blanks, upper case (comments are never sent)."""
+    return text.replace(b" ", b"").upper()
