@@ -21,7 +21,7 @@ from service.http.problems import Problem
 from service.milling.agent.auth import read_token
 from service.milling.agent.card import read_card
 from service.server.fleet.agent_feed import AgentFeed
-from service.server.fleet.agent_replies import MOST_BYTES, json_object, parse_holder, table
+from service.server.fleet.agent_replies import MOST_BYTES, json_object, lease_json, table
 from service.server.fleet.registry import KnownMachine
 
 ASK_S = 3.0
@@ -220,7 +220,7 @@ class AgentLink:
             return Problem(502, f"the agent of '{self.machine.name}' answered {status}: {detail or 'no reason given'}")
         more: Json = {name: told[name][:2000] for name in ("code", "effect") if isinstance(told.get(name), str)}
         if "control" in told:
-            more["control"] = parse_holder(table(told, "control")).model_dump(mode="json") if told["control"] else None
+            more["control"] = lease_json(table(told, "control")) if told["control"] else None
         return Problem(status, detail, field=field, more=more)
 
     def _words(self, error: Exception) -> str:

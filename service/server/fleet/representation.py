@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 from urllib.parse import quote
 
 from machines.profiles import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.server.database.records import Job
 from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, RunRow
-from service.server.fleet.agent_replies import Json, parse_holder, table
+from service.server.fleet.agent_replies import lease_json, moment, table
 from service.server.fleet.core import Seen
 from service.server.fleet.programs import Program, set_up
 from service.server.fleet.registry import KnownMachine
-from service.server.schemas.control import OrderView
-from service.server.schemas.runs import AgentView, Check, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
 
-ORDER: Check = "order"
-CHECK_ORDER: tuple[Check, ...] = ("tool", "zero", "stock", "clear", "position", ORDER)
+Json = dict[str, Any]
+ORDER = "order"
+CHECK_ORDER = ("tool", "zero", "stock", "clear", "position", ORDER)
 _ACTIONS = ("start", "hold", "resume", "abort", "recover")
 
 
@@ -38,7 +38,7 @@ class Surroundings:
         return next((one for one in self.programs if one.number > number and one.sha256 not in self.finished), None)
 
 
-def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
+def list_required_checks(run: RunRow, around: Surroundings) -> list[str]:
     """What a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
         needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
@@ -53,22 +53,21 @@ def has_started(run: RunRow) -> bool:
     return bool(run.view and run.view.get("started_s"))
 
 
-def make_run_view(seen: Seen, around: Surroundings) -> RunView:
+def run_json(seen: Seen, around: Surroundings) -> Json:
     """A whole run."""
     run = seen.run
     following = around.following(run.number)
-    return RunView(
-        **dict(make_live_run(seen)),
-        job=run.job_id,
-        program=ProgramOfRun(number=run.number, name=run.program, sha256=run.sha256),
-        setup=_set_up(around, run),
-        required_checks=list_required_checks(run, around),
-        left_out=[ProgramOfRun.model_validate(one) for one in around.left_out(run.number)],
-        next=None if following is None else ProgramOfRun.model_validate(following),
-        created_by=run.created_by,
-        created_at=run.created_at,
-        links=_links(run),
-    )
+    return live_json(seen) | {
+        "job": run.job_id,
+        "program": {"number": run.number, "name": run.program, "sha256": run.sha256},
+        "setup": _set_up(around, run),
+        "required_checks": list_required_checks(run, around),
+        "left_out": [one.as_dict() for one in around.left_out(run.number)],
+        "next": None if following is None else following.as_dict(),
+        "created_by": run.created_by,
+        "created_at": moment(run.created_at),
+        "links": _links(run),
+    }
 
 
 def _set_up(around: Surroundings, run: RunRow) -> Json | None:
@@ -80,60 +79,59 @@ def _set_up(around: Surroundings, run: RunRow) -> Json | None:
     return set_up(around.job, run.number)
 
 
-def _links(run: RunRow) -> dict[str, str]:
+def _links(run: RunRow) -> Json:
     here = f"/v1/runs/{run.id}"
     own = {"self": here, "events": f"{here}/events", "recovery": f"{here}/recovery"}
     others = {"job": f"/v1/jobs/{run.job_id}", "machine": f"/v1/machines/{quote(run.machine, safe='')}"}
     return own | others | {action: f"{here}:{action}" for action in _ACTIONS}
 
 
-def make_live_run(seen: Seen) -> LiveRun:
+def live_json(seen: Seen) -> Json:
     """The part of a run that changes while it is on the mill."""
     run, view = seen.run, seen.run.view or {}
-    return LiveRun(
-        id=run.id,
-        machine=run.machine,
-        state=run.state,
-        open=run.open,
-        words=run.words or "",
-        unreachable=bool(seen.away),
-        unreachable_words=seen.away,
-        recoveries=view.get("recoveries", 0),
-        warnings=view.get("warnings", []),
-        started_at=view.get("started_s"),
-        ended_at=run.ended_at,
-        **_how_far(view),
-    )
+    return {
+        "id": run.id,
+        "machine": run.machine,
+        "state": run.state,
+        "open": run.open,
+        "words": run.words or "",
+        "unreachable": bool(seen.away),
+        "unreachable_words": seen.away,
+        "share": view.get("share", 0.0),
+        "executed_line": view.get("executed_line", 0),
+        "lines": view.get("lines"),
+        "time_s": view.get("time_s"),
+        "time_left_s": view.get("time_left_s"),
+        "operator": view.get("operator", ""),
+        "recoveries": view.get("recoveries", 0),
+        "warnings": view.get("warnings", []),
+        "started_at": moment(view.get("started_s")),
+        "ended_at": moment(run.ended_at),
+    }
 
 
-def _how_far(view: Json) -> Json:
-    """Out of what the agent says of a run."""
-    nothing = {"share": 0.0, "executed_line": 0, "lines": None, "time_s": None, "time_left_s": None, "operator": ""}
-    return {name: view.get(name, none) for name, none in nothing.items()}
-
-
-def make_machine_view(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> MachineView:
+def machine_json(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> Json:
     """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
     profile = machine.profile
     name = quote(machine.name, safe="")
     here = f"/v1/machines/{name}"
-    return MachineView(
-        name=machine.name,
-        remote=machine.remote,
-        simulated=machine.simulated,
-        problem=machine.problem,
-        profile=None if profile is None else _profile(profile),
-        agent=AgentView(reachable=status is not None, words=away),
-        mill=None if status is None else _mill(status),
-        run=None if run is None else _open_run(run),
-        control=parse_holder(lease) if (lease := table(status or {}, "control")) else None,
-        links={
+    return {
+        "name": machine.name,
+        "remote": machine.remote,
+        "simulated": machine.simulated,
+        "problem": machine.problem,
+        "profile": None if profile is None else _profile(profile),
+        "agent": {"reachable": status is not None, "words": away},
+        "mill": None if status is None else mill_json(status),
+        "run": None if run is None else _open_run(run),
+        "control": lease_json(lease) if (lease := table(status or {}, "control")) else None,
+        "links": {
             "self": here,
             "events": f"{here}/events",
             "control": f"{here}/control",
             "runs": f"/v1/runs?machine={name}",
         },
-    )
+    }
 
 
 def _profile(profile: MachineProfile) -> Json:
@@ -155,24 +153,30 @@ def _profile(profile: MachineProfile) -> Json:
     return told
 
 
-def _open_run(run: RunRow) -> OpenRun:
+def _open_run(run: RunRow) -> Json:
     """How far the run is, for who looks at the mill; the rest is in the run itself."""
-    return OpenRun(
-        id=run.id,
-        state=run.state,
-        job=run.job_id,
-        program=run.program,
-        words=run.words or "",
-        **_how_far(run.view or {}),
-    )
+    view = run.view or {}
+    return {
+        "id": run.id,
+        "state": run.state,
+        "job": run.job_id,
+        "program": run.program,
+        "words": run.words or "",
+        "share": view.get("share", 0.0),
+        "executed_line": view.get("executed_line", 0),
+        "lines": view.get("lines"),
+        "time_s": view.get("time_s"),
+        "time_left_s": view.get("time_left_s"),
+        "operator": view.get("operator", ""),
+    }
 
 
-def make_order_view(machine: str, order: str, status: Json) -> OrderView:
+def order_json(machine: str, order: str, status: Json) -> Json:
     """What an order or a stop beside a run is answered with."""
-    return OrderView(machine=machine, order=order, mill=_mill(status))
+    return {"machine": machine, "order": order, "mill": mill_json(status)}
 
 
-def _mill(status: Json) -> Json:
+def mill_json(status: Json) -> Json:
     """What the mill does, out of its agent's status."""
     told = table(status, "status")
     names = (

@@ -17,9 +17,10 @@ from typing import Any
 
 from service.server.api import main
 from service.server.api.intake import form
-from service.server.api.routes import submit
+from service.server.api.routes import machines as routes_machines
+from service.server.api.routes import submit as routes_submit
 from service.server.api.services import Services
-from service.server.database import jobs
+from service.server.database import jobs as book
 from service.server.fleet.agent_client import AgentLink
 
 JOB_STEPS = ("part", "request", "check", "store", "create", "event", "engine", "answer")
@@ -62,9 +63,10 @@ def _set(owner: object, name: str, step: str) -> None:
 
 def _everywhere() -> None:
     _set(form._Reader, "_data", "part")
-    _set(submit, "job_request", "request")
-    _set(submit, "read_view", "answer")
-    _set(jobs, "write_event", "event")  # inside the transaction
+    _set(routes_submit, "job_request", "request")
+    _set(routes_submit, "JSONResponse", "answer")
+    _set(book, "write_event", "event")  # inside the transaction
+    _set(routes_machines, "JSONResponse", "handed")
     for name, step in (("get", "ask"), ("put", "put"), ("post", "post")):
         _set(AgentLink, name, step)
 
@@ -76,7 +78,6 @@ def _in(services: Services) -> None:
     _set(services.engine, "submit", "engine")
     _set(services.fleet._core.runs, "create", "row")
     _set(services.fleet._core.runs, "confirm_parked", "parked")
-    _set(services.fleet, "park", "handed")
 
 
 if __name__ == "__main__":

@@ -1,20 +1,20 @@
-"""What the routes about machines, runs and tokens take and answer."""
+"""What the routes about machines, runs and tokens take and answer, as the OpenAPI document says it."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 from uuid import UUID
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
-from machines.runs import RunState
-from service.server.database.runs import LOST, PREPARING, REFUSED
-from service.server.schemas.base import Body, Sha256, Time, one_of
+from service.server.api.schemas.jobs import Body, Sha256
 
-RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]
+RunWord = Literal[
+    "preparing", "refused", "lost",
+    "parked", "running", "holding", "held", "stopping", "interrupted", "recovering", "finished", "aborted",
+]  # fmt: skip
 Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
 ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
-Scopes = Annotated[list[ScopeWord], BeforeValidator(sorted)]
 
 PLAIN = r"^[^\x00-\x1f\x7f]+$"
 
@@ -74,11 +74,13 @@ class ProgramOfRun(Body):
     sha256: Sha256
 
 
-class LiveRun(Body):
-    """The part of a run that changes while it is on the mill."""
+class RunView(Body):
+    """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
 
     id: str
     machine: str
+    job: str
+    program: ProgramOfRun
     state: RunWord
     open: Annotated[bool, Field(description="the mill is taken by this run")]
     words: Annotated[str, Field(description="why it is in this state")]
@@ -92,15 +94,6 @@ class LiveRun(Body):
     operator: str
     recoveries: int
     warnings: list[str]
-    started_at: Time | None
-    ended_at: Time | None
-
-
-class RunView(LiveRun):
-    """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
-
-    job: str
-    program: ProgramOfRun
     setup: Annotated[
         dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")
     ]
@@ -108,7 +101,9 @@ class RunView(LiveRun):
     left_out: Annotated[list[ProgramOfRun], Field(description="earlier passes that this mill has not finished")]
     next: Annotated[ProgramOfRun | None, Field(description="the pass that comes after this one")]
     created_by: str
-    created_at: Time
+    created_at: str
+    started_at: str | None
+    ended_at: str | None
     links: dict[str, str]
 
 
@@ -159,7 +154,7 @@ class OpenRun(Body):
 
 class Holder(Body):
     operator: str
-    since: Time
+    since: str
 
 
 class MachineView(Body):
@@ -189,11 +184,11 @@ class NewTokenBody(Body):
 class TokenView(Body):
     id: str
     name: str
-    scopes: Scopes
-    created_at: Time
-    expires_at: Time | None
-    last_used_at: Time | None
-    revoked_at: Time | None
+    scopes: list[ScopeWord]
+    created_at: str
+    expires_at: str | None
+    last_used_at: str | None
+    revoked_at: str | None
     paired: Annotated[bool, Field(description="made by a page, for a code")]
 
 

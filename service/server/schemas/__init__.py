@@ -1,1 +1,0 @@
-"""What requests and answers are made of: the models that answer, and that the OpenAPI document describes."""
