@@ -90,6 +90,8 @@ class MillStatus:
 
     state: MillState = MillState.DISCONNECTED
     detail: str = ""  # in words: "Door: ajar", "ALARM:2 soft limit ..."
+    code: str = ""  # the same for programs, of MillCode; "": the detail is all
+    alarm: int = 0  # number of the alarm that it is locked by
     machine_mm: Triple | None = None
     work_mm: Triple | None = None
     work_offset_mm: Triple | None = None
@@ -138,6 +140,7 @@ class Faulted:
     words: str
     line: int = 0  # program line the sign belongs to, 0 if none
     at_s: float = 0.0
+    alarm: int = 0  # its number, where it is one
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 
 class MachineError(Exception):
-    """Base of all errors of this package; `str(error)` is fit to be shown to the operator."""
+    """Base of all errors of this package; `str(error)` is fit to be shown to the operator.
+
+    code, values : the same for programs; "" where none tells it apart
+    """
+
+    def __init__(self, words: str, *, code: str = "", values: Mapping[str, object] | None = None) -> None:
+        super().__init__(words)
+        self.code = code
+        self.values = dict(values or {})
 
 
 class PortError(MachineError):

@@ -73,7 +73,8 @@ class Confirmation:
 class RunView:
     """One run as others see it.
 
-    words         : why it is in this state, for the operator
+    words         : why it is in this state, for the operator; code, values: the same for programs ("": words are all)
+    travel_in_doubt : one of the warnings is that the program may not fit the travel
     executed_line : every line up to this one has certainly been cut
     time_s        : estimate for the whole program; time_left_s is scaled by how the run has kept to it, None = unknown
     created_s ... : wall clock, seconds since 1970; None = not yet
@@ -85,6 +86,8 @@ class RunView:
     path: str
     state: RunState
     words: str = ""
+    code: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
     operator: str = ""
     lines: int = 0
     bytes: int = 0
@@ -97,6 +100,7 @@ class RunView:
     ended_s: float | None = None
     recoveries: int = 0
     warnings: tuple[str, ...] = field(default=())
+    travel_in_doubt: bool = False
 
     @property
     def live(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from machines.codes import MillCode
 from machines.driver import (
     CheckMode,
     Command,
@@ -52,18 +53,22 @@ def check_command(
 ) -> None:
     """Raise NotAllowedError unless the command may be carried out now. silent: nothing answers; then a person may send
     a reset."""
-    name = type(command).__name__
+    name = "Line" if isinstance(command, SendBlock) else type(command).__name__
     if silent and isinstance(command, Reset):
         return
     allowed = ALLOWED[type(command)]
     if state not in allowed:
         states = ", ".join(sorted(one.value for one in allowed))
-        raise NotAllowedError(f"{name}: the mill is {state.value}; allowed when {states}")
+        words = f"{name}: the mill is {state.value}; allowed when {states}"
+        raise NotAllowedError(words, code=MillCode.MILL_STATE, values={"state": state.value})
     if phase is Phase.STREAMING and isinstance(command, Reset):
         raise NotAllowedError("Reset: a program is under way; abort it")
     sleeping = isinstance(command, Reset) and phase is Phase.HAILING
     if phase is not Phase.READY and not isinstance(command, _BESIDE) and not sleeping:
         raise NotAllowedError(f"{name}: the link is busy ({phase.value}); wait until it is done")
+    if isinstance(command, SendBlock) and not _is_plain(command.text):
+        words = f"{name}: '{command.text}' is not a plain block"
+        raise NotAllowedError(words, code=MillCode.NO_BLOCK, values={"text": command.text})
     if refusal := _values(command, settings):
         raise NotAllowedError(f"{name}: {refusal}")
 
@@ -104,10 +109,13 @@ def _probe(command: ProbeZ) -> str:
     return "" if 0.0 <= command.retract_mm <= 200.0 else f"retract {command.retract_mm} mm: from 0 to 200"
 
 
-def _block(text: str) -> str:
+def _is_plain(text: str) -> bool:
     data = text.strip().encode("ascii", "replace")
-    if not text.isascii() or not data or data.translate(None, PLAIN):
-        return f"'{text}' is not a plain block"
+    return text.isascii() and data != b"" and data.translate(None, PLAIN) == b""
+
+
+def _block(text: str) -> str:
+    data = text.strip().encode("ascii")
     if len(data) > 78:
         return f"{len(data)} characters; at most 78"
     first = data.replace(b" ", b"").upper()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from machines.codes import MillCode
 from machines.driver import DriverFacts, MillState, MillStatus
 from machines.grbl.codes import alarm_words
 from machines.grbl.commands import CommandChannel
@@ -54,6 +55,8 @@ class StatusReporter:
         return MillStatus(
             state=state,
             detail=self._detail(state),
+            code=self._code(state),
+            alarm=self._alarm(state),
             machine_mm=view.machine_mm,
             work_mm=view.work_mm,
             work_offset_mm=view.work_offset_mm,
@@ -67,6 +70,21 @@ class StatusReporter:
             buffer_bytes=self.streamer.window_bytes if view.identified else None,
             epoch=link.epoch,
         )
+
+    def _alarm(self, state: MillState) -> int:
+        """Number of the alarm that keeps the mill locked, 0 for none that is known."""
+        view = self.link.view
+        return view.alarm or (view.locked_by if state is MillState.ALARM else 0)
+
+    def _code(self, state: MillState) -> str:
+        link = self.link
+        if link.phase is Phase.CLOSED:
+            return ""
+        if link.offers_reset:
+            return MillCode.SILENT
+        if link.view.alarm and link.phase is Phase.CLEARING:
+            return MillCode.LOCKED_UNTIL_RESET
+        return MillCode.LOCKED if self._alarm(state) else ""
 
     def _detail(self, state: MillState) -> str:
         link, view = self.link, self.link.view

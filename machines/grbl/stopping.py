@@ -145,12 +145,12 @@ class StopControl:
 
     # ------------------------------------------------------------------ shown by the controller
 
-    def fault(self, cause: FaultCause, words: str, line: int, now_s: float) -> None:
+    def fault(self, cause: FaultCause, words: str, line: int, now_s: float, *, alarm: int = 0) -> None:
         """End the program for a fault, '!' before anything else. The first sign counts."""
         if self.link.phase is not Phase.STREAMING:
             return
         self.link.put_hold()
-        self.link.events.append(Faulted(cause, words, line, now_s))
+        self.link.events.append(Faulted(cause, words, line, now_s, alarm))
         self._begin_stop(now_s)
 
     def take_alarm(self, number: int, now_s: float) -> None:
@@ -160,7 +160,7 @@ class StopControl:
         if self.commands.busy:
             self.commands.give_up(words, now_s)
         if link.phase is Phase.STREAMING:
-            self.fault(FaultCause.ALARM, words, self.streamer.first_line, now_s)
+            self.fault(FaultCause.ALARM, words, self.streamer.first_line, now_s, alarm=number)
         else:
             link.events.append(Notice(words))
         if number in CRITICAL_ALARMS:

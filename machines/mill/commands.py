@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 
+from machines.codes import MillCode
 from machines.driver import (
     CheckMode,
     Command,
@@ -94,7 +95,8 @@ class Commands:
     def send(self, command: Command, order: Order) -> None:
         driver = self._link.driver
         if driver is None:
-            raise NotAllowedError(f"{type(command).__name__}: the mill is disconnected ({self._link.problem})")
+            words = f"{type(command).__name__}: the mill is disconnected ({self._link.problem})"
+            raise NotAllowedError(words, code=MillCode.MILL_STATE, values={"state": self._link.status.state.value})
         if not isinstance(command, _MOVES_NOTHING) and self._runs.live is None:
             self._unattended.watch()
             try:
@@ -112,7 +114,8 @@ class Commands:
         command, setup = event.command, self._link.setup
         words = command_words(event, from_mm=self._jog_from_mm, at_mm=self._link.status.machine_mm)
         caller = self._last[1] if self._last is not None and self._last[0] is command else NOBODY
-        self._log.say("command", words, event.answer, caller)
+        read = isinstance(command, ReadSettings) and not event.failure
+        self._log.say("command", words, event.answer, caller, code=MillCode.SETTINGS_READ if read else "")
         if event.failure:
             return
         if isinstance(command, ReadSettings):

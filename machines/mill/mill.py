@@ -16,6 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
+from machines.codes import MillCode
 from machines.driver import Command, Driver, JogCancel, MillState, MillStatus
 from machines.errors import MachineError, NotAllowedError
 from machines.journal.journal import Journal
@@ -116,12 +117,14 @@ class Mill:
             self._order = Order(caller, self.orders.redeem(caller.grant, doing, needs_lease=needs_lease))
             answer = act(self)
         except MachineError as error:
-            self._log.say("order", f"{doing}: refused: {error}", caller=caller)
+            values = {"order": doing, "words": str(error), "code": error.code, "values": error.values}
+            refused = MillCode.ORDER_REFUSED
+            self._log.say("order", f"{doing}: refused: {error}", caller=caller, code=refused, values=values)
             self.publish()
             raise
         finally:
             self._order = Order()
-        self._log.say("order", f"{doing}: taken", caller=caller)
+        self._log.say("order", f"{doing}: taken", caller=caller, code=MillCode.ORDER_TAKEN, values={"order": doing})
         self.publish()
         return answer
 
@@ -177,7 +180,7 @@ class Mill:
 
     def carry_out_stop(self, stop: Stop, caller: Caller) -> None:
         """Hold, abort or end a jog, whoever asks; the log says who."""
-        self._log.say("order", stop.value, caller=caller)
+        self._log.say("order", stop.value, caller=caller, code=stop.value)
         {Stop.HOLD: self.hold, Stop.ABORT: self.abort, Stop.JOG_CANCEL: self.cancel_jog}[stop]()
 
     def hold(self) -> None:
@@ -222,7 +225,8 @@ class Mill:
 
     def note_failure(self, error: BaseException) -> None:
         """The owner thread ends because of this: hold what moves or may move, and leave the words behind."""
-        self._log.say("fault", f"the agent failed: {type(error).__name__}: {error}")
+        reason = f"{type(error).__name__}: {error}"
+        self._log.say("fault", f"the agent failed: {reason}", code=MillCode.OWNER_FAILED, values={"reason": reason})
         if self._link.driver is not None and (self._runs.live is not None or self.status.state in _MOVES):
             self._link.hold_unasked()
         self.publish()

@@ -60,8 +60,7 @@ class OrderRefusedError(NotAllowedError):
     """An order that is not carried out; `code` says why. holder: who has control, where that is the reason."""
 
     def __init__(self, code: Refusal, words: str, holder: Lease | None = None) -> None:
-        super().__init__(words)
-        self.code = code
+        super().__init__(words, code=code, values={} if holder is None else {"operator": holder.operator})
         self.holder = holder
 
 

@@ -92,10 +92,12 @@ class Run:
         self._view = None
         self.journal.append(kind, **fields)
 
-    def move(self, state: RunState, words: str = "", **fields: Any) -> None:
+    def move(
+        self, state: RunState, words: str = "", *, code: str = "", values: dict[str, Any] | None = None, **fields: Any
+    ) -> None:
         """Change state, by the table."""
         after = move_state(self.state, state)
-        self.write("run", state=after.value, words=words, **fields)
+        self.write("run", state=after.value, words=words, code=code, values=values or {}, **fields)
 
     def begin_stream(self) -> None:
         """A driver is about to stream from here."""
@@ -191,6 +193,8 @@ def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
         path=str(record.get("path", "")),
         state=RunState(record["state"]),
         words=str(record.get("words", "")),
+        code=str(record.get("code") or ""),
+        values=dict(record.get("values") or {}),
         operator=str(record.get("operator", "")),
         lines=int(record.get("lines", 0)),
         bytes=int(record.get("bytes", 0)),
@@ -203,4 +207,5 @@ def _make_view(record: Mapping[str, Any], time_left_s: float | None) -> RunView:
         ended_s=record.get("ended_s"),
         recoveries=int(record.get("recoveries", 0)),
         warnings=tuple(record.get("warnings", ())),
+        travel_in_doubt=bool(record.get("travel_in_doubt")),
     )

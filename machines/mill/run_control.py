@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from machines.codes import MillCode
 from machines.driver import FaultCause, Faulted, MillState, MillStatus, Stopped, StreamProgress
 from machines.errors import JournalError, NotAllowedError
 from machines.mill.orders import Order
@@ -63,11 +64,16 @@ class RunControl:
                 f"resume: the mill is not connected; the {self._link.latched} is carried out first when it is back"
             )
         if driver is None:
-            raise NotAllowedError(f"resume: the mill is disconnected ({self._link.problem}); allowed when it is held")
+            words = f"resume: the mill is disconnected ({self._link.problem}); allowed when it is held"
+            raise NotAllowedError(words, code=MillCode.MILL_STATE, values={"state": self._link.status.state.value})
         run = self._runs.live
         if run is not None:
             if run.state not in (RunState.HELD, RunState.HOLDING):
-                raise NotAllowedError(f"resume: run {run.id} is {run.state.value}; allowed when it is held")
+                raise NotAllowedError(
+                    f"resume: run {run.id} is {run.state.value}; allowed when it is held",
+                    code=MillCode.RUN_STATE,
+                    values={"state": run.state.value},
+                )
             run.journal.repair()
             run.journal.append("resume", wall_s=round(self._wall(), 3))
             self._journal_words = ""
@@ -92,7 +98,8 @@ class RunControl:
     def _take_back(self, run: Run) -> None:
         """A run that has not begun."""
         try:
-            run.move(RunState.ABORTED, "taken back before its start", ended_s=round(self._wall(), 3))
+            ended_s = round(self._wall(), 3)
+            run.move(RunState.ABORTED, "taken back before its start", code=MillCode.TAKEN_BACK, ended_s=ended_s)
         except JournalError as error:
             self._say("journal", str(error))
         run.let_go()
@@ -145,7 +152,11 @@ class RunControl:
     def _change(self, run: Run, state: RunState, words: str = "", **more: Any) -> None:
         """A state change goes to the journal together with how far the run has come."""
         status = self._link.status
-        where = {"machine_mm": status.machine_mm, "work_mm": status.work_mm, "wall_s": round(self._wall(), 3)}
+        where: dict[str, Any] = {
+            "machine_mm": status.machine_mm,
+            "work_mm": status.work_mm,
+            "wall_s": round(self._wall(), 3),
+        }
         words = words or (self._journal_words if state in (RunState.HOLDING, RunState.HELD) else "")
         self._say("run", f"{run.view.name}: {state.value}{f' ({words})' if words else ''}")
         # Of any other run than the streamed one the driver knows nothing.
@@ -180,7 +191,9 @@ class RunControl:
             if run is not None and run.live and self._link.driver is not None:
                 going_on = lost and run.state is not RunState.STOPPING
                 self._hold_asked = self._recovering = False
-                self._change(run, RunState.INTERRUPTED, words, cause=event.cause.value, fault_line=event.line,
+                self._change(run, RunState.INTERRUPTED, words, code=event.cause.value,
+                             values={"detail": event.words, "alarm": event.alarm},
+                             cause=event.cause.value, fault_line=event.line,
                              adrift=LINK_LOST if going_on else "")  # fmt: skip
                 run.journal.hasten()
         finally:
@@ -203,7 +216,7 @@ class RunControl:
         self._say("state", f"stopped{f': {kept}' if kept else ''}")
         asked, self._abort_asked = self._abort_asked, False
         if run is not None and (run.state is RunState.STOPPING or (asked and run.state is RunState.INTERRUPTED)):
-            self._end(run, RunState.ABORTED, "aborted by the operator")
+            self._end(run, RunState.ABORTED, "aborted by the operator", code=MillCode.ABORTED)
 
     def _end(self, run: Run, state: RunState, words: str, **more: object) -> None:
         self._change(run, state, words, ended_s=round(self._wall(), 3), **more)

@@ -17,11 +17,13 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
+from machines.codes import MillCode
 from machines.errors import JournalError, NotAllowedError
 from machines.gcode.program import ProgramReader
 from machines.journal.disk import os_words
 from machines.journal.journal import Journal, JournalContent, read_journal
 from machines.mill.run import OWNER_LOST, Run
+from machines.preflight.limits import AT_PRESENT_ZERO
 from machines.preflight.preflight import Preflight
 from machines.runs import RECOVERABLE, RunState, RunView
 
@@ -136,7 +138,7 @@ class RunStore:
         folder: Path,
         wall_clock: Callable[[], float],
         open_journal: Callable[[Path], Journal],
-        say: Callable[[str, str], None],
+        say: Callable[..., None],
     ) -> None:
         self._wall = wall_clock
         self._open_journal = open_journal
@@ -177,6 +179,7 @@ class RunStore:
             "bytes": program.bytes, "time_s": program.time_s, "profile": program.profile,
             "created_s": round(self._wall(), 3),
             "warnings": list(program.warnings), "state": RunState.PARKED.value, "executed_line": 0,
+            "travel_in_doubt": any(one.startswith(AT_PRESENT_ZERO) for one in program.warnings),
         }  # fmt: skip
         run = self._make_run(run_id, {"id": run_id, "state": RunState.PARKED.value})
         run.write("parked", **record)
@@ -187,7 +190,7 @@ class RunStore:
             if self.active is not None:
                 self.active.let_go()
             self.active = run
-        self._say("run", f"{name}: parked")
+        self._say("run", f"{name}: parked", code=MillCode.RUN_PARKED, values={"name": name})
         self._forget_old_runs()
         return run
 
@@ -215,13 +218,16 @@ class RunStore:
             self._runs[run_id] = run
             if content.torn:
                 run.record["torn"] = content.torn
-                self._say("journal", f"run {run_id}: {content.torn}")
+                self._say("journal", f"{run.view.name or run_id}: {content.torn}")
             if run.live:  # whoever wrote that has gone without saying so
+                values = {"state": run.record["state"]}
                 words = f"the agent ended while the run was {run.record['state']}"
-                run.write("run", state=RunState.INTERRUPTED.value, words=words, found_s=round(self._wall(), 3),
+                run.write("run", state=RunState.INTERRUPTED.value, words=words, code=MillCode.OWNER_LOST, values=values,
+                          found_s=round(self._wall(), 3),
                           adrift="" if run.record.get("restarted") else OWNER_LOST)  # fmt: skip
                 run.journal.sync()
-                self._say("run", f"{run.view.name}: interrupted ({words}); nothing goes on by itself")
+                self._say("run", f"{run.view.name}: interrupted ({words}); nothing goes on by itself",
+                          code=MillCode.RUN_LEFT, values={"name": run.view.name, **values})  # fmt: skip
                 left = run
             run.let_go()
             self.active = left or run
@@ -250,7 +256,7 @@ class RunStore:
             run.write("zeroed", zeroed=vouched)
             self.rest(run)
         for run in (one for one in self._runs.values() if one.state is RunState.PARKED):
-            run.write("zeroed", warnings=run.lasting_warnings)  # its start asks again, at the new zero
+            run.write("zeroed", warnings=run.lasting_warnings, travel_in_doubt=False)  # its start asks again
 
     def note_touch_off(self) -> None:
         for run in self._to_touch_off():

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from machines.codes import MillCode
 from machines.driver import Driver, MillState, TrustPosition
 from machines.errors import JournalError, MachineError, NotAllowedError
 from machines.grbl.settings import find_missing_option
@@ -38,10 +39,13 @@ class RecoveryPlanner:
         """Return the plan, with the answer and the check of place it rests on."""
         if run.state not in RECOVERABLE:
             raise NotAllowedError(
-                f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered"
+                f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered",
+                code=MillCode.RUN_STATE,
+                values={"state": run.state.value},
             )
         if not run.record.get("started_s"):
-            raise NotAllowedError(f"recovery: run {run.id} was never started; load the program again")
+            words = f"recovery: run {run.id} was never started; load the program again"
+            raise NotAllowedError(words, code=MillCode.RUN_UNSTARTED)
         facts, reader = run.load()
         self._await_place(run)
         answer = self._cycle.read_settings()
@@ -95,7 +99,11 @@ class RunStarter:
         run = self._runs.get(run_id)
         if run.state is not RunState.PARKED:
             way = "recover it" if run.state in RECOVERABLE else "load the program again"
-            raise NotAllowedError(f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}")
+            raise NotAllowedError(
+                f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}",
+                code=MillCode.RUN_STATE,
+                values={"state": run.state.value},
+            )
         confirmation.demand(START_CHECKS, "start")
         order.extend()
         driver = self._ready_driver("start")
@@ -141,14 +149,19 @@ class RunStarter:
 
     def _ready_driver(self, doing: str) -> Driver:
         if (live := self._runs.live) is not None:
-            raise NotAllowedError(f"{doing}: run {live.id} is {live.state.value}; one run at a time")
+            words = f"{doing}: run {live.id} is {live.state.value}; one run at a time"
+            raise NotAllowedError(words, code=MillCode.RUN_LIVE)
         if self._link.latched:
             raise NotAllowedError(f"{doing}: {self._link.latched} waits for the link to come back")
         driver, state = self._link.driver, self._link.status.state
         if driver is None or state is not MillState.IDLE:
             words = self._link.problem or self._link.status.detail
             more = f" ({words})" if words else ""
-            raise NotAllowedError(f"{doing}: the mill is {state.value}{more}; allowed when it is idle")
+            raise NotAllowedError(
+                f"{doing}: the mill is {state.value}{more}; allowed when it is idle",
+                code=MillCode.MILL_STATE,
+                values={"state": state.value},
+            )
         return driver
 
     def _vouch(self, driver: Driver) -> None:
@@ -176,6 +189,7 @@ class RunStarter:
             "homed": self._link.setup.homed,
             "machine_mm": status.machine_mm, "work_mm": status.work_mm, "work_offset_mm": status.work_offset_mm,
             "wall_s": round(self._wall(), 3), "warnings": list(dict.fromkeys(warnings)),
+            "travel_in_doubt": bool(placement.problems),
         }  # fmt: skip
 
     def _stream(
@@ -184,7 +198,7 @@ class RunStarter:
         """The last step of start and recover: only when the journal is safe on disk does the first byte leave."""
         if self._runs.active is not None and self._runs.active is not run:
             self._runs.active.let_go()
-        before = {name: run.record.get(name) for name in ("state", "words", *baseline)}
+        before = {name: run.record.get(name) for name in ("state", "words", "code", "values", *baseline)}
         try:
             self._unattended.note_touch(but=run)
             run.journal.repair()

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from concurrent.futures import Future
 from typing import Any, TypeVar
 
+from machines.codes import MillCode
 from machines.errors import MachineError, NotAllowedError
 from machines.mill.mill import Mill
 from machines.mill.orders import NOBODY, Caller, OrderGate, Stop
@@ -92,8 +93,7 @@ class MillThread:
         future: Future[T] = Future()
         with self._changed:
             if not self._is_running():
-                why = f": {self._failure}" if self._failure is not None else ""
-                raise NotAllowedError(f"the mill's thread is not running{why}; start the agent again")
+                raise _make_ended_error("is not running", self._failure)
             queue.append((future, function))
         self._mill.wake()
         return future
@@ -155,15 +155,24 @@ class MillThread:
                 self._stops.clear()
                 self._calls.clear()
                 self._changed.notify_all()
-            why = f" ({self._failure})" if self._failure is not None else ""
             for future, _ in left:
                 if future.set_running_or_notify_cancel():
-                    future.set_exception(NotAllowedError(f"the mill's thread has ended{why}; start the agent again"))
+                    future.set_exception(_make_ended_error("has ended", self._failure))
+
+
+def _make_ended_error(how: str, failure: BaseException | None) -> NotAllowedError:
+    why = f": {failure}" if failure is not None else ""
+    values = {"reason": "" if failure is None else str(failure)}
+    return NotAllowedError(
+        f"the mill's thread {how}{why}; start the agent again", code=MillCode.OWNER_ENDED, values=values
+    )
 
 
 def no_answer(timeout_s: float, *, taken_back: bool) -> MachineError:
     """The error for a caller whose time is over."""
     fate = "it was taken back" if taken_back else "it is under way and may still be carried out"
     return MachineError(
-        f"the mill's thread gave no answer within {timeout_s:g} s, {fate}; use the mill's own stop button"
+        f"the mill's thread gave no answer within {timeout_s:g} s, {fate}; use the mill's own stop button",
+        code=MillCode.OWNER_SILENT,
+        values={"seconds": timeout_s, "taken_back": taken_back},
     )

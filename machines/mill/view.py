@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,19 +21,23 @@ SHOWN_RUNS = 100
 
 @dataclass(frozen=True, slots=True)
 class LogEntry:
-    """Something that happened. `number` counts up; `at_s` is wall clock, seconds since 1970."""
+    """Something that happened. `number` counts up; `at_s`: seconds since 1970; `code`: of MillCode or Stop, or ""."""
 
     number: int
     at_s: float
     kind: str  # "state" "run" "fault" "notice" "order" "command" "link" "journal"
     words: str
+    code: str = ""
+    values: dict[str, Any] = dataclasses.field(default_factory=dict)
     answer: dict[str, Any] = dataclasses.field(default_factory=dict)  # of a command
     by: str = ""  # whose order it was, and where that came from
     origin: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         plain = {"number": self.number, "at_s": self.at_s, "kind": self.kind, "words": self.words}
-        said = {"answer": self.answer, "by": self.by, "from": self.origin}
+        said = {
+            "code": self.code, "values": self.values, "answer": self.answer, "by": self.by, "from": self.origin,
+        }  # fmt: skip
         return plain | {name: value for name, value in said.items() if value}
 
 
@@ -45,10 +49,29 @@ class MillLog:
         self._entries: deque[LogEntry] = deque(maxlen=LOG_ENTRIES)
         self.count = 0
 
-    def say(self, kind: str, words: str, answer: dict[str, object] | None = None, caller: Caller = NOBODY) -> None:
+    def say(
+        self,
+        kind: str,
+        words: str,
+        answer: Mapping[str, object] | None = None,
+        caller: Caller = NOBODY,
+        *,
+        code: str = "",
+        values: Mapping[str, object] | None = None,
+    ) -> None:
         self.count += 1
-        at_s = round(self._wall(), 3)
-        self._entries.append(LogEntry(self.count, at_s, kind, words, dict(answer or {}), caller.name, caller.origin))
+        entry = LogEntry(
+            number=self.count,
+            at_s=round(self._wall(), 3),
+            kind=kind,
+            words=words,
+            code=code,
+            values=dict(values or {}),
+            answer=dict(answer or {}),
+            by=caller.name,
+            origin=caller.origin,
+        )
+        self._entries.append(entry)
 
     def after(self, known: tuple[LogEntry, ...]) -> tuple[LogEntry, ...]:
         """All entries; the very tuple that is known already where nothing was added."""

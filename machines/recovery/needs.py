@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+from machines.codes import MillCode
 from machines.driver import MillState, MillStatus
 from machines.recovery.entry import EntryPoint
 from machines.recovery.plan import Need, Present
@@ -13,24 +14,34 @@ _FRAMES = ("G54", "G55", "G56", "G57", "G58", "G59")
 OFFSET_TOLERANCE_MM = 0.0015  # offsets are reported with three decimals
 
 
+DOUBTS = {  # why machine coordinates may not mean what they meant when the run was cut
+    "restarted": "the controller has restarted since the run stopped, its position is lost",
+    "unconfirmed": "nobody had confirmed the position when the run stopped",
+    "unseen": "nothing shows that the controller went on without a restart while it was out of sight",
+}
 _MOVES = (MillState.RUN, MillState.HOLDING, MillState.JOG, MillState.HOMING)
 
 
 def needs_of_standing_mill(status: MillStatus) -> Iterator[Need]:
     """What keeps a mill from taking any program: at most one need."""
     state = status.state
+    values = {"state": state.value}
     if state in (MillState.DISCONNECTED, MillState.CONNECTING):
-        yield Need("connect", f"the mill is {state.value}: connect it; it does not move by that")
+        yield Need(MillCode.CONNECT, f"the mill is {state.value}: connect it; it does not move by that", values)
     elif state is MillState.ALARM:
         yield Need(
-            "unlock",
+            MillCode.UNLOCK,
             f"the mill is locked ({status.detail or 'alarm'}): home it, which finds its position, or unlock it",
+            {"alarm": status.alarm},
         )
     elif state in _MOVES:
-        yield Need("wait", f"the mill is {state.value}: wait until it has carried that out, or hold it")
+        yield Need(MillCode.WAIT, f"the mill is {state.value}: wait until it has carried that out, or hold it", values)
     elif state is not MillState.IDLE:
-        yield Need("stand still", f"the mill is {state.value} and may hold unfinished blocks: reset it, "
-                                  "which clears them and, from standstill, keeps the position")  # fmt: skip
+        words = (
+            f"the mill is {state.value} and may hold unfinished blocks: reset it, "
+            "which clears them and, from standstill, keeps the position"
+        )
+        yield Need(MillCode.STAND_STILL, words, values)
 
 
 def first_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
@@ -39,22 +50,26 @@ def first_needs(record: Mapping[str, Any], present: Present) -> Iterator[Need]:
     if status.state in (MillState.DISCONNECTED, MillState.CONNECTING):
         return
     if status.state is MillState.IDLE and status.work_mm is None:
-        yield Need("connect", "the mill has not reported its position yet: wait a second")
-    if (words := position_doubt(record, present)) != "":
-        yield Need("position", f"{words}: home the mill, or touch off again at the same points of the part (zero of "
-                               "X, Y, Z), or, if you know that it is right, say so (trust position)")  # fmt: skip
+        words = "the mill has not reported its position yet: wait a second"
+        yield Need(MillCode.CONNECT, words, {"state": status.state.value})
+    if (doubt := position_doubt(record, present)) != "":
+        words = (
+            f"{DOUBTS[doubt]}: home the mill, or touch off again at the same points of the part (zero of "
+            "X, Y, Z), or, if you know that it is right, say so (trust position)"
+        )
+        yield Need(MillCode.POSITION, words, {"doubt": doubt})
 
 
 def position_doubt(record: Mapping[str, Any], present: Present) -> str:
-    """Why machine coordinates may not mean what they meant when the run was cut, in words; "" if they do."""
+    """Return the key in DOUBTS that fits; "" where machine coordinates mean what they meant when the run was cut."""
     if present.status.position_trusted:
         return ""
     if present.restarted:
-        return "the controller has restarted since the run stopped, its position is lost"
+        return "restarted"
     if not record.get("position_trusted"):
-        return "nobody had confirmed the position when the run stopped"
+        return "unconfirmed"
     if not never_restarted(present.parser_state, record.get("state_before")):
-        return "nothing shows that the controller went on without a restart while it was out of sight"
+        return "unseen"
     return ""
 
 
@@ -100,9 +115,11 @@ def offsets_compared(
             moving.append(name)
     if not moving:
         return tuple(words), ()
-    need = Need("zero", f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
-                        "G43.1), or touch off again at the same points of the part")  # fmt: skip
-    return tuple(words), (need,)
+    need = (
+        f"{', '.join(moving)} differs from when the program was cut: restore it (G10 L2, G92, "
+        "G43.1), or touch off again at the same points of the part"
+    )
+    return tuple(words), (Need(MillCode.ZERO, need),)
 
 
 def zero_back(record: Mapping[str, Any], present: Present, entry: EntryPoint | None) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+from machines.codes import MillCode
 from machines.driver import MillStatus, ProgramLine, Triple
 from machines.gcode.program import ProgramReader
 
@@ -34,10 +35,11 @@ class Reentry:
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """What must be done first. `code`: "connect", "wait", "stand still", "unlock", "position" or "zero"."""
+    """What must be done first. `code`: CONNECT, WAIT, STAND_STILL, UNLOCK, POSITION or ZERO."""
 
-    code: str
+    code: MillCode
     words: str
+    values: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,7 +112,7 @@ class RecoveryPlan:
             "blocks": list(self.blocks),
             "ready": self.ready,
             "refusals": list(self.refusals),
-            "needs": [{"code": need.code, "words": need.words} for need in self.needs],
+            "needs": [{"code": need.code, "values": need.values, "words": need.words} for need in self.needs],
             "differences": list(self.differences),
             "zero_back": self.zero_back,
             "words": list(self.words),

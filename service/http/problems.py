@@ -12,7 +12,6 @@ from starlette.responses import JSONResponse, Response
 from machines.errors import (
     JournalError,
     MachineError,
-    NotAllowedError,
     PortError,
     ProgramChangedError,
     ProgramRefusedError,
@@ -74,6 +73,29 @@ class Kind(StrEnum):
     NO_SPACE = "no-space"
 
 
+class ServerCode(StrEnum):
+    """What the server says of agents and runs, and what an agent asks, for programs: a closed list, beside `MillCode`.
+
+    In a problem, in `agent` of a machine and in a run, each with its values.
+    """
+
+    AGENT_ABSENT = "agent_absent"
+    AGENT_UNREACHED = "agent_unreached"  # reason, or seconds
+    AGENT_KEY_UNUSABLE = "agent_key_unusable"  # reason
+    AGENT_KEY_REFUSED = "agent_key_refused"
+    AGENT_OTHER = "agent_other"
+    AGENT_SILENT = "agent_silent"  # its event stream has ended
+    AGENT_WRONG = "agent_wrong"  # what it says cannot be
+    AGENT_FAULT = "agent_fault"  # status, reason
+    ORDER_UNCERTAIN = "order_uncertain"  # order: it may have arrived
+    STOP_UNCERTAIN = "stop_uncertain"  # order, seconds: it may have arrived
+    ORDER_WITHOUT_EFFECT = "order_without_effect"  # order, state
+    CONFIRM = "confirm"  # and `effect` of the problem
+    RUN_LOST = "run_lost"
+    RUN_GIVEN_UP = "run_given_up"  # state
+    RUN_UNKNOWN = "run_unknown"
+
+
 _KINDS = {
     400: Kind.BAD_REQUEST,
     401: Kind.NOT_AUTHORISED,
@@ -101,7 +123,8 @@ _KINDS = {
 class Problem(Exception):
     """A refusal: HTTP status, one line, and the field of the request it is about (empty if none).
 
-    kind : where several reasons share a status. headers : of the answer. more : further members of the problem.
+    kind : where several reasons share a status. code, values : what programs tell it by, of `ServerCode` or a mill's.
+    headers : of the answer. more : further members of the problem.
     """
 
     def __init__(
@@ -111,6 +134,8 @@ class Problem(Exception):
         *,
         field: str = "",
         kind: Kind | None = None,
+        code: str = "",
+        values: Mapping[str, object] | None = None,
         headers: Mapping[str, str] | None = None,
         more: Mapping[str, object] | None = None,
     ) -> None:
@@ -119,6 +144,8 @@ class Problem(Exception):
         self.detail = printable(detail)
         self.field = printable(field)
         self.kind = kind or _KINDS.get(status, Kind.BAD_REQUEST if status < 500 else Kind.FAULT)
+        self.code = code
+        self.values = dict(values or {})
         self.headers = dict(headers or {})
         self.more = dict(more or {})
 
@@ -130,8 +157,6 @@ def problem_of(error: Exception) -> Problem:
             return error
         case OrderRefusedError():
             return _problem_of_order(error)
-        case NotAllowedError():
-            return Problem(409, str(error))
         case ProgramRefusedError() | ProgramChangedError():
             return Problem(422, str(error), field="program")
         case JournalError():
@@ -139,7 +164,7 @@ def problem_of(error: Exception) -> Problem:
         case PortError():
             return Problem(503, str(error))
         case MachineError():
-            return Problem(409, str(error))
+            return Problem(409, str(error), code=error.code, values=error.values)
         case OSError() if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
             return Problem(507, sentence_of_os_error(error, doing="cannot write"))
         case OSError():
@@ -150,11 +175,10 @@ def problem_of(error: Exception) -> Problem:
 def _problem_of_order(error: OrderRefusedError) -> Problem:
     """With what a program tells refusals apart by, and who has control where that is the reason."""
     of_control = error.code in (Refusal.HELD, Refusal.LOST, Refusal.NOBODY, Refusal.LEASE)
-    more: dict[str, object] = {"code": error.code.value}
-    if of_control:
-        more["control"] = None if error.holder is None else error.holder.as_dict()
+    more = {"control": None if error.holder is None else error.holder.as_dict()} if of_control else {}
     field = "Causticmill-Control" if of_control else "Causticmill-Grant" if error.code.startswith("grant") else ""
-    return Problem(428 if error.code is Refusal.MISSING else 409, str(error), field=field, more=more)
+    status = 428 if error.code == Refusal.MISSING else 409
+    return Problem(status, str(error), field=field, code=error.code, values=error.values, more=more)
 
 
 def problem_response(problem: Problem) -> Response:
@@ -168,14 +192,15 @@ def problem_response(problem: Problem) -> Response:
 
 
 def problem_body(problem: Problem) -> dict[str, object]:
-    """The members of RFC 9457, and `field`."""
+    """The members of RFC 9457, `field`, and `code` with its `values`."""
     body: dict[str, object] = {
         "type": f"urn:causticmill:problem:{problem.kind}",
         "title": _TITLES.get(problem.status, "Refused"),
         "status": problem.status,
         "detail": problem.detail,
     }
-    return body | ({"field": problem.field} if problem.field else {}) | problem.more
+    told = {"code": problem.code, "values": problem.values} if problem.code else {}
+    return body | ({"field": problem.field} if problem.field else {}) | told | problem.more
 
 
 async def on_error(_request: Request, error: Exception) -> Response:

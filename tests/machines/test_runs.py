@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from machines.errors import NotAllowedError
+from machines.mill.run import Run
 from machines.runs import LIVE, RECOVER_CHECKS, START_CHECKS, TRANSITIONS, Confirmation, RunState, RunView, move_state
 
 
@@ -56,3 +57,9 @@ def test_share_is_by_lines_and_one_at_the_end() -> None:
     view = RunView(id="a", name="n", program="p", path="/p", state=RunState.RUNNING, lines=200, executed_line=50)
     assert view.share == 0.25
     assert view.as_dict()["state"] == "running"
+
+
+def test_a_journal_of_before_there_were_codes_is_told_by_its_words() -> None:
+    record = {"id": "a", "state": "interrupted", "words": "port lost", "warnings": ["X would go"]}
+    view = Run(record, lambda: pytest.fail("no journal"), lambda: pytest.fail("no facts")).view
+    assert (view.words, view.code, view.values, view.travel_in_doubt) == ("port lost", "", {}, False)

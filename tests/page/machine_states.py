@@ -10,6 +10,7 @@ from typing import Any
 
 from playwright.sync_api import Page, Route, expect
 
+from machines.grbl.codes import alarm_words
 from tests.page import canned_job
 from tests.page.browser import open_blank
 
@@ -35,10 +36,12 @@ MACHINE: dict[str, Any] = {
         "homing": True,
         "spindle": {"on_hold": "turns", "on_lost_link": "turns", "words": ["the spindle keeps turning in a hold"]},
     },
-    "agent": {"reachable": True, "words": ""},
+    "agent": {"reachable": True, "words": "", "code": "", "values": {}},
     "mill": {
         "state": "idle",
         "detail": "",
+        "code": "",
+        "alarm": 0,
         "work_mm": [12.4, -7.02, 5.0],
         "machine_mm": [-137.6, -157.02, -15.0],
         "feed_mm_per_min": 0,
@@ -68,6 +71,8 @@ RUN: dict[str, Any] = {
     "state": "parked",
     "open": True,
     "words": "",
+    "code": "",
+    "values": {},
     "share": 0.0,
     "executed_line": 0,
     "lines": 41210,
@@ -75,7 +80,8 @@ RUN: dict[str, Any] = {
     "time_left_s": 5400.0,
     "operator": "",
     "recoveries": 0,
-    "warnings": ["the program cannot be held against the travel: the position is not trusted"],
+    "warnings": ["X would go from -152.000 to -36.000 mm in machine coordinates (G54); the machine reaches -100 to 0"],
+    "travel_in_doubt": True,
     "setup": {
         "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
         "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "margin_mm": 8.0, "material": "pmma"},
@@ -98,7 +104,8 @@ RUN: dict[str, Any] = {
     "links": {},
 }
 _OF_OPEN = {
-    *("id", "state", "job", "program", "words", "share", "executed_line", "lines", "time_s", "time_left_s", "operator"),
+    *("id", "state", "job", "program", "words", "code", "values", "operator"),
+    *("share", "executed_line", "lines", "time_s", "time_left_s"),
 }  # of a run, as its mill tells it
 PLAN: dict[str, Any] = {
     "run": RUN_ID,
@@ -112,8 +119,16 @@ PLAN: dict[str, Any] = {
     "ready": False,
     "refusals": [],
     "needs": [
-        {"code": "unlock", "words": "the mill is locked (alarm): home it, or unlock it and set the zero anew"},
-        {"code": "position", "words": "the controller has restarted since the run stopped, its position is lost"},
+        {
+            "code": "unlock",
+            "values": {"alarm": 3},
+            "words": "the mill is locked (ALARM:3 (reset while moving)): home it",
+        },
+        {
+            "code": "position",
+            "values": {"doubt": "restarted"},
+            "words": "the controller has restarted (trust position)",
+        },
     ],
     "differences": ["G54 was X-150.000, is X-150.250"],
     "zero_back": "",
@@ -122,12 +137,19 @@ PLAN: dict[str, Any] = {
 GRANT = {"grant": "a word", "valid_s": 3.0, "stops": 7}
 STOPS = "**/v1/stops"
 _CUT = {"share": 0.21, "executed_line": 8654, "time_left_s": 4300.0, "operator": "Ada"}
+ABSENT = {"reachable": False, "words": "machine 'shop' has no agent at present", "code": "agent_absent", "values": {}}
 _STOPPED = _CUT | {"required_checks": [*_CHECKS, "position"], "time_left_s": None}
+
+
+def locked(number: int) -> dict[str, Any]:
+    """A mill that this alarm has locked."""
+    return {"state": "alarm", "detail": alarm_words(number), "code": "locked", "alarm": number}
+
 
 # state: (changes to the machine, changes to the mill, changes to its run, or None where there is none)
 STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] = {
     "idle": ({}, {}, None),
-    "locked": ({}, {"state": "alarm", "detail": "ALARM:1 (hard limit hit, position lost: free the axis)"}, None),
+    "locked": ({}, locked(1), None),
     "parked": ({}, {}, {}),
     "running": (
         {"control": {"operator": "Grace", "since": _SINCE}},
@@ -138,19 +160,20 @@ STATES: dict[str, tuple[dict[str, Any], dict[str, Any], dict[str, Any] | None]] 
     "held": ({}, {"state": "held"}, _CUT | {"state": "held"}),
     "interrupted": (
         {},
-        {"state": "alarm", "detail": "ALARM:3 (reset while moving, position lost: home or set the zero again)"},
-        _STOPPED | {"state": "interrupted", "words": "alarm: ALARM:3 reset while moving"},
+        locked(3),
+        _STOPPED | {"state": "interrupted", "code": "alarm", "values": {"alarm": 3, "detail": "ALARM:3"}},
     ),
     "unplugged": (
         {},
         {"state": "disconnected", "connected": False, "problem": "port lost: the device is gone", "latched": "hold"},
-        _STOPPED | {"state": "interrupted", "words": "port lost: the device is gone"},
+        _STOPPED
+        | {"state": "interrupted", "code": "port lost", "values": {"alarm": 0, "detail": "the device is gone"}},
     ),
-    "no-agent": ({"agent": {"reachable": False, "words": f"machine '{NAME}' has no agent at present"}}, {}, None),
+    "no-agent": ({"agent": ABSENT}, {}, None),
     "stopped": (
         {},
         {"work_mm": [12.4, 7.02, -2.3], "machine_mm": [-137.6, -142.98, -22.3], "needs": []},
-        _STOPPED | {"state": "aborted", "open": False, "words": "aborted by the operator"},
+        _STOPPED | {"state": "aborted", "open": False, "code": "aborted"},
     ),
     "finished": ({}, {}, _CUT | {"state": "finished", "open": False, "share": 1.0, "executed_line": 41210}),
     "refused": ({}, {}, {"state": "refused", "words": "the program leaves the travel: X 312.4 of 300 mm at line 120"}),

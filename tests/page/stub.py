@@ -111,7 +111,7 @@ class Stub:
         return self._stream([_event("status", told), _event("log", _entry(1, "connected"))])
 
     def stop(self, _request: Request, machine: str, how: str) -> Response:
-        entry = _event("log", _entry(next(self._numbers), how))
+        entry = _event("log", _entry(next(self._numbers), how) | {"code": how, "values": {}})
         for queue in self._streams:
             queue.put_nowait(entry)
         return JSONResponse({"machine": machine, "order": how, "mill": MACHINE["mill"]}, status_code=202)

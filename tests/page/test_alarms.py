@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable
 import pytest
 from playwright.sync_api import Page, Route, expect
 
-from machines.grbl.codes import SPINDLE_ON_ALARMS, alarm_words
+from machines.grbl.codes import SPINDLE_ON_ALARMS
 from tests.levels import mostly_thorough
 from tests.page.conftest import Opened
 from tests.page.driving import machine_state, tick_all
-from tests.page.machine_states import PLAN, told, with_control
+from tests.page.machine_states import PLAN, locked, told, with_control
 from tests.page.test_next_step import RAISED, after, orders_of
 
 SAID = {
@@ -40,7 +40,7 @@ def lock_by_alarm(page: Page, number: int) -> None:
     """This alarm in the middle of a program: its words are on the page, and whether the spindle turns."""
     on, line = number in SPINDLE_ON_ALARMS, page.locator(".next")
     turns = {"spindle_on": on, "spindle_rpm": 18000 if on else 0}
-    told(page, "interrupted", operator="Ada", mill=LOST | turns | {"state": "alarm", "detail": alarm_words(number)})
+    told(page, "interrupted", operator="Ada", mill=LOST | turns | locked(number))
     expect(line).to_contain_text(f"Locked: {SAID[number]}.")
     assert "(" not in line.text_content().split(SAID[number])[0], number
     expect(machine_state(page)).to_have_text("locked")
@@ -67,7 +67,7 @@ def test_after_an_alarm_home_and_the_way_on_are_offered(opened: Opened, numbers:
         line.get_by_role("button", name="Home", exact=True).click()
         after(sent, 1, page)
         assert sent == [("home", {})]
-        homed = RAISED | {"state": "idle", "detail": "", "spindle_on": False, "needs": []}
+        homed = RAISED | {"state": "idle", "detail": "", "code": "", "alarm": 0, "spindle_on": False, "needs": []}
         told(page, "interrupted", operator="Ada", mill=homed, plan=way_on(number))
         expect(line).to_contain_text("go on with it")
         expect(page.locator(".recover")).to_contain_text(f"the way on after alarm {number}")

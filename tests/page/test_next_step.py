@@ -31,6 +31,8 @@ DUE = """async ([machine, run, mine, ticked, load]) => {
     return [due.step, due.act?.label ?? "", due.words];
 }"""
 READY = PLAN | {"ready": True, "needs": []}
+STATES_SAID = [("state", "run"), ("state", "idle"), ("state", "jog"), ("state", "alarm"), ("command", "Home: done")]
+NAMED = {"name": "pass-1.nc"}
 JARGON = re.compile(r"\b(preset|parked|vouch\w*|agent|latched)\b", re.IGNORECASE)
 
 
@@ -342,7 +344,10 @@ def test_control_is_not_given_back_without_a_word(opened: Opened) -> None:
 @pytest.mark.thorough
 def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
     page = with_control(opened, "stopped", mill=RAISED)
-    plan = {"needs": [{"code": "zero", "words": "G54 differs"}], "zero_back": "G10 L2 P1 X-150.000 Y-150.000 Z-20.000"}
+    plan = {
+        "needs": [{"code": "zero", "values": {}, "words": "G54 differs"}],
+        "zero_back": "G10 L2 P1 X-150.000 Y-150.000 Z-20.000",
+    }
     again = page.get_by_role("button", name="Look again")
     expect(again).to_be_visible()
     page.route("**/v1/runs/*/recovery", lambda route: route.fulfill(json=PLAN | plan))
@@ -360,16 +365,17 @@ def test_the_zero_of_the_cut_is_put_back_by_one_press(opened: Opened) -> None:
 def test_the_console_tells_what_matters(opened: Opened) -> None:
     page = open_blank(opened, "machine", key="Ada")
     told(page, "idle")
-    entries = [("state", "run"), ("state", "idle"), ("state", "jog"), ("state", "alarm"), ("command", "Home: done")]
-    entries += [("run", "pass-1.nc: parked"), ("state", "idle"), ("command", "Read settings: done")]
-    entries += [
-        ("command", "Jog X +10 mm: done"),
-        ("command", "X and Y = 0 here: done, at machine X 1.000, Y 2.000 mm"),
+    entries: list[tuple[str, str, str]] = [(kind, words, "") for kind, words in STATES_SAID]
+    entries += [("run", "pass-1.nc: parked", "run_parked"), ("state", "idle", "")]
+    entries += [("command", "Read settings: done", "settings_read"), ("command", "Jog X +10 mm: done", "")]
+    entries += [("command", "X and Y = 0 here: done, at machine X 1.000, Y 2.000 mm", "")]
+    logged = [
+        {"number": k, "at_s": 1.0, "kind": kind, "words": words} | ({"code": code, "values": NAMED} if code else {})
+        for k, (kind, words, code) in enumerate(entries)
     ]
-    logged = [{"number": k, "at_s": 1.0, "kind": kind, "words": words} for k, (kind, words) in enumerate(entries)]
     body = "".join(f"event: log\ndata: {json.dumps(entry)}\n\n" for entry in logged)
     page.route("**/v1/machines/shop/events", lambda route: route.fulfill(body=body, content_type="text/event-stream"))
     page.evaluate(f"location.hash = '{SCREEN}'")
     lines = page.locator(".log li span")
-    told_of = ["locked", "Home: done", "pass-1.nc: waits for your start", *(words for _, words in entries[-2:])]
+    told_of = ["locked", "Home: done", "pass-1.nc: waits for your start", *(words for _, words, _ in entries[-2:])]
     expect(lines).to_have_text(told_of)

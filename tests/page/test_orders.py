@@ -28,9 +28,9 @@ CLOCK = "() => { const now = Date.now; window.skipped = 0; Date.now = () => now(
 Sent = list[tuple[str, dict[str, Any], dict[str, str]]]
 
 
-def refusal(code: str, detail: str = "the server's own words") -> dict[str, Any]:
+def refusal(code: str, detail: str = "the server's own words", **more: Any) -> dict[str, Any]:
     """What a route is fulfilled with where an order is refused."""
-    return problem(409, detail=detail, code=code)
+    return problem(409, detail=detail, code=code, values={}, **more)
 
 
 def record_orders(page: Page, answer: Callable[[Route], Any] | None = None) -> Sent:
@@ -339,7 +339,7 @@ def test_a_line_that_changes_the_mill_itself_is_asked_for_once_more(opened: Open
         if json.loads(route.request.post_data or "{}").get("confirm"):
             route.fulfill(status=202, json=taken(route))
         else:
-            route.fulfill(**refusal("confirm", words))
+            route.fulfill(**refusal("confirm", words, effect=words))
 
     sent = record_orders(page, answer)
     page.get_by_label("One line to the mill").fill("$20=0")
@@ -360,10 +360,14 @@ def test_who_gave_which_order_can_be_read(opened: Opened) -> None:
         base = {"number": number, "at_s": 1795284531.5 + number, "kind": "command", "by": "Ada", "from": "192.168.1.20"}
         return base | {"words": "Jog X 1.000: done"} | more
 
-    refused = "jog: refused: the mill was told to stop after this order"
+    why = {"order": "jog", "code": "", "values": {}, "words": "the mill was told to stop after this order"}
+    refused = {"words": f"jog: refused: {why['words']}", "code": "order_refused", "values": why}
     pages = {
-        "": {"orders": [given(60, kind="order", words="hold", by="Grace"), given(59)], "next": 59},
-        "59": {"orders": [given(58, kind="order", words=refused)], "next": None},
+        "": {
+            "orders": [given(60, kind="order", words="hold", code="hold", values={}, by="Grace"), given(59)],
+            "next": 59,
+        },
+        "59": {"orders": [given(58, kind="order", **refused)], "next": None},
     }
 
     def answer(route: Route) -> None:

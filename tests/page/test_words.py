@@ -11,22 +11,37 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
+from machines.codes import MillCode
+from machines.driver import FaultCause, MillState
+from machines.grbl.codes import ALARMS
+from machines.mill.orders import Refusal, Stop
+from machines.recovery.needs import DOUBTS
+from machines.runs import RunState
+from service.http.problems import ServerCode
 from tests.page.answers import problem
 from tests.page.browser import NOWHERE, open_blank
 from tests.page.conftest import Opened
-from tests.page.machine_states import MACHINE, told, with_control
+from tests.page.machine_states import ABSENT, MACHINE, told, with_control
 from tests.page.machine_states import NAME as MILL
 
 ROOT = Path(__file__).parents[2]
-# What these say in a refusal or of a run is shown on the page; what is said while a server starts is not.
-SPEAKERS = (
-    *("agent_feed", "agent_client", "agent_replies", "run_commands", "core", "machine_events", "machine_commands"),
-)
 JARGON = re.compile(r"\b(agent|token|thread|trust position|SendBlock)\b")
-SENTENCES = "async (said) => { const words = await import('/page/machine/words.js'); return said.map(words.sentence); }"
+CODES = (*MillCode, *ServerCode, *Refusal, *Stop, *(cause.value for cause in FaultCause))
+STATES = (*(state.value for state in RunState), *(state.value for state in MillState))
+# Every value that a code comes with.
+VALUES: dict[str, Any] = {
+    "alarm": 1, "detail": "so it says", "doubt": "unseen", "effect": "it moves", "name": "p.nc", "operator": "Ada",
+    "order": "home", "reason": "so it is", "seconds": 3, "state": "held", "status": 500, "taken_back": True,
+    "text": "G0", "code": "", "values": {}, "words": "so it was",
+}  # fmt: skip
+TABLE = "async () => (await import('/page/machine/sentences.js')).CODES"
+TOLD = """async (all) => {
+    const { tell } = await import("/page/machine/sentences.js");
+    return all.map(tell).flatMap(({brief, whole}) => [brief, whole]);
+}"""
 
 
-def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
+def spoken(path: Path, words: re.Pattern[str]) -> Iterator[str]:
     """Every text of a module with one of these words in it, its values filled in; no docstrings, no names."""
     source = path.read_text()
     if not words.search(source):
@@ -43,13 +58,24 @@ def spoken(path: Path, words: re.Pattern[str] = JARGON) -> Iterator[str]:
             yield text
 
 
-def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(modules: Page) -> None:
-    paths = [ROOT / "service/server/fleet" / f"{name}.py" for name in SPEAKERS]
-    paths += [ROOT / "service/milling/agent/mill_access.py", *sorted((ROOT / "machines/mill").glob("*.py"))]
-    said = [text for path in paths for text in spoken(path) if "owns this mill" not in text]
-    assert len(said) > 15, said
-    shown = modules.evaluate(SENTENCES, said)
-    assert not [pair for pair in zip(said, shown, strict=True) if JARGON.search(pair[1])]
+def test_every_code_has_a_sentence_on_the_page_and_no_other_has(modules: Page) -> None:
+    assert len(set(CODES)) == len(CODES)
+    assert sorted(modules.evaluate(TABLE)) == sorted(CODES)
+
+
+def test_what_a_code_is_told_by_is_whole_and_plain(modules: Page) -> None:
+    """Whatever state, alarm or doubt it is of; without names for parts of the service, which nobody at a mill sees."""
+    ways = [VALUES | {"state": state} for state in STATES]
+    ways += [VALUES | {"alarm": number} for number in (0, *ALARMS, 99)]
+    ways += [VALUES | {"doubt": doubt} for doubt in DOUBTS] + [VALUES | {"seconds": 0, "taken_back": False}]
+    told = modules.evaluate(TOLD, [{"code": code, "values": values} for code in CODES for values in ways])
+    assert not [words for words in told if not words.strip() or re.search("undefined|null|NaN|object", words)]
+    assert not [words for words in told if JARGON.search(words)]
+
+
+def test_what_comes_without_a_code_is_shown_as_it_was_stored(modules: Page) -> None:
+    rows = [{"words": "the mill was switched off"}, {"code": "of_tomorrow", "values": {}, "words": "X is 3"}, {}]
+    assert modules.evaluate(TOLD, rows)[1::2] == ["The mill was switched off.", "X is 3.", ""]
 
 
 @pytest.mark.thorough
@@ -60,8 +86,7 @@ def test_what_parts_of_the_service_say_of_each_other_is_plain_on_the_page(module
 def test_a_mill_out_of_reach_says_what_brings_it_back(opened: Opened, remote: bool, then: str) -> None:
     page = opened(NOWHERE)
     told(page, "no-agent")
-    agent = {"reachable": False, "words": f"machine '{MILL}' has no agent at present; `serve` starts one"}
-    machine: dict[str, Any] = MACHINE | {"remote": remote, "agent": agent, "mill": None}
+    machine: dict[str, Any] = MACHINE | {"remote": remote, "agent": ABSENT, "mill": None}
     page.route("**/v1/machines", lambda route: route.fulfill(json={"machines": [machine], "problems": []}))
     page.evaluate("location.hash = '#/machines'")
     expect(page.get_by_role("listitem")).to_contain_text(f"The computer beside the mill does not answer. {then}")
@@ -71,10 +96,8 @@ def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
     page = open_blank(opened, "machine", errors=("status of 504",))
     told(page, "running")
     page.evaluate(f"location.hash = '#/machines/{MILL}'")
-    page.route(
-        "**/control/hold",
-        lambda route: route.fulfill(**problem(504, detail=f"the agent of '{MILL}' did not answer within 3 s")),
-    )
+    late = problem(504, detail="the agent is late", code="stop_uncertain", values={"order": "hold", "seconds": 3})
+    page.route("**/control/hold", lambda route: route.fulfill(**late))
     page.get_by_role("button", name="HOLD").click()
     expect(page.locator(".arrived")).to_have_text(
         "HOLD did not arrive. Use the stop button on the mill itself. "
@@ -84,24 +107,40 @@ def test_a_refused_order_is_told_in_plain_words(opened: Opened) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.parametrize(
-    ("rest", "brief"),
+    ("code", "brief", "rest"),
     [
-        ("it is asked for again in some seconds", "The computer beside the mill does not answer."),
-        ("whether the home arrived is not known: LOOK AT THE MILL", "Look at the mill: the order may have arrived."),
+        (
+            "order_without_effect",
+            "The computer beside the mill does not answer.",
+            "the home has not taken effect so far. The state of the program: held.",
+        ),
+        (
+            "order_uncertain",
+            "Look at the mill: the order may have arrived.",
+            "whether the home arrived is not known: LOOK AT THE MILL, it is not sent again.",
+        ),
     ],
 )
 def test_a_long_refusal_of_the_next_step_is_brief_in_the_line_and_whole_in_its_fold(
-    opened: Opened, rest: str, brief: str
+    opened: Opened, code: str, brief: str, rest: str
 ) -> None:
     page = with_control(opened, "locked", size="phone", errors=("status of 504",))
-    words = f"the agent of '{MILL}' cannot be reached: no answer in time; {rest}"
-    page.route("**/control/home", lambda route: route.fulfill(**problem(504, detail=words)))
+    refused = problem(504, detail="the agent cannot be reached", code=code, values={"order": "home", "state": "held"})
+    page.route("**/control/home", lambda route: route.fulfill(**refused))
     line = page.locator(".next")
     line.get_by_role("button", name="Home").click()
     expect(line.locator(".trouble")).to_have_text(brief)
     assert line.locator(".next-words").evaluate("one => one.offsetHeight <= one.closest('.next').offsetHeight")
     line.get_by_text("More").click()
-    expect(line.locator(".next-more")).to_have_text(f"The computer beside the mill does not answer; {rest}.")
+    expect(line.locator(".next-more")).to_have_text(f"The computer beside the mill does not answer; {rest}")
+
+
+@pytest.mark.thorough
+def test_a_program_that_may_not_fit_the_travel_is_said_before_its_start(opened: Opened) -> None:
+    page = open_blank(opened, "machine")
+    told(page, "parked")
+    page.evaluate(f"location.hash = '#/machines/{MILL}'")
+    expect(page.locator(".warned.warn summary")).to_have_text("It may not fit the travel")
 
 
 def test_a_slope_is_told_in_what_one_can_measure_beside_its_unit() -> None:

@@ -14,16 +14,17 @@ const AWAY_STATUS = new Set([502, 504]);
 const NOBODY = { name: "", scopes: [], anonymous: true, paired: false, expires_at: null };
 
 /**
- * A refusal: `detail` in words, `code` where programs tell it by one, `effect`: what would come of it, `field` and `problems`
- * [{field, detail}] where it belongs. Status 0: no answer.
+ * A refusal: `detail` in words, `code` with `values` where it has one, `effect`: what would come of it, `field` and
+ * `problems` [{field, detail}] where it belongs. Status 0: no answer.
  */
 export class ProblemError extends Error {
-  constructor(status, detail, { code = "", effect = "", field = "", problems = [] } = {}) {
+  constructor(status, detail, { code = "", values = {}, effect = "", field = "", problems = [] } = {}) {
     super(detail);
     this.name = "ProblemError";
     this.status = status;
     this.detail = detail;
     this.code = code;
+    this.values = values;
     this.effect = effect;
     this.field = field;
     this.problems = problems.length ? problems : field ? [{ field, detail }] : [];
@@ -241,7 +242,7 @@ async function problemOf(response) {
     // a proxy's page, or nothing: the status must do
   }
   const detail = told.detail ?? `The server answered ${response.status}; its log says why.`;
-  return new ProblemError(response.status, detail, { code: told.code, effect: told.effect, field: told.field, problems: told.problems });
+  return new ProblemError(response.status, detail, told);
 }
 
 async function readJson(response) {

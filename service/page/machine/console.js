@@ -3,7 +3,7 @@
 import { h, replace } from "../lib/dom.js";
 import { askIn } from "./ask.js";
 import { enable, said } from "./said.js";
-import { logWords, refusal, sentence, whyNot } from "./words.js";
+import { logWords, refusal, whyNot } from "./words.js";
 
 const SHOWN = 200;
 
@@ -37,7 +37,7 @@ export function terminal(link) {
   function askAgain(body, error) {
     const cancel = () => (replace(question), text.focus());
     const go = () => give({ ...body, confirm: true });
-    askIn(question, `Send ${body.text}`, { words: sentence(error.effect || refusal(error)), yes: `Send ${body.text} all the same`, go, cancel });
+    askIn(question, `Send ${body.text}`, { words: refusal(error), yes: `Send ${body.text} all the same`, go, cancel });
   }
 
   const form = h("form", { class: "say", onsubmit: submit }, h("label", { class: "field" }, h("span", {}, "One line to the mill"), text), send);

@@ -4,7 +4,7 @@ import { api } from "../lib/api.js";
 import { h, replace, sheet } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
 import { percent } from "../lib/words.js";
-import { runStanding, sentence, standing } from "./words.js";
+import { runStanding, standing } from "./words.js";
 
 const EVERY_MS = 3000;
 
@@ -53,7 +53,7 @@ function card(machine) {
     h("div", { class: "row spread" }, h("h2", {}, h("a", { href: `#/machines/${encodeURIComponent(machine.name)}` }, machine.name)), mark(kind, word)),
     machine.simulated && h("p", {}, mark("warn", "Simulated: no real mill moves")),
     h("p", { class: "dim" }, machine.profile?.description ?? ""),
-    words && h("p", {}, sentence(words)),
+    words && h("p", {}, words),
     run && h("p", {}, runWords(run, machine)),
     machine.control && h("p", {}, `${machine.control.operator} has control.`),
   );

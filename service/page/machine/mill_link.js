@@ -109,9 +109,9 @@ export class MillLink {
   }
 
   noted(entry) {
-    if (entry.words.startsWith("Read settings: done")) return; // every look at a plan asks for them
+    if (entry.code === "settings_read") return; // every look at a plan asks for them
     if (entry.kind === "state" && PASSING.has(entry.words)) return;
-    if (entry.kind === "order" && entry.words.endsWith(": taken")) return; // what came of it is said, too
+    if (entry.code === "order_taken") return; // what came of it is said, too
     if (this.log.some((one) => one.number === entry.number && one.at_s === entry.at_s)) return;
     this.log.push(entry);
     if (entry.kind === "command") this.commands += 1;

@@ -6,10 +6,11 @@
 import { h, replace, write } from "../lib/dom.js";
 import { shape } from "../lib/state.js";
 import { enable } from "./said.js";
-import { refusal as refusalOf, sentence } from "./words.js";
+import { refusalOf } from "./words.js";
 
 const REST_MS = 1000; // that a new button rests: the press before it was meant for another one
 const SHORT = 60; // letters of a refusal that the line has room for
+const NONE = { brief: "", whole: "" };
 
 /** cards: {name: node} that a step may be done in. */
 export function next(link, cards) {
@@ -20,7 +21,7 @@ export function next(link, cards) {
   const fold = h("details", { class: "next-fold", hidden: true }, h("summary", {}, "More"), more);
   const place = h("div", { class: "next-act" });
   const node = h("section", { class: "next", "aria-label": "Next step" }, look, h("div", { class: "next-words" }, trouble, step), h("div", { class: "next-side" }, fold, place));
-  let [shown, drawn, refusal] = ["", "", ""];
+  let [shown, drawn, refusal] = ["", "", NONE];
   let fresh = 0;
   let button = null;
   let now = null;
@@ -40,7 +41,7 @@ export function next(link, cards) {
   async function press() {
     const { act, go } = now;
     if (!act) return void reveal(cards[go]);
-    refusal = "";
+    refusal = NONE;
     try {
       await link.order(act.what, act.body);
     } catch (error) {
@@ -50,14 +51,14 @@ export function next(link, cards) {
   }
 
   function say(due) {
-    const kind = refusal ? "bad" : due.kind;
+    const kind = refusal.whole ? "bad" : due.kind;
     node.className = `next ${kind}`;
     replace(look, shape(kind || "wait"));
-    const brief = refusal.length > SHORT ? inBrief(refusal) : refusal;
+    const brief = refusal.whole.length > SHORT ? refusal.brief || "Not carried out." : refusal.whole;
     write(trouble, brief || due.trouble?.wrong || "");
     const words = due.whole ? due.words : `Next: ${due.words}`;
     write(step, words);
-    const all = brief === refusal ? (due.trouble?.more ?? "") : refusal;
+    const all = brief === refusal.whole ? (due.trouble?.more ?? "") : refusal.whole;
     write(more, all);
     fold.hidden = !all;
     if (fold.hidden) fold.open = false;
@@ -66,9 +67,9 @@ export function next(link, cards) {
   return {
     node,
     update(due) {
-      if (now && due.step !== now.step) refusal = "";
+      if (now && due.step !== now.step) refusal = NONE;
       now = due;
-      const key = [due.kind, due.words, due.trouble?.wrong, due.trouble?.more, refusal].join("|");
+      const key = [due.kind, due.words, due.trouble?.wrong, due.trouble?.more, refusal.whole].join("|");
       if (key !== shown) say(due);
       shown = key;
       draw(due);
@@ -76,11 +77,6 @@ export function next(link, cards) {
       if (button) enable([button], !due.act || free); // what only shows is always free
     },
   };
-}
-
-/** How a long refusal begins, or what has to be done about it at once. */
-function inBrief(refusal) {
-  return refusal.includes("LOOK AT THE MILL") ? "Look at the mill: the order may have arrived." : sentence(refusal.split("; ")[0]);
 }
 
 /** Into view, under no bar, with the focus on what can be used there. */

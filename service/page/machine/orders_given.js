@@ -47,6 +47,6 @@ function row(entry) {
   const when = new Date(entry.at_s * 1000);
   const clock = `${when.toLocaleDateString([], { day: "numeric", month: "short" })} ${when.toLocaleTimeString([], { hour12: false })}`;
   const who = [entry.by, entry.from && `from ${entry.from}`].filter(Boolean).join(" ");
-  const bad = entry.kind === "fault" || entry.words.includes(": refused");
+  const bad = entry.kind === "fault" || entry.code === "order_refused";
   return h("li", { class: bad ? "refused" : "" }, h("time", { dateTime: when.toISOString() }, clock), " ", h("span", { class: "dim" }, who), h("span", {}, logWords(entry)));
 }

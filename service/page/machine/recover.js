@@ -6,11 +6,12 @@
 import { api } from "../lib/api.js";
 import { h, replace } from "../lib/dom.js";
 import { mark } from "../lib/state.js";
-import { count, thousands } from "../lib/words.js";
+import { count, sentence, thousands } from "../lib/words.js";
 import { guarded } from "./ask.js";
 import { checklist } from "./checklist.js";
 import { enable, said } from "./said.js";
-import { coordinate, sentence, whyNot } from "./words.js";
+import { tell } from "./sentences.js";
+import { coordinate, whyNot } from "./words.js";
 
 const STANDS = ["idle", "alarm", "held", "check", "sleep", "door"];
 
@@ -57,7 +58,7 @@ export function recover(link) {
     list = plan.ready ? checklist(run, { label: `Go on from line ${thousands(plan.overlap_line)}`, words, act: (given) => words.during(() => goOn(given)) }) : null;
     replace(
       steps,
-      step("What happened", true, h("p", {}, sentence(run.words) || "The program was stopped."), h("p", {}, `Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
+      step("What happened", true, h("p", {}, tell(run).whole || "The program was stopped."), h("p", {}, `Lines up to ${thousands(plan.executed_line)} are cut for certain.`)),
       (first = h("li", {})),
       step("What will happen", false, whatHappens(plan)),
       step("Your word", false, list?.node ?? [h("p", { class: "dim" }, "When everything above is done."), words.node]),
@@ -115,11 +116,11 @@ function step(title, done, ...content) {
 
 /** What must be done before it can go on, each with the button that does it, where there is one. */
 function needs(link, plan, { raise, words }) {
-  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [need.words, remedy(link, need.code, words)]);
-  const told = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [text, null]);
+  const own = plan.needs.filter((need) => need.code !== "zero").map((need) => [tell(need).whole, remedy(link, need.code, words)]);
+  const told = [...plan.refusals, ...(raise ? [raise] : [])].map((text) => [sentence(text), null]);
   const rows = [...told, ...own, ...zeroRow(link, plan, words)];
   if (!rows.length) return h("p", {}, "Nothing: the mill stands, its position is sure, its work zero is the same.");
-  return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, sentence(text)), act)));
+  return h("ul", { class: "needs" }, rows.map(([text, act]) => h("li", {}, h("p", {}, text), act)));
 }
 
 function remedy(link, code, words) {
@@ -138,10 +139,10 @@ function remedy(link, code, words) {
 
 /** The work zero that the program was cut at, where it is another one now. */
 function zeroRow(link, plan, words) {
-  const needed = plan.needs.some((need) => need.code === "zero");
+  const needed = plan.needs.find((need) => need.code === "zero");
   const back = () => words.during(() => link.order("block", { text: plan.zero_back, confirm: true })); // said in words on the button
   if (plan.zero_back) return [["The work zero is not where the program was cut.", h("button", { type: "button", onclick: back }, "Put the zero back")]];
-  return needed ? [["The work zero is not where the program was cut, and where that was is not certain. Touch off and set X, Y and Z again.", null]] : [];
+  return needed ? [[tell(needed).whole, null]] : [];
 }
 
 function whatHappens(plan) {

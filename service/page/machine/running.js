@@ -2,11 +2,12 @@
 
 import { h, replace, write } from "../lib/dom.js";
 import { mark, shape } from "../lib/state.js";
-import { ball, count, hours, percent, thousands } from "../lib/words.js";
+import { ball, count, hours, percent, sentence, thousands } from "../lib/words.js";
 import { checklist } from "./checklist.js";
 import { guarded } from "./ask.js";
 import { said } from "./said.js";
-import { RUN_WORDS, runStanding, sentence, whyNot } from "./words.js";
+import { RUN_STATES, tell } from "./sentences.js";
+import { runStanding, whyNot } from "./words.js";
 
 export function running(link) {
   const words = said();
@@ -80,16 +81,15 @@ function meter() {
 }
 
 function notes(run) {
-  const own = run.words && !["interrupted", "aborted"].includes(run.state) ? [run.words] : []; // said above, with what to do
-  const kind = RUN_WORDS[run.state]?.[0] === "bad" ? "bad" : "warn";
-  const notice = (text) => h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, sentence(text)));
-  return [...own.map(notice), run.state === "parked" || run.warnings?.length ? warned(run.warnings ?? []) : null];
+  const own = ["interrupted", "aborted"].includes(run.state) ? "" : tell(run).whole; // said above, with what to do
+  const kind = RUN_STATES[run.state]?.[0] === "bad" ? "bad" : "warn";
+  const notice = own && h("p", { class: `notice ${kind}` }, shape(kind), h("span", {}, own));
+  return [notice, run.state === "parked" || run.warnings?.length ? warned(run) : null];
 }
 
 /** All warnings in one line that is there without any, too; unfolded by who wants to know. */
-function warned(warnings) {
+function warned({ warnings = [], travel_in_doubt: travel }) {
   if (!warnings.length) return h("p", { class: "warned good" }, shape("good"), "No warnings");
-  const travel = warnings.some((text) => /travel|reaches/.test(text));
   const words = travel ? "It may not fit the travel" : count(warnings.length, "warning");
   return h("details", { class: "warned warn" }, h("summary", {}, shape("warn"), words), h("ul", {}, warnings.map((text) => h("li", {}, sentence(text)))));
 }

@@ -3,7 +3,7 @@
  * browser keeps to one server, and is open before it is needed. It opens again by itself.
  */
 
-import { api } from "../lib/api.js";
+import { api, ProblemError } from "../lib/api.js";
 
 const SILENCE_MS = 13_000; // the server says something every 5 s
 const FIRST_WAIT_MS = 500;
@@ -69,7 +69,7 @@ export class StopSocket {
     if (!stop) return;
     this.waiting.delete(message.id);
     if (message.taken) stop.resolve(message);
-    else stop.reject(new Error(message.detail));
+    else stop.reject(new ProblemError(0, message.detail, message));
   }
 
   /** A connection that broke says nothing of it for minutes. */

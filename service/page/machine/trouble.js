@@ -1,9 +1,8 @@
 /** What is wrong, in words, and the one safe thing to do next. Pure: `next.js` shows it. */
 
-import { thousands } from "../lib/words.js";
-import { outOfReach, RUN_WORDS, sentence } from "./words.js";
-
-const SHORT = 44; // letters of somebody else's words that a line of the page has room for
+import { sentence, thousands } from "../lib/words.js";
+import { RUN_STATES, tell } from "./sentences.js";
+import { millWords, outOfReach } from "./words.js";
 
 /** {kind, wrong, next, more, step} or null where nothing is; more: for who asks. step: what is due, where a button does it. */
 export function troubleOf(link) {
@@ -38,12 +37,10 @@ function troubleOfMill({ mill, run, profile }) {
 }
 
 function locked(mill, profile) {
-  const why = sentence(mill.detail);
-  const first = why.split(/[,:;(.]/)[0].trim();
-  const short = first && first.length <= SHORT && !/^locked/i.test(first) ? `Locked: ${first[0].toLowerCase()}${first.slice(1)}.` : "The mill is locked.";
+  const { brief, whole } = millWords(mill);
   const homes = profile?.homing !== false;
   const next = homes ? "see that the tool is free to rise, then home the mill." : "see that the tool is free, unlock, set the zero anew.";
-  return told("bad", short, next, `${why} Unlock only if you know where the tool is.`, homes ? "home" : "");
+  return told("bad", brief || "The mill is locked.", next, `${whole} Unlock only if you know where the tool is.`, homes ? "home" : "");
 }
 
 function unplugged(mill, run) {
@@ -53,14 +50,14 @@ function unplugged(mill, run) {
     "bad",
     "The mill is not connected.",
     "look at the mill, then at cable and power.",
-    `${sentence(mill.problem)}${cut} It may still carry out what it holds, and the spindle may turn: stop it with its own button. It is found again by itself, and nothing moves by that.${latched}`,
+    `${millWords(mill).whole}${cut} It may still carry out what it holds, and the spindle may turn: stop it with its own button. It is found again by itself, and nothing moves by that.${latched}`,
   );
 }
 
 function troubleOfRun(machine, run) {
   if (!run?.required_checks?.includes("position")) return null;
-  const [, word] = RUN_WORDS[run.state] ?? ["", run.state];
+  const [, word] = RUN_STATES[run.state] ?? ["", run.state];
   const line = run.executed_line ? ` at line ${thousands(run.executed_line)}` : "";
-  const more = `${sentence(run.words)} The part is not lost, and nothing moves before you say so.`;
+  const more = `${tell(run).whole} The part is not lost, and nothing moves before you say so.`;
   return told(run.state === "aborted" ? "warn" : "bad", `The program was ${word}${line}.`, "go on with it, step by step.", more, "recover");
 }

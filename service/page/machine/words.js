@@ -1,107 +1,49 @@
 /** What a mill does, in words for the person beside it, and what that allows. */
 
-import { ball, sentence as inWords } from "../lib/words.js";
+import { ball, sentence } from "../lib/words.js";
 import { depthInBlock } from "./place.js";
-
-const STATES = {
-  disconnected: ["bad", "not connected"],
-  connecting: ["busy", "connecting"],
-  idle: ["good", "idle"],
-  run: ["busy", "running"],
-  holding: ["warn", "stopping"],
-  held: ["warn", "held"],
-  jog: ["busy", "jogging"],
-  homing: ["busy", "homing"],
-  door: ["warn", "door open"],
-  check: ["warn", "check mode, nothing moves"],
-  alarm: ["bad", "locked"],
-  sleep: ["off", "asleep"],
-  tool: ["warn", "waits for a tool change"],
-};
+import { RUN_STATES, STATES, tell } from "./sentences.js";
 
 const MOVING = new Set(["run", "holding", "jog", "homing"]);
 const LIVE = new Set(["running", "holding", "held", "stopping", "recovering"]);
 const PASSING = new Set(["stopping", "recovering"]);
-
-const STOPS = { hold: "HOLD", abort: "STOP", "jog-cancel": "End of a jog" };
+const UNANSWERED = new Set(["agent_absent", "agent_unreached"]);
 
 /** An entry of the mill's log in words. */
-export function logWords({ kind, words }) {
+export function logWords({ kind, words, code, values }) {
   if (kind === "state") return STATES[words]?.[1] ?? words;
-  if (kind === "order" && words in STOPS) return STOPS[words];
-  return plain(words).replace(/: parked$/, `: ${RUN_WORDS.parked[1]}`);
-}
-
-export const RUN_WORDS = {
-  preparing: ["busy", "being handed to the mill"],
-  refused: ["bad", "refused"],
-  lost: ["bad", "lost"],
-  parked: ["wait", "waits for your start"],
-  running: ["busy", "running"],
-  holding: ["warn", "stopping"],
-  held: ["warn", "held"],
-  stopping: ["warn", "being stopped"],
-  interrupted: ["bad", "interrupted"],
-  recovering: ["busy", "going back to its place"],
-  finished: ["good", "finished"],
-  aborted: ["off", "stopped"],
-};
-
-// What parts of the service say of each other, and what a person beside the mill has to know of it; in this order.
-const BESIDE = "the computer beside the mill";
-const PLAIN = [
-  [/machine '[^']*' has no agent at present(?:; `serve` starts one)?/g, `${BESIDE} does not answer`],
-  [/the agent of '[^']*' cannot be reached: [^;]*/g, `${BESIDE} does not answer`],
-  [/machine '[^']*': at \S+ there is (?:no agent|'[^']*')/g, `another program answers in place of ${BESIDE}`],
-  [/machine '[^']*': (?=the agent|its agent)/g, ""],
-  [/the agent ended while the run was/g, `${BESIDE} stopped while the program was`],
-  [/the event stream of (?=the agent|its agent)/g, "the connection to "],
-  [/its agent's token/g, `the key of ${BESIDE}`],
-  [/(?:the|its) agent(?: of '[^']*')?(?: at \S+)? does not take the token we have for it/g, `${BESIDE} does not take this server's key`],
-  [/given up while its agent had it as \w+/g, "given up"],
-  [/; start the agent again/g, "; start it again"],
-  [/(?:the|its) agent(?: of '[^']*')?|the mill's thread/g, BESIDE],
-  [/ of job [0-9a-f-]{36}/g, ""],
-  [/\brun \d{8}-\d{6}-\w+/g, "the program"],
-  [/ \(trust position\)/g, ""],
-  [/^SendBlock: /g, ""],
-  [/ is not a plain block\b/g, " is no line of G-code"],
-];
-
-/** The server's or the agent's words without those for its own parts, which nobody sees who stands at the mill. */
-export function plain(words) {
-  return PLAIN.reduce((said, [technical, own]) => said.replace(technical, own), words);
+  return code ? tell({ code, values, words }).whole : words;
 }
 
 /** Why nothing is known of the mill, and what brings it back. */
 export function outOfReach({ agent, remote }) {
-  const why = sentence(agent.words);
-  if (!why.includes("does not answer")) return why;
+  const why = tell(agent).whole;
+  if (!UNANSWERED.has(agent.code)) return why;
   return `${why} ${remote ? "Switch it on, or start causticmill mill on it." : "To connect it again, start the server again."}`;
 }
 
-// What an order was refused for, by the code of the refusal.
-const REFUSALS = {
-  grant_expired: "Not carried out: it came to the mill too late. Look at the mill, then press again.",
-  grant_stopped: "Not carried out: the mill was told to stop after you pressed. Look at the mill, then press again.",
-  grant_lease: "Not carried out: control of the mill has changed since you pressed.",
-  grant_unknown: "Not carried out: the mill does not know this order any more. Look at the mill, then press again.",
-  plan_changed: "Not carried out: the way to go on has changed since it was shown. Read it again, then tick again.",
-  setup_changed: "Not started: zero or position have changed since you looked. Compare the readout with the block, then tick again.",
-};
+/** {brief, whole}: what an order was refused for. */
+export function refusalOf({ code, values, effect, detail, message }) {
+  return tell({ code, values: { ...values, effect: effect || detail }, words: (detail ?? message).trim() });
+}
 
-/** What an order was refused for. */
+/** The same as one text. */
 export function refusal(error) {
-  return REFUSALS[error.code] ?? sentence((error.detail ?? error.message).trim());
+  return refusalOf(error).whole;
+}
+
+/** {brief, whole}: what the mill says of itself. */
+export function millWords({ connected, code, alarm, detail, problem }) {
+  return tell(connected ? { code, values: { alarm }, words: detail } : { words: problem });
 }
 
 /** How a machine stands: {kind, word, words}; words say more where there is more to say. */
 export function standing(machine) {
-  if (machine.problem) return { kind: "bad", word: "cannot be used", words: machine.problem };
+  if (machine.problem) return { kind: "bad", word: "cannot be used", words: sentence(machine.problem) };
   if (!machine.agent.reachable) return { kind: "bad", word: "out of reach", words: outOfReach(machine) };
   const { mill } = machine;
   const [kind, word] = depthInBlock(machine) && !hasLiveRun(machine) ? ["warn", "idle, tool in the block"] : doing(mill, machine.run);
-  return { kind, word, words: mill.connected ? mill.detail : mill.problem };
+  return { kind, word, words: millWords(mill).whole };
 }
 
 /**
@@ -112,14 +54,14 @@ function doing(mill, run) {
   const own = STATES[mill.state] ?? ["off", mill.state];
   if (!LIVE.has(run?.state)) return mill.state === "run" ? ["busy", "moving"] : own;
   if (mill.state === "idle" && run.state === "running" && !run.executed_line) return ["busy", "starting"];
-  if (mill.state === "idle") return RUN_WORDS[run.state];
-  return mill.state === "run" && PASSING.has(run.state) ? RUN_WORDS[run.state] : own;
+  if (mill.state === "idle") return RUN_STATES[run.state];
+  return mill.state === "run" && PASSING.has(run.state) ? RUN_STATES[run.state] : own;
 }
 
 /** How the run that is shown stands, in the words that its mill has while it is on it. */
 export function runStanding(run, machine) {
   const live = machine?.run?.id === run.id && LIVE.has(run.state) && machine.agent.reachable;
-  return live ? doing(machine.mill, machine.run) : (RUN_WORDS[run.state] ?? ["off", run.state]);
+  return live ? doing(machine.mill, machine.run) : (RUN_STATES[run.state] ?? ["off", run.state]);
 }
 
 /** Whether the mill is known to hear us. */
@@ -185,11 +127,4 @@ export function checkWords(check, run) {
     default:
       return [check, ""];
   }
-}
-
-/** The same as a sentence, without the codes of the controller in them. */
-export function sentence(words) {
-  if (!words) return "";
-  const alarm = plain(words).replaceAll(/\bALARM:\d+ \(((?:[^()]|\([^()]*\))*)\)/g, "$1").replaceAll(/\bALARM:\d+ /g, "");
-  return inWords(alarm.replaceAll(/ \(\$\w+\)/g, ""));
 }

@@ -6,7 +6,7 @@ finds it again, and that a mill has one open run at a time, by a unique index.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Self
 from uuid import uuid4
@@ -33,7 +33,7 @@ _WORDS = 1000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRow:
-    """A row of `runs`. state: the agent's word, or preparing, refused, lost."""
+    """A row of `runs`. state: the agent's word, or preparing, refused, lost. reason: `words` as code and values."""
 
     id: str
     machine: str
@@ -46,6 +46,7 @@ class RunRow:
     open: bool
     view: Json | None
     words: str | None
+    reason: Json | None
     created_by: str
     created_at: float
     ended_at: float | None
@@ -182,7 +183,7 @@ class RunBook:
 
     def confirm_parked(self, run_id: str, view: Json) -> bool:
         """The agent has it. False where the run was closed meanwhile."""
-        values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view, "words": _words(view)}
+        values = {"agent_run": str(view["id"]), "state": str(view["state"]), "view": view} | read_reason(view)
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
             return connection.execute(runs.update().where(mine).values(**values)).rowcount == 1
@@ -195,7 +196,7 @@ class RunBook:
         """
         state = str(view["state"])
         is_open = state not in ENDED and (run.open or state in LIVE_WORDS)
-        values: Json = {"state": state, "view": view, "words": _words(view), "open": is_open}
+        values: Json = {"state": state, "view": view, "open": is_open} | read_reason(view)
         values["ended_at"] = view.get("ended_s") if not is_open else None
         if run.state == state and run.open == values["open"] and not _news(run.view, view):
             return replace(run, view=view)  # how far it is, though that is not written down
@@ -207,11 +208,14 @@ class RunBook:
             return replace(run, **values)
         return self.get(run.id)
 
-    def close(self, run_id: str, state: str, words: str, *, forget_key: bool = False) -> None:
+    def close(
+        self, run_id: str, state: str, words: str, reason: Json | None = None, *, forget_key: bool = False
+    ) -> None:
         """It is over for us: never handed over, taken back, or given up. An ended run stays what it is."""
         with begin_writing(self._database) as connection:
             mine = sa.and_(runs.c.id == run_id, runs.c.open)
-            values = {"open": False, "state": state, "words": words[:_WORDS], "ended_at": clock(connection)}
+            values = {"open": False, "state": state, "words": words[:_WORDS], "reason": reason}
+            values["ended_at"] = clock(connection)
             closed = connection.execute(runs.update().where(mine).values(**values)).rowcount
             if closed and forget_key:
                 connection.execute(idempotency_keys.delete().where(idempotency_keys.c.resource_id == run_id))
@@ -249,11 +253,18 @@ def _key_row(key: ClientKey, new: NewRun, run_id: str, at: float) -> Json:
     return row | {"resource_id": run_id, "created_at": at}
 
 
-def _words(view: Json) -> str:
-    return str(view.get("words", ""))[:_WORDS]
+def read_reason(view: Json) -> Json:
+    """Why a run is in its state, by its agent: the columns `words` and `reason`."""
+    reason = make_reason(str(view.get("code") or ""), view.get("values"))
+    return {"words": str(view.get("words", ""))[:_WORDS], "reason": reason}
+
+
+def make_reason(code: str, values: Mapping[str, object] | None = None) -> Json | None:
+    """`reason` of a row; None where there is no code: then its words are all there is."""
+    return {"code": code, "values": dict(values or {})} if code else None
 
 
 def _news(before: Json | None, now: Json) -> bool:
     """Is it worth a write? Lines alone are not: they change all the time, and the agent knows them."""
-    told = ("words", "recoveries", "operator", "started_s", "ended_s")
+    told = ("words", "code", "values", "recoveries", "operator", "started_s", "ended_s")
     return before is None or any(before.get(name) != now.get(name) for name in told)

@@ -24,7 +24,7 @@ from service.settings import ServerSettings
 if TYPE_CHECKING:
     from alembic.config import Config
 
-HEAD = "0005"  # the last of the migrations; a test compares
+HEAD = "0006"  # the last of the migrations; a test compares
 FOLDER = Path(__file__).parent / "migrations"
 LOCK = 0x63617573  # of PostgreSQL, while the tables change
 POLL_S = 0.05

@@ -215,7 +215,8 @@ pairing_tries = Table(
     Column("at", Float, nullable=False),
 )
 
-# Programs given to mills. agent_run is the agent's own id of the run; view is what the agent said of it last.
+# Programs given to mills. agent_run is the agent's own id of the run; view is what the agent said of it last. reason is
+# {code, values} of what `words` say; null where there is no code, and in rows from before there were codes.
 runs = Table(
     "runs",
     metadata,
@@ -230,6 +231,7 @@ runs = Table(
     Column("open", Boolean, nullable=False),
     Column("view", JSON(none_as_null=True)),
     Column("words", String(1000)),
+    Column("reason", JSON(none_as_null=True)),
     Column("created_by", String(100), nullable=False),
     Column("created_at", Float, nullable=False),
     Column("ended_at", Float),

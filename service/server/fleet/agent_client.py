@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Mapping
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,11 +17,18 @@ import httpx
 
 from machines.mill.orders import Stop
 from service.errors import InputError
-from service.http.problems import Problem
+from service.http.problems import Problem, ServerCode
 from service.milling.agent.auth import read_token
 from service.milling.agent.card import read_card
 from service.server.fleet.agent_feed import AgentFeed
-from service.server.fleet.agent_replies import MOST_BYTES, json_object, lease_json, table
+from service.server.fleet.agent_replies import (
+    MOST_BYTES,
+    json_object,
+    lease_json,
+    list_values,
+    make_wrong_problem,
+    table,
+)
 from service.server.fleet.registry import KnownMachine
 
 ASK_S = 3.0
@@ -37,20 +44,27 @@ T = TypeVar("T")
 
 
 class AgentAwayError(Exception):
-    """The agent did not answer. `sent`: the request may have arrived all the same."""
+    """The agent did not answer. `code`, `values`: of ServerCode; `sent`: the request may have arrived all the same."""
 
-    def __init__(self, words: str, *, sent: bool = False) -> None:
+    def __init__(
+        self, words: str, code: str = "", values: Mapping[str, object] | None = None, *, sent: bool = False
+    ) -> None:
         super().__init__(words)
         self.words = words
+        self.code = code
+        self.values = dict(values or {})
         self.sent = sent
 
     def problem(self, order: str = "") -> Problem:
         """503; 504 where this order or stop may have arrived, so that a person has to look."""
         if not (order and self.sent):
-            return Problem(503, self.words, field="machine", headers={"Retry-After": "2"})
-        advice = "use its own stop button" if order in set(Stop) else "it is not sent again"
+            headers = {"Retry-After": "2"}
+            return Problem(503, self.words, field="machine", code=self.code, values=self.values, headers=headers)
+        code, advice = ServerCode.ORDER_UNCERTAIN, "it is not sent again"
+        if order in set(Stop):
+            code, advice = ServerCode.STOP_UNCERTAIN, "use its own stop button"
         words = f"{self.words}; whether the {order} arrived is not known: LOOK AT THE MILL, {advice}"
-        return Problem(504, words, field="machine")
+        return Problem(504, words, field="machine", code=code, values=self.values | {"order": order})
 
 
 async def require_answer(asking: Awaitable[T], order: str = "") -> T:
@@ -102,7 +116,7 @@ class AgentLink:
                 return await self._ask_at(self._address, "POST", path, timeout_s=within_s / 2, json={}, headers=headers)
         except TimeoutError:
             words = f"the agent of '{self.machine.name}' did not answer within {within_s:g} s"
-            raise AgentAwayError(words, sent=True) from None
+            raise AgentAwayError(words, ServerCode.AGENT_UNREACHED, {"seconds": within_s}, sent=True) from None
 
     async def put(self, path: str, content: AsyncIterator[bytes], size: int) -> Json:
         headers = {"Content-Length": str(size)}
@@ -121,7 +135,7 @@ class AgentLink:
                 yield _lines(answer, self.machine.name)
         except _HTTP_ERRORS as error:
             self._address = None
-            raise AgentAwayError(self._words(error)) from None
+            raise self._unreached(error) from None
 
     async def address(self) -> tuple[str, str]:
         """Address and token of the agent, once it has said that it is this machine's. AgentAwayError."""
@@ -139,7 +153,8 @@ class AgentLink:
             try:
                 token = read_token(token_file)
             except InputError as error:
-                last = AgentAwayError(f"machine '{self.machine.name}': its agent's token cannot be used: {error}")
+                words = f"machine '{self.machine.name}': its agent's token cannot be used: {error}"
+                last = AgentAwayError(words, ServerCode.AGENT_KEY_UNUSABLE, {"reason": str(error)})
                 continue
             try:
                 await self._require_right(url, token)
@@ -147,7 +162,9 @@ class AgentLink:
                 last = away
                 continue
             return url, token
-        raise last or AgentAwayError(f"machine '{self.machine.name}' has no agent at present; `serve` starts one")
+        raise last or AgentAwayError(
+            f"machine '{self.machine.name}' has no agent at present; `serve` starts one", ServerCode.AGENT_ABSENT
+        )
 
     def _candidates(self) -> list[tuple[str, Path]]:
         if self.machine.remote and self.machine.token_file is not None:
@@ -161,14 +178,15 @@ class AgentLink:
             status, content = await self._exchange("GET", f"{url}/v1/machine", token, within_s=ASK_S)
             said = json_object(content, self.machine.name).get("name") if status == 200 else None
         except (*_HTTP_ERRORS, TimeoutError, Problem) as error:
-            raise AgentAwayError(self._words(error)) from None
+            raise self._unreached(error) from None
         if status in (401, 403):
             raise AgentAwayError(
-                f"machine '{self.machine.name}': the agent at {url} does not take the token we have for it"
+                f"machine '{self.machine.name}': the agent at {url} does not take the token we have for it",
+                ServerCode.AGENT_KEY_REFUSED,
             )
         if said != self.machine.name:
             there = repr(said[:80]) if isinstance(said, str) and said else "no agent"
-            raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}")
+            raise AgentAwayError(f"machine '{self.machine.name}': at {url} there is {there}", ServerCode.AGENT_OTHER)
 
     async def _told(self, method: str, path: str, *, timeout_s: float, **more: Any) -> Json:
         """One that certainly did not arrive goes to the agent's new place, if it has moved; no other is sent again."""
@@ -190,7 +208,7 @@ class AgentLink:
         except (*_HTTP_ERRORS, TimeoutError) as error:
             self._address = None
             unsent = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.PoolTimeout)
-            raise AgentAwayError(self._words(error), sent=not unsent) from None
+            raise self._unreached(error, sent=not unsent) from None
         if 200 <= status < 300:
             return json_object(content, self.machine.name)
         if status in (401, 403):
@@ -215,19 +233,24 @@ class AgentLink:
             told = {}
         detail, field = str(told.get("detail", ""))[:2000], str(told.get("field", ""))[:200]
         if status in (401, 403):
-            return Problem(502, f"the agent of '{self.machine.name}' does not take the token we have for it")
+            words = f"the agent of '{self.machine.name}' does not take the token we have for it"
+            return Problem(502, words, code=ServerCode.AGENT_KEY_REFUSED)
         if not detail or status not in (404, 409, 413, 422, 428, 503, 507):
-            return Problem(502, f"the agent of '{self.machine.name}' answered {status}: {detail or 'no reason given'}")
-        more: Json = {name: told[name][:2000] for name in ("code", "effect") if isinstance(told.get(name), str)}
+            reason = detail or "no reason given"
+            words, values = f"the agent of '{self.machine.name}' answered {status}: {reason}", {"status": status}
+            return Problem(502, words, code=ServerCode.AGENT_FAULT, values=values | {"reason": reason})
+        more: Json = {"effect": told["effect"][:2000]} if isinstance(told.get("effect"), str) else {}
         if "control" in told:
             more["control"] = lease_json(table(told, "control")) if told["control"] else None
-        return Problem(status, detail, field=field, more=more)
+        code = told["code"][:100] if isinstance(told.get("code"), str) else ""
+        return Problem(status, detail, field=field, code=code, values=list_values(told), more=more)
 
-    def _words(self, error: Exception) -> str:
+    def _unreached(self, error: Exception, *, sent: bool = False) -> AgentAwayError:
         reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(
             type(error).__name__, type(error).__name__
         )
-        return f"the agent of '{self.machine.name}' cannot be reached: {reason}"
+        words = f"the agent of '{self.machine.name}' cannot be reached: {reason}"
+        return AgentAwayError(words, ServerCode.AGENT_UNREACHED, {"reason": reason}, sent=sent)
 
 
 async def _whole(answer: httpx.Response, machine: str) -> bytes:
@@ -235,7 +258,7 @@ async def _whole(answer: httpx.Response, machine: str) -> bytes:
     async for piece in answer.aiter_raw():
         content += piece
         if len(content) > MOST_BYTES:
-            raise Problem(502, f"the agent of '{machine}' answered with more than {MOST_BYTES // 1_000_000} MB")
+            raise make_wrong_problem(machine, f"answered with more than {MOST_BYTES // 1_000_000} MB")
     return bytes(content)
 
 
@@ -245,6 +268,6 @@ async def _lines(answer: httpx.Response, machine: str) -> AsyncIterator[str]:
     async for piece in answer.aiter_raw():
         *lines, rest = (rest + piece).split(b"\n")
         if len(rest) > MOST_BYTES:
-            raise Problem(502, f"the agent of '{machine}' sends an event without an end")
+            raise make_wrong_problem(machine, "sends an event without an end")
         for line in lines:
             yield line.rstrip(b"\r").decode("utf-8", "replace")

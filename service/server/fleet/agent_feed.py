@@ -10,32 +10,33 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
 
-from service.http.problems import Problem
+from service.http.problems import ServerCode
 
 _QUEUE = 1000
 _CATCH_UP = 4  # connections beside the one
 
 Message = dict[str, str]  # the fields of an event: id, event, data; empty: a heartbeat
+End = tuple[str, str, Mapping[str, object]]  # the stream broke: why, in words, and as code and values
 Opened = Callable[[str], AbstractAsyncContextManager[AsyncIterator[str]]]
 
 
 class AgentFeed:
-    """opened : the agent's event stream after an id, as lines. lost : the error for a stream that broke."""
+    """opened : the agent's event stream after an id, as lines. lost : makes the error for a broken stream."""
 
-    def __init__(self, opened: Opened, lost: Callable[[str], Exception]) -> None:
+    def __init__(self, opened: Opened, lost: Callable[[str, str, Mapping[str, object]], Exception]) -> None:
         self._opened = opened
         self._lost = lost
-        self._queues: set[asyncio.Queue[Message | str]] = set()  # a text: the stream broke, and why
+        self._queues: set[asyncio.Queue[Message | End]] = set()
         self._reader: asyncio.Task[None] | None = None
         self._status: Message = {}
         self._catching_up = asyncio.Semaphore(_CATCH_UP)
 
     async def messages(self, last_id: str) -> AsyncGenerator[Message]:
         """Those after last_id, then how things stand, then each new one; ends with the error for a broken stream."""
-        queue: asyncio.Queue[Message | str] = asyncio.Queue(_QUEUE)
+        queue: asyncio.Queue[Message | End] = asyncio.Queue(_QUEUE)
         self._queues.add(queue)
         try:
             first = await self._missed(last_id) if last_id else [self._status] if self._status else []
@@ -46,7 +47,7 @@ class AgentFeed:
             while isinstance(news := await queue.get(), dict):
                 if not _is_known(news.get("id", ""), last_id):
                     yield news
-            raise self._lost(news)
+            raise self._lost(*news)
         finally:
             self._queues.discard(queue)
             if not self._queues and self._reader is not None:
@@ -57,27 +58,25 @@ class AgentFeed:
             self._reader = asyncio.create_task(self._read(), name="agent feed")
 
     async def _read(self) -> None:
-        words = "the event stream of the agent has ended"
+        end: End = "the event stream of the agent has ended", ServerCode.AGENT_SILENT, {}
         try:
             async with self._opened("") as lines:
                 async for message in _parse(lines):
                     self._status = message if message.get("event") == "status" else self._status
                     self._hand_out(message)
-        except Problem as problem:
-            words = problem.detail
         except Exception as error:  # whatever it was: everybody is told, and tries again
-            words = str(error) or type(error).__name__
+            end = str(error) or type(error).__name__, getattr(error, "code", ""), getattr(error, "values", {})
         finally:
             self._status = {}
-        self._hand_out(words)
+        self._hand_out(end)
 
-    def _hand_out(self, message: Message | str) -> None:
+    def _hand_out(self, message: Message | End) -> None:
         for queue in list(self._queues):
             told = message
             if queue.full():
-                told = "this reader does not keep up"
+                told = "this reader does not keep up", ServerCode.AGENT_SILENT, {}
                 queue.get_nowait()  # it asks for it again
-            if isinstance(told, str):
+            if isinstance(told, tuple):
                 self._queues.discard(queue)
             queue.put_nowait(told)
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from machines.mill.orders import LEASE_S
 from machines.runs import RunState
-from service.http.problems import Problem
+from service.http.problems import Problem, ServerCode
 
 MOST_BYTES = 4_000_000
 _STATES = frozenset(state.value for state in RunState)
@@ -42,24 +42,30 @@ def json_object(content: bytes, machine: str) -> Json:
     except (ValueError, RecursionError):
         values = None
     if not isinstance(values, dict):
-        raise Problem(502, f"the agent of '{machine}' answered with something that is not a JSON object")
+        raise make_wrong_problem(machine, "answered with something that is not a JSON object")
     return values
 
 
 def run_view(values: Json, machine: str) -> Json:
     """What the agent says of a run. Problem 502 where it cannot be so."""
     wrong = [name for name, (least, most) in _NUMBERS.items() if not _is_number(values, name, least, most)]
-    wrong += [name for name in ("words", "operator") if not isinstance(values.get(name, ""), str)]
+    wrong += [name for name in ("words", "code", "operator") if not isinstance(values.get(name, ""), str)]
     warnings = values.get("warnings", [])
     if not isinstance(warnings, list) or not all(isinstance(one, str) for one in warnings):
         wrong.append("warnings")
+    wrong += [] if isinstance(values.get("values", {}), dict) else ["values"]
+    wrong += [] if isinstance(values.get("travel_in_doubt", False), bool) else ["travel_in_doubt"]
     if not isinstance(values.get("id"), str) or not 1 <= len(values["id"]) <= 100 or "/" in values["id"]:
         wrong.append("id")
     if values.get("state") not in _STATES:
         wrong.append("state")
     if wrong:
-        raise Problem(502, f"the agent of '{machine}' says what cannot be of its run: {', '.join(wrong)}")
+        raise make_wrong_problem(machine, f"says what cannot be of its run: {', '.join(wrong)}")
     return values
+
+
+def make_wrong_problem(machine: str, what: str) -> Problem:
+    return Problem(502, f"the agent of '{machine}' {what}", code=ServerCode.AGENT_WRONG)
 
 
 def lease_json(values: Json, secret: str = "") -> Json:
@@ -81,6 +87,14 @@ def table(values: Json, name: str) -> Json:
     """A JSON object inside another; an empty one where there is none."""
     found = values.get(name)
     return found if isinstance(found, dict) else {}
+
+
+def list_values(values: Json) -> Json:
+    """`values` of a refusal: numbers, flags and texts, each of a bounded size."""
+    plain = {
+        name[:100]: value for name, value in table(values, "values").items() if isinstance(value, str | int | float)
+    }
+    return {name: value[:2000] if isinstance(value, str) else value for name, value in list(plain.items())[:20]}
 
 
 def _is_number(values: Json, name: str, least: float, most: float) -> bool:

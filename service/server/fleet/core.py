@@ -12,9 +12,9 @@ from typing import Any, TypeVar
 import httpx
 import sqlalchemy as sa
 
-from service.http.problems import Problem
+from service.http.problems import Problem, ServerCode
 from service.server.database.jobs import JobBook
-from service.server.database.runs import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow, UnknownRunError
+from service.server.database.runs import FINISHED, LIVE_WORDS, LOST, RunBook, RunRow, UnknownRunError, make_reason
 from service.server.fleet.agent_client import ASK_S, AgentAwayError, AgentLink
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.registry import KnownMachine, known_machines
@@ -28,10 +28,10 @@ _MOST_KNOWN = 1000
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """A run as it is known now; `away`: why its agent could not be asked (empty: it was asked, or need not be)."""
+    """A run as it is known now; `away`: why its agent could not be asked (None: it was asked, or need not be)."""
 
     run: RunRow
-    away: str = ""
+    away: Problem | None = None
 
 
 def no_machine(name: str, known: Iterable[str]) -> Problem:
@@ -116,7 +116,7 @@ class FleetCore:
         try:
             return self.known_link(run.machine) or self.link(await self.machine(run.machine))
         except Problem as gone:
-            raise AgentAwayError(gone.detail) from None
+            raise AgentAwayError(gone.detail, gone.code, gone.values) from None
 
     async def seen(self, run: RunRow, *, timeout_s: float = ASK_S) -> Seen:
         """The run as its agent has it now, written down where that is news."""
@@ -132,11 +132,12 @@ class FleetCore:
             link = await self.link_of(run)
             view = run_view(await link.get(f"/v1/runs/{run.agent_run}", timeout_s=timeout_s), run.machine)
         except AgentAwayError as away:
-            return Seen(run, away.words)
+            return Seen(run, away.problem())
         except Problem as problem:
             if problem.status != 404:
-                return Seen(run, problem.detail)
-            await self.do(self.runs.close, run.id, LOST, "its agent no longer knows this run")
+                return Seen(run, problem)
+            words = "its agent no longer knows this run"
+            await self.do(self.runs.close, run.id, LOST, words, make_reason(ServerCode.RUN_LOST))
             return Seen(await self.do(self.runs.get, run.id))
         return Seen(await self.do(self.runs.told, run, view))
 

@@ -82,14 +82,14 @@ class Fleet:
         return await self._machine(await self._core.machine(name))
 
     async def _machine(self, machine: KnownMachine) -> Json:
-        status, away, run = None, "", await self._core.do(self._core.runs.open_on, machine.name)
+        status, away, run = None, None, await self._core.do(self._core.runs.open_on, machine.name)
         try:
             status = await self._core.link(machine).get("/v1/status")
             run = None if run is None else (await self._now(run)).run
         except AgentAwayError as error:
-            away = error.words
+            away = error.problem()
         except Problem as problem:
-            away = problem.detail
+            away = problem
         return machine_json(machine, status, away, run if run is not None and run.open else None)
 
     async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:

@@ -19,6 +19,7 @@ from service.server.database.runs import (
     MachineTakenError,
     NewRun,
     RunRow,
+    make_reason,
 )
 from service.server.fleet.agent_client import AgentAwayError, AgentLink
 from service.server.fleet.agent_replies import run_view
@@ -95,11 +96,11 @@ class Handovers:
         try:
             task = self.go_on(seen.run, await self._core.machine(seen.run.machine))
         except Problem as gone:
-            return Seen(seen.run, gone.detail)
+            return Seen(seen.run, gone)
         await asyncio.wait({task}, timeout=0.2)
         run = await self._core.do(self._core.runs.get, seen.run.id)
         error = task.exception() if task.done() and not task.cancelled() else None
-        return Seen(run, error.words if isinstance(error, AgentAwayError) else "")
+        return Seen(run, error.problem() if isinstance(error, AgentAwayError) else None)
 
     async def close(self) -> None:
         for task in self._tasks.values():
@@ -134,24 +135,25 @@ class Handovers:
         try:
             await self._bring(link, run)
             posted = True
-            name = f"{run.program} of job {run.job_id}"
-            body = {"program": run.sha256, "name": name, "key": run.id}
+            body = {"program": run.sha256, "name": run.program, "key": run.id}
             view = run_view(await link.post("/v1/runs", body, timeout_s=_PREFLIGHT_S), run.machine)
         except Problem as problem:
-            await self._refuse(run, problem.detail)
+            await self._refuse(run, problem)
             raise
         except AgentAwayError as away:
             if (posted and away.sent) or run.id not in self._untried:
                 raise
-            await self._refuse(run, away.words)  # nothing of it is there, certainly
-            raise away.problem() from None
+            refusal = away.problem()
+            await self._refuse(run, refusal)  # nothing of it is there, certainly
+            raise refusal from None
         finally:
             self._untried.discard(run.id)
         if not await self._core.do(self._core.runs.confirm_parked, run.id, view):
             await link.post(f"/v1/runs/{view['id']}:abort")  # taken back while it was on its way
 
-    async def _refuse(self, run: RunRow, words: str) -> None:
-        await self._core.do(self._core.runs.close, run.id, REFUSED, words, forget_key=True)
+    async def _refuse(self, run: RunRow, problem: Problem) -> None:
+        reason = make_reason(problem.code, problem.values)
+        await self._core.do(self._core.runs.close, run.id, REFUSED, problem.detail, reason, forget_key=True)
 
     async def _bring(self, link: AgentLink, run: RunRow) -> None:
         """The program into the agent's own store, which checks its hash."""

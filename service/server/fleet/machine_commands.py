@@ -106,13 +106,13 @@ class Orders:
             granted = await link.once("/v1/grants", body, timeout_s=left_s, headers=context.headers())
             if self._core.stopped_s.get(link.machine.name, 0.0) >= context.arrived_s:
                 words = "the mill was stopped since: the order was not sent"
-                raise Problem(409, words, field="machine", more={"code": Refusal.STOPPED.value})
+                raise Problem(409, words, field="machine", code=Refusal.STOPPED)
             if self._clock() - context.arrived_s <= ASK_S:
                 return granted
         raise Problem(
             503,
             f"the order has waited for more than {ASK_S:g} s: it was not sent; give it again",
             field="machine",
+            code=Refusal.EXPIRED,
             headers={"Retry-After": "2"},
-            more={"code": "grant_expired"},
         )

@@ -12,7 +12,7 @@ import time
 from collections.abc import AsyncGenerator
 from dataclasses import replace
 
-from service.http.problems import Problem
+from service.http.problems import Problem, ServerCode
 from service.server.database.runs import RunRow
 from service.server.fleet.agent_client import AgentAwayError, AgentLink
 from service.server.fleet.agent_feed import Message
@@ -49,9 +49,11 @@ class MachineEvents:
             try:
                 async for piece in self._live():
                     yield piece
-                away = "the event stream of its agent has ended"
-            except (AgentAwayError, Problem) as error:
-                away = str(error)
+                away = Problem(503, "the event stream of its agent has ended", code=ServerCode.AGENT_SILENT)
+            except AgentAwayError as error:
+                away = error.problem()
+            except Problem as problem:
+                away = problem
             self._status = None
             yield await self._state(away, fresh=True) or PING
             if await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):
@@ -64,7 +66,7 @@ class MachineEvents:
         """As long as the agent's stream goes on."""
         link = self._core.link(self._machine)
         self._status = await link.get("/v1/status")
-        yield await self._state("", fresh=True)
+        yield await self._state(fresh=True)
         messages = until(self._core.ending, link.feed.messages(self._last_id), tick_s=_TICK_S)
         async with contextlib.aclosing(messages):
             async for message in messages:
@@ -78,11 +80,11 @@ class MachineEvents:
 
     async def _piece(self, message: Message | None) -> bytes:
         if not message or "data" not in message:
-            return await self._state("")
+            return await self._state()
         data = json_object(message["data"].encode(), self._machine.name)
         if message.get("event") == "status":
             self._status = data
-            return await self._state("")
+            return await self._state()
         return self._entry(data, self._last_id)
 
     # ------------------------------------------------------------------ what happened
@@ -107,7 +109,7 @@ class MachineEvents:
 
     # ------------------------------------------------------------------ how it stands
 
-    async def _state(self, away: str, *, fresh: bool = False) -> bytes:
+    async def _state(self, away: Problem | None = None, *, fresh: bool = False) -> bytes:
         """A `status` where it is news, a comment now and then, else nothing."""
         now_s = time.monotonic()
         view = table(self._status or {}, "run")

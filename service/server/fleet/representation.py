@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from machines.profiles import MachineProfile
 from machines.runs import RECOVER_CHECKS, START_CHECKS
+from service.http.problems import Problem
 from service.server.database.records import Job
 from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, RunRow
 from service.server.fleet.agent_replies import lease_json, moment, table
@@ -94,9 +95,9 @@ def live_json(seen: Seen) -> Json:
         "machine": run.machine,
         "state": run.state,
         "open": run.open,
-        "words": run.words or "",
-        "unreachable": bool(seen.away),
-        "unreachable_words": seen.away,
+        **_words(run),
+        "unreachable": seen.away is not None,
+        "unreachable_words": "" if seen.away is None else seen.away.detail,
         "share": view.get("share", 0.0),
         "executed_line": view.get("executed_line", 0),
         "lines": view.get("lines"),
@@ -105,12 +106,24 @@ def live_json(seen: Seen) -> Json:
         "operator": view.get("operator", ""),
         "recoveries": view.get("recoveries", 0),
         "warnings": view.get("warnings", []),
+        "travel_in_doubt": view.get("travel_in_doubt", False),
         "started_at": moment(view.get("started_s")),
         "ended_at": moment(run.ended_at),
     }
 
 
-def machine_json(machine: KnownMachine, status: Json | None, away: str, run: RunRow | None) -> Json:
+def _words(run: RunRow) -> Json:
+    reason = run.reason or {}
+    return {"words": run.words or "", "code": reason.get("code", ""), "values": reason.get("values", {})}
+
+
+def _why_away(away: Problem | None) -> Json:
+    if away is None:
+        return {"words": "", "code": "", "values": {}}
+    return {"words": away.detail, "code": away.code, "values": away.values}
+
+
+def machine_json(machine: KnownMachine, status: Json | None, away: Problem | None, run: RunRow | None) -> Json:
     """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
     profile = machine.profile
     name = quote(machine.name, safe="")
@@ -121,7 +134,7 @@ def machine_json(machine: KnownMachine, status: Json | None, away: str, run: Run
         "simulated": machine.simulated,
         "problem": machine.problem,
         "profile": None if profile is None else _profile(profile),
-        "agent": {"reachable": status is not None, "words": away},
+        "agent": {"reachable": status is not None} | _why_away(away),
         "mill": None if status is None else mill_json(status),
         "run": None if run is None else _open_run(run),
         "control": lease_json(lease) if (lease := table(status or {}, "control")) else None,
@@ -161,7 +174,7 @@ def _open_run(run: RunRow) -> Json:
         "state": run.state,
         "job": run.job_id,
         "program": run.program,
-        "words": run.words or "",
+        **_words(run),
         "share": view.get("share", 0.0),
         "executed_line": view.get("executed_line", 0),
         "lines": view.get("lines"),
@@ -182,6 +195,8 @@ def mill_json(status: Json) -> Json:
     names = (
         "state",
         "detail",
+        "code",
+        "alarm",
         "work_mm",
         "machine_mm",
         "feed_mm_per_min",

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from machines.mill.orders import Refusal
-from service.http.problems import Problem
+from service.http.problems import Problem, ServerCode
 from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import run_view
@@ -71,12 +71,12 @@ class Controls:
         plan = said.seen or self._plans_shown.get((context.name, run_id), "")
         if not plan:
             words = f"recover needs the `plan` that you have read: GET /v1/runs/{run_id}/recovery shows it"
-            raise Problem(409, words, field="plan", more={"code": Refusal.PLAN.value})
+            raise Problem(409, words, field="plan", code=Refusal.PLAN)
         context = await self.require_grant(run_id, context)
         run = await self._require_handed_over(run_id, fresh=True)
         seen = await self._core.seen(run)
         if seen.away:
-            raise AgentAwayError(seen.away).problem()
+            raise seen.away
         was_open = seen.run.open
         try:
             await self._core.do(self._core.runs.reopen, run)
@@ -131,7 +131,8 @@ class Controls:
             if went_on(seen.run.state):
                 return seen
             words = f"{away.words}; the {action} has not taken effect so far, the run is {seen.run.state}"
-            raise Problem(504, words, field="machine") from None
+            values = {"order": action, "state": seen.run.state}
+            raise Problem(504, words, field="machine", code=ServerCode.ORDER_WITHOUT_EFFECT, values=values) from None
         return await self._write_view(run, view)
 
     async def _write_view(self, run: RunRow, view: Json) -> Seen:

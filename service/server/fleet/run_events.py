@@ -14,7 +14,7 @@ from dataclasses import replace
 from math import inf
 
 from service.http.problems import Problem
-from service.server.database.runs import ENDED, RunRow
+from service.server.database.runs import ENDED, RunRow, read_reason
 from service.server.fleet.agent_client import AgentAwayError
 from service.server.fleet.agent_feed import Message
 from service.server.fleet.agent_replies import json_object, run_view, table
@@ -41,18 +41,20 @@ class RunEvents:
         core = self._core
         yield FIRST + event_bytes("run", self._shown)
         while self._shown["open"] and not core.ending.is_set():
-            away = ""
+            away: Problem | None = None
             try:
                 async for piece in self._live():
                     yield piece
                 if not self._shown["open"]:
                     return
-            except (AgentAwayError, Problem) as error:
-                away = str(error)
+            except AgentAwayError as error:
+                away = error.problem()
+            except Problem as problem:
+                away = problem
             await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
             self._failures += 1
             seen = self._seen = await self._now()
-            now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else "")))
+            now = live_json(Seen(seen.run, seen.away or (away if seen.run.agent_run is None else None)))
             yield event_bytes("run", now) if now != self._shown else PING
             self._shown = now
 
@@ -107,8 +109,9 @@ def _told(run: RunRow, message: Message) -> list[tuple[str, Json]]:
     if view.get("id") != run.agent_run:
         return [("run", {})]
     state = run_view(view, run.machine)["state"]
-    now = replace(run, state=state, view=view, words=view.get("words", ""), open=state not in ENDED)
-    return [("run", live_json(Seen(now)))]
+    return [
+        ("run", live_json(Seen(replace(run, state=state, view=view, **read_reason(view), open=state not in ENDED))))
+    ]
 
 
 def _time_of(entry: Json) -> float:

@@ -14,8 +14,8 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 from machines.mill.orders import Stop
-from service.http.problems import Problem
-from service.server.database.runs import ABORTED, ENDED, INTERRUPTED, PARKED, RunRow
+from service.http.problems import Problem, ServerCode
+from service.server.database.runs import ABORTED, ENDED, INTERRUPTED, PARKED, RunRow, make_reason, read_reason
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
@@ -105,7 +105,8 @@ class Stops:
         if run.agent_run is None:
             raise not_handed_over(run)
         away = next((one for one in answers if isinstance(one, AgentAwayError)), None)
-        raise refused or (away.problem(stop) if away else Problem(404, f"no agent knows run {run_id}", field="run"))
+        unknown = Problem(404, f"no agent knows run {run_id}", field="run", code=ServerCode.RUN_UNKNOWN)
+        raise refused or (away.problem(stop) if away else unknown)
 
     async def _present_link(self, machine: str, known: AgentLink | None) -> AgentLink:
         """The link by the profiles as they are now; the known one where that takes too long."""
@@ -130,11 +131,12 @@ class Stops:
             if not seen.away and not seen.run.open and run.agent_run is not None:
                 return seen
             raise problem
-        await self._close(run, f"given up while its agent had it as {seen.run.state}")
+        words, values = f"given up while its agent had it as {seen.run.state}", {"state": seen.run.state}
+        await self._close(run, words, make_reason(ServerCode.RUN_GIVEN_UP, values))
         return Seen(await self._core.row(run_id))
 
-    async def _close(self, run: RunRow, words: str) -> None:
-        await self._core.do(self._core.runs.close, run.id, ABORTED, words)
+    async def _close(self, run: RunRow, words: str, reason: Json | None = None) -> None:
+        await self._core.do(self._core.runs.close, run.id, ABORTED, words, reason)
 
     def _go_on(self, work: Awaitable[T]) -> asyncio.Future[T]:
         task = asyncio.ensure_future(work)
@@ -150,7 +152,7 @@ class Stops:
 
 def _apply_view(run: RunRow, view: Json) -> RunRow:
     state = str(view.get("state", run.state))
-    return replace(run, state=state, view=view, words=str(view.get("words", "")), open=run.open and state not in ENDED)
+    return replace(run, state=state, view=view, **read_reason(view), open=run.open and state not in ENDED)
 
 
 def _make_row(run_id: str, link: AgentLink, view: Json) -> RunRow:
@@ -166,7 +168,7 @@ def _make_row(run_id: str, link: AgentLink, view: Json) -> RunRow:
         state=str(view.get("state", "")),
         open=True,
         view=view,
-        words=str(view.get("words", "")),
+        **read_reason(view),
         created_by="",
         created_at=float(view.get("created_s") or 0.0),
         ended_at=None,

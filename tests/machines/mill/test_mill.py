@@ -160,7 +160,8 @@ def test_a_pulled_cable_interrupts_and_nothing_moves_by_itself_afterwards(shop: 
     shop.started()
     shop.bench.sim.unplug()
     shop.until(RunState.INTERRUPTED)
-    assert "port lost" in shop.mill.snapshot.run.words
+    run = shop.mill.snapshot.run
+    assert run.code == "port lost" and run.words == f"port lost: {run.values['detail']}"
     shop.pass_s(30.0)
     shop.bench.sim.replug()
     shop.bench.until_state(MillState.IDLE)

@@ -25,7 +25,7 @@ from machines.driver import (
 from machines.mill.commands import describe_effect
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
-from service.http.problems import Problem
+from service.http.problems import Problem, ServerCode
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
 from service.milling.agent.request_fields import Fields, fields_of
@@ -96,7 +96,7 @@ def _block(fields: Fields) -> Command:
     if not fields.flag("confirm", False) and (effect := describe_effect(text)):
         effect = f"'{text.strip()}' {effect}"
         words = f'{effect}. To send it all the same, send it again with "confirm": true'
-        raise Problem(409, words, field="confirm", more={"code": "confirm", "effect": effect})
+        raise Problem(409, words, field="confirm", code=ServerCode.CONFIRM, more={"effect": effect})
     return SendBlock(text)
 
 

@@ -10,6 +10,7 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from machines.codes import MillCode
 from machines.mill.mill import Mill
 from machines.mill.orders import Stop
 from machines.preflight.preflight import Preflight
@@ -125,7 +126,10 @@ class RunRoutes:
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
             raise Problem(
-                409, f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself"
+                409,
+                f"run {run.id} is {run.state.value}, not live; POST /v1/control/hold holds the mill itself",
+                code=MillCode.RUN_STATE,
+                values={"state": run.state.value},
             )
 
     def _answer(self, request: Request) -> Response:

@@ -84,7 +84,7 @@ async def _stop(socket: WebSocket, services: Services, context: OrderContext, as
     except ValueError:
         answer |= {"taken": False, "detail": f"what is {str(asked.get('what'))[:40]!r}; allowed: {', '.join(Stop)}"}
     except Problem as problem:
-        answer |= {"taken": False, "detail": problem.detail}
+        answer |= {"taken": False, "detail": problem.detail, "code": problem.code, "values": problem.values}
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):
         await socket.send_json(answer)
 

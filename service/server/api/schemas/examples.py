@@ -16,6 +16,8 @@ RUN_EXAMPLE: dict[str, Any] = {
     "state": "parked",
     "open": True,
     "words": "",
+    "code": "",
+    "values": {},
     "unreachable": False,
     "unreachable_words": "",
     "share": 0.0,
@@ -26,6 +28,7 @@ RUN_EXAMPLE: dict[str, Any] = {
     "operator": "",
     "recoveries": 0,
     "warnings": [],
+    "travel_in_doubt": False,
     "setup": {
         "tool": {"shape": "ball end mill", "radius_mm": 0.5, "spindle_rpm": 18000},
         "stock": {"width_mm": 116.0, "height_mm": 116.0, "thickness_mm": 40.0, "margin_mm": 8.0, "material": "pmma"},
@@ -69,7 +72,9 @@ RECOVERY_EXAMPLE: dict[str, Any] = {
     "blocks": ["G21 G90 G17 G54", "M3 S18000", "G0 Z5.000", "G0 X12.400 Y7.020", "G1 Z-1.20000 F300"],
     "ready": False,
     "refusals": ["the position is not trusted: home the mill, or confirm it"],
-    "needs": [{"kind": "home", "words": "home the mill"}],
+    "needs": [
+        {"code": "position", "values": {"doubt": "restarted"}, "words": "the controller has restarted: home the mill"}
+    ],
     "differences": [],
     "words": [],
 }
@@ -89,10 +94,12 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "homing": True,
         "spindle": {"on_hold": "turns", "on_lost_link": "turns", "words": ["...", "..."]},
     },
-    "agent": {"reachable": True, "words": ""},
+    "agent": {"reachable": True, "words": "", "code": "", "values": {}},
     "mill": {
         "state": "idle",
         "detail": "",
+        "code": "",
+        "alarm": 0,
         "work_mm": [0.0, 0.0, 5.0],
         "machine_mm": [-290.0, -170.0, -1.0],
         "feed_mm_per_min": 0.0,
@@ -115,6 +122,8 @@ MACHINE_EXAMPLE: dict[str, Any] = {
         "job": _JOB_ID,
         "program": "pass-2-rough.nc",
         "words": "",
+        "code": "",
+        "values": {},
         "share": 0.0,
         "executed_line": 0,
         "lines": 41210,
@@ -138,6 +147,8 @@ ORDERS_EXAMPLE: dict[str, Any] = {
             "at_s": 1763712000.1,
             "kind": "order",
             "words": "jog: taken",
+            "code": "order_taken",
+            "values": {"order": "jog"},
             "by": "Ada",
             "from": "192.168.1.20",
         }

@@ -46,6 +46,8 @@ class ProblemBody(BaseModel):
     status: int
     detail: str
     field: Annotated[str | None, Field(description="the part of the request it is about")] = None
+    code: Annotated[str | None, Field(description="which refusal it is, where a program may tell it by that")] = None
+    values: Annotated[dict[str, Any] | None, Field(description="what `detail` names, beside `code`")] = None
     problems: Annotated[list[ProblemField] | None, Field(description="where there are several: all of them")] = None
 
 

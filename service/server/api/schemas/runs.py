@@ -18,6 +18,9 @@ ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
 
 PLAIN = r"^[^\x00-\x1f\x7f]+$"
 
+Code = Annotated[str, Field(description="the same as `words`, for programs; empty: the words are all there is")]
+Values = Annotated[dict[str, Any], Field(description="what the words name, by `code`")]
+
 _JOB_ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 
 
@@ -58,6 +61,8 @@ class PastOrder(Body):
     at_s: float
     kind: str
     words: str
+    code: Code | None = None
+    values: Values | None = None
     answer: dict[str, Any] | None = None
     by: str | None = None
     from_: Annotated[str | None, Field(alias="from")] = None
@@ -84,6 +89,8 @@ class RunView(Body):
     state: RunWord
     open: Annotated[bool, Field(description="the mill is taken by this run")]
     words: Annotated[str, Field(description="why it is in this state")]
+    code: Code
+    values: Values
     unreachable: Annotated[bool, Field(description="the agent does not answer: this is what it said last")]
     unreachable_words: str
     share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
@@ -94,6 +101,7 @@ class RunView(Body):
     operator: str
     recoveries: int
     warnings: list[str]
+    travel_in_doubt: Annotated[bool, Field(description="one of the warnings: it may not fit the travel")]
     setup: Annotated[
         dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")
     ]
@@ -125,7 +133,7 @@ class RecoveryView(Body):
     blocks: list[str]
     ready: bool
     refusals: list[str]
-    needs: list[dict[str, str]]
+    needs: Annotated[list[dict[str, Any]], Field(description="what has to be done first: code, values, words")]
     differences: list[str]
     zero_back: Annotated[str, Field(description="a block that sets the work zero the run was cut at; or empty")] = ""
     words: list[str]
@@ -134,6 +142,8 @@ class RecoveryView(Body):
 class AgentView(Body):
     reachable: bool
     words: Annotated[str, Field(description="why it cannot be reached")]
+    code: Code
+    values: Values
 
 
 class OpenRun(Body):
@@ -144,6 +154,8 @@ class OpenRun(Body):
     job: str
     program: str
     words: str
+    code: Code
+    values: Values
     share: Annotated[float, Field(ge=0, le=1, description="certainly cut, by lines")]
     executed_line: int
     lines: int | None

@@ -46,6 +46,7 @@ def until_locked(floor: Shop, number: int) -> None:
     """From the alarm until the lock is cleared: which one it was is said, and that the spindle has stopped."""
     mill = look(floor, lambda mill: mill["state"] == "alarm")
     assert f"ALARM:{number} " in mill["detail"]
+    assert mill["alarm"] == number and mill["code"] in ("locked", "locked_until_reset")
     assert not mill["spindle_on"] or number in LEAVE_THE_SPINDLE_ON
     mill = until_told(floor, "alarm")
     assert f"ALARM:{number} " in mill["detail"]

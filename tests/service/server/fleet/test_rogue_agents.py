@@ -89,7 +89,9 @@ def test_an_agent_that_hangs_is_told_of_within_three_seconds(far: tuple[Shop, Ro
     floor, rogue = far
     rogue.answers = lambda _method, _path: None
     began = time.monotonic()
-    words = problem(floor.operator.post(f"/v1/runs/{RUN}:hold"), 504)["detail"]
+    refused = problem(floor.operator.post(f"/v1/runs/{RUN}:hold"), 504)
+    assert (refused["code"], refused["values"]) == ("stop_uncertain", {"order": "hold", "seconds": 3.0})
+    words = refused["detail"]
     assert "did not answer within 3 s" in words and "LOOK AT THE MILL" in words
     assert time.monotonic() - began < HANGS_S / 3  # it was not waited for
     assert [path for _, path in rogue.asked if path.endswith(":hold")][-2:] == ["/v1/runs/r1:hold"] * 2

@@ -15,6 +15,8 @@ from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey, KeyReusedError, NewJob, UnknownJobError
 from service.server.database.runs import JobNotReadyError, MachineTakenError, NewRun, RunBook, RunRow, UnknownRunError
 from service.server.database.tables import jobs
+from service.server.fleet.core import Seen
+from service.server.fleet.representation import live_json
 
 
 @pytest.fixture
@@ -41,6 +43,18 @@ def made(book: RunBook, new: NewRun, state: str = "parked") -> RunRow:
     run, _ = book.create(new)
     assert book.confirm_parked(run.id, view("parked"))
     return book.told(book.get(run.id), view(state))
+
+
+def test_why_a_run_is_in_its_state_is_kept_as_a_code_and_as_words_alone_where_there_is_none(
+    book: RunBook, new: NewRun
+) -> None:
+    run = made(book, new, "running")
+    lost = view("interrupted", words="alarm: ALARM:3", code="alarm", values={"alarm": 3})
+    assert book.told(run, lost).reason == book.get(run.id).reason == {"code": "alarm", "values": {"alarm": 3}}
+    of_before = book.told(book.get(run.id), view("held", words="by hand"))
+    assert (of_before.words, of_before.reason) == ("by hand", None)
+    book.close(run.id, "aborted", "given up", {"code": "run_given_up", "values": {"state": "held"}})
+    assert live_json(Seen(book.get(run.id)))["code"] == "run_given_up"
 
 
 def test_of_many_at_once_one_gets_the_mill(book: RunBook, new: NewRun) -> None:

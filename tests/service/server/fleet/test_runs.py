@@ -211,7 +211,8 @@ def test_an_agent_that_does_not_take_our_token_is_told_as_such(floor: Shop) -> N
     job = floor.job()
     write_profile(floor.bench.url, text=f'extends = "grbl"\n[link]\nport = "{floor.bench.url}"\n')  # a new link
     assert "token" in floor.park(job, 503)["detail"]
-    assert "token" in floor.get(f"/v1/machines/{MACHINE}")["agent"]["words"]
+    agent = floor.get(f"/v1/machines/{MACHINE}")["agent"]
+    assert "token" in agent["words"] and agent["code"] == "agent_key_refused"
 
 
 @pytest.mark.thorough
