@@ -221,6 +221,17 @@ def test_the_first_sign_is_answered_in_the_same_call(said: bytes, cause: FaultCa
     assert b"X" not in data and session.link.phase is not Phase.STREAMING
 
 
+@pytest.mark.parametrize("stop", ["hold", "abort", "fault"])
+def test_a_stop_goes_before_everything_that_waits_to_be_written(stop: str) -> None:
+    session = streaming_session()
+    session.tick(2.0)  # a '?' waits
+    if stop == "fault":
+        session.receive(b"error:2\r\n", 2.0)
+    else:
+        getattr(session, stop)(2.0)
+    assert session.output(2.0)[:2] == b"!?"
+
+
 def test_silence_is_a_fault() -> None:
     session, now_s = streaming_session(), 1.0
     while session.link.phase is Phase.STREAMING and now_s < 100.0:
