@@ -243,6 +243,20 @@ def test_feed_override_reaches_any_percentage_while_streaming(percent: int) -> N
     assert not bench.of(Faulted)
 
 
+def test_an_override_ends_once_and_a_stop_ends_it() -> None:
+    bench = Bench().connected()
+    bench.driver.start(iter(spiral(2000)[0]))
+    bench.pass_time(1.0)
+    bench.driver.command(Override("feed", 120))
+    bench.pass_time(5.0)
+    bench.driver.command(Override("feed", 200))
+    bench.driver.abort()
+    assert bench.until(lambda: bench.of(Stopped) and bench.state() is MillState.IDLE, 10.0)
+    bench.pass_time(3.0)
+    assert [done.failure for done in bench.of(CommandDone)] == ["", "aborted"]
+    assert bench.driver.status.overrides[0] == 100
+
+
 def test_rapid_override_and_refused_values() -> None:
     bench = Bench().connected()
     bench.driver.command(Override("rapid", 25))
