@@ -232,6 +232,13 @@ def test_a_stop_goes_before_everything_that_waits_to_be_written(stop: str) -> No
     assert session.output(2.0)[:2] == b"!?"
 
 
+def test_a_block_refused_while_bytes_are_taken_puts_the_hold_before_them() -> None:
+    session = ready_session()
+    session.start(iter(numbered([b"G21G90G94G17G1F600", b"G5X1"])), 1.0)
+    session.tick(1.0)
+    assert session.output(1.0)[:2] == b"!?"
+
+
 def test_silence_is_a_fault() -> None:
     session, now_s = streaming_session(), 1.0
     while session.link.phase is Phase.STREAMING and now_s < 100.0:
