@@ -40,16 +40,13 @@ class FinishSpec(Section):
 
 
 def find_processes(name: str) -> dict[str, Process]:
-    """Those of the library that may come of a spec that names this one; SpecError where there is no such process."""
+    """Those of the library that may come of a spec that names this one; none where it is not there any more."""
     if name == NONE:
         return {}
     processes = load_processes()
     if name == BEST:
         return processes
-    if name not in processes:
-        allowed = ", ".join(f"'{one}'" for one in (*processes, BEST))
-        raise SpecError([("finish.process", f"'{name}' is not known; allowed: {allowed}")])
-    return {name: processes[name]}
+    return {name: processes[name]} if name in processes else {}
 
 
 def resolve_finish(
@@ -68,6 +65,9 @@ def resolve_finish(
     if finish.process == NONE:
         _require_own_figures(finish)
         return finish
+    if finish.process not in processes:
+        allowed = ", ".join(f"'{one}'" for one in (*load_processes(), BEST))
+        raise SpecError([("finish.process", f"'{finish.process}' is not known; allowed: {allowed}")])
     process = processes[finish.process]
     if finish.minutes is None and finish.k0_rad_per_mm is None:
         if to_be_planned:

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from machines.profiles import profile_names
-from service.errors import FailedError
+from service.errors import FailedError, SpecError
 from service.job.spec.finish import BEST, NONE
 from service.job.spec.finish_library import BUILT_IN, load_processes
-from service.job.spec.loading import resolve_job, restore_job
+from service.job.spec.loading import load_stored_job, resolve_job, restore_job
 from service.job.spec.resolved import ResolvedJob
 from service.job.stages.table import facts_of, plan, stage_key
 
@@ -73,3 +73,18 @@ def test_figures_of_another_version_are_refused_not_guessed() -> None:
     del figures["profile"]["travel_mm"]
     with pytest.raises(FailedError, match=r"another version \(profile\.travel_mm\): submit it again"):
         restore_job(job.spec.plain(), json.dumps(figures))
+
+
+def test_a_job_that_is_made_stays_readable_when_its_process_has_left_the_library(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its figures stand in its spec; only a new job cannot name it any more."""
+    monkeypatch.setenv("CAUSTICMILL_CONFIG_DIR", str(tmp_path))
+    library = tmp_path / "finishing.toml"
+    library.write_text('[buffing]\ntitle = "Buffing"\norder = 2\nk0_rad_per_mm = 5\ndefault_minutes = 8\n')
+    made = resolve_job(overrides=["finish.process=buffing"])
+    (tmp_path / "spec.json").write_text(json.dumps(made.spec.plain()))
+    library.unlink()
+    assert load_stored_job(tmp_path).spec == made.spec
+    with pytest.raises(SpecError, match=r"finish\.process: 'buffing' is not known; allowed: .*'best'"):
+        resolve_job(overrides=["finish.process=buffing"])
