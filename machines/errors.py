@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from enum import Enum
+
+from machines.codes import MillCode
 
 
 class MachineError(Exception):
@@ -35,6 +38,13 @@ class NotAControllerError(PortError):
 
 class NotAllowedError(MachineError):
     """What was asked for is not allowed in the state the mill or the run is in; the message names both."""
+
+
+class WrongStateError(NotAllowedError):
+    """It is the mill's state (MILL_STATE), or the run's (RUN_STATE), that does not allow it."""
+
+    def __init__(self, words: str, code: MillCode, state: Enum) -> None:
+        super().__init__(words, code=code, values={"state": state.value})
 
 
 class ProgramRefusedError(MachineError):

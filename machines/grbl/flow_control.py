@@ -55,7 +55,7 @@ class SendWindow(Generic[Item]):
         self.used += size
         self._waiting.append((size, item))
 
-    def answered(self) -> Item:
+    def take_answer(self) -> Item:
         """The oldest line was answered; IndexError if none waits."""
         size, item = self._waiting.popleft()
         self.used -= size
@@ -80,7 +80,7 @@ class Pacer:
         self._empty_at_s = -inf
 
     @property
-    def paced(self) -> bool:
+    def is_paced(self) -> bool:
         """The rate of the wire is known: a serial line, no network."""
         return self._rate is not None
 

@@ -50,7 +50,7 @@ class StreamMonitor:
 
     def take_ok(self, stream: Stream) -> None:
         """Take an `ok` that can be nothing else: the short way, for nearly every line that a controller says."""
-        stream.answered()
+        stream.take_answer()
         self._note_answer()
 
     def _note_answer(self) -> None:
@@ -75,7 +75,7 @@ class StreamMonitor:
             words = f"line {block.number} '{show(block.text)}' was refused: {words}"
             self.stops.fault(FaultCause.ERROR_REPLY, words, block.number, now_s)
         else:
-            stream.answered()
+            stream.take_answer()
 
     def take_echo(self, text: bytes, now_s: float) -> None:
         """Compare a line as the controller has read it with the oldest line under way."""
@@ -186,7 +186,7 @@ class StreamMonitor:
             link.events.append(Notice(words))
         if not link.paused and not stream.exhausted and now_s >= stream.count.due_s:
             covered_s = stream.tracker.last_sent_s(self.streamer.planner_blocks - 2, link.view.overrides[0])
-            stream.count.consider(covered_s, now_s, paced=self.pacer.paced)
+            stream.count.consider(covered_s, now_s, paced=self.pacer.is_paced)
         if not link.paused:
             self._watch_signs(stream, now_s)
 

@@ -19,7 +19,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
-from machines.errors import NotAllowedError
+from machines.errors import NotAllowedError, WrongStateError
 from machines.grbl.overrides import find_refusal
 from machines.grbl.settings import ControllerSettings
 from machines.grbl.states import Phase
@@ -60,7 +60,7 @@ def check_command(
     if state not in allowed:
         states = ", ".join(sorted(one.value for one in allowed))
         words = f"{name}: the mill is {state.value}; allowed when {states}"
-        raise NotAllowedError(words, code=MillCode.MILL_STATE, values={"state": state.value})
+        raise WrongStateError(words, MillCode.MILL_STATE, state)
     if phase is Phase.STREAMING and isinstance(command, Reset):
         raise NotAllowedError("Reset: a program is under way; abort it")
     sleeping = isinstance(command, Reset) and phase is Phase.HAILING

@@ -96,10 +96,10 @@ class Stream:
         self._next = (line, self.interpreter.take(line.text))
         return self._next
 
-    def answered(self) -> Flight:
+    def take_answer(self) -> Flight:
         """The oldest line under way was taken. IndexError if there is none."""
-        flight = self.window.answered()
-        self.tracker.answered()
+        flight = self.window.take_answer()
+        self.tracker.take_answer()
         number = flight[0].number
         if number:
             self.answered_line = number
@@ -221,4 +221,4 @@ class Streamer:
         if error or self.echoes:
             self.late_answers = False
         else:
-            stream.answered()
+            stream.take_answer()

@@ -133,7 +133,7 @@ class Tracker:
     def sent(self, number: int, step: QueuedMove) -> None:
         self._steps.append((number, step))
 
-    def answered(self) -> None:
+    def take_answer(self) -> None:
         """The oldest unanswered line was answered."""
         steps = self._steps
         number, step = steps[self._answered]

@@ -59,7 +59,7 @@ class Transmitter:
 
     def take_output(self, now_s: float) -> bytes:
         """Return the bytes to write now, those that act at once first."""
-        link, stream = self.link, self._sending
+        link, stream = self.link, self._stream_to_send
         if not link.urgent and not link.text:
             if stream is None:
                 return b""
@@ -75,7 +75,7 @@ class Transmitter:
         link.urgent.clear()
         link.text.clear()
         self.pacer.wrote(len(data), now_s)
-        stream = self._sending
+        stream = self._stream_to_send
         if stream is not None:
             more = self._fill(stream, self.pacer.budget(now_s), now_s)
             self.pacer.wrote(len(more), now_s)
@@ -85,7 +85,7 @@ class Transmitter:
         return data
 
     @property
-    def _sending(self) -> Stream | None:
+    def _stream_to_send(self) -> Stream | None:
         """The program of which lines may be written now."""
         link = self.link
         return self.streamer.stream if link.phase is Phase.STREAMING and not link.paused else None
@@ -113,6 +113,6 @@ class Transmitter:
             return due_s
         if stream.count.poll_at_s < due_s:
             due_s = stream.count.poll_at_s
-        if stream.wants_wire and self._sending is not None and self.pacer.refill_at_s < due_s:
+        if stream.wants_wire and self._stream_to_send is not None and self.pacer.refill_at_s < due_s:
             due_s = self.pacer.refill_at_s
         return due_s

@@ -28,7 +28,7 @@ from machines.driver import (
     TrustPosition,
     Unlock,
 )
-from machines.errors import JournalError, NotAllowedError
+from machines.errors import JournalError, NotAllowedError, WrongStateError
 from machines.gcode.words import strip_block
 from machines.mill.orders import NOBODY, Caller, Order
 from machines.mill.unattended import UnattendedRuns
@@ -96,7 +96,7 @@ class Commands:
         driver = self._link.driver
         if driver is None:
             words = f"{type(command).__name__}: the mill is disconnected ({self._link.problem})"
-            raise NotAllowedError(words, code=MillCode.MILL_STATE, values={"state": self._link.status.state.value})
+            raise WrongStateError(words, MillCode.MILL_STATE, self._link.status.state)
         if not isinstance(command, _MOVES_NOTHING) and self._runs.live is None:
             self._unattended.watch()
             try:

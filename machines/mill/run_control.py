@@ -6,7 +6,7 @@ from typing import Any
 
 from machines.codes import MillCode
 from machines.driver import FaultCause, Faulted, MillState, MillStatus, Stopped, StreamProgress
-from machines.errors import JournalError, NotAllowedError
+from machines.errors import JournalError, NotAllowedError, WrongStateError
 from machines.mill.orders import Order
 from machines.mill.run import LINK_LOST, Run
 from machines.mill.view import MillContext
@@ -65,15 +65,12 @@ class RunControl:
             )
         if driver is None:
             words = f"resume: the mill is disconnected ({self._link.problem}); allowed when it is held"
-            raise NotAllowedError(words, code=MillCode.MILL_STATE, values={"state": self._link.status.state.value})
+            raise WrongStateError(words, MillCode.MILL_STATE, self._link.status.state)
         run = self._runs.live
         if run is not None:
             if run.state not in (RunState.HELD, RunState.HOLDING):
-                raise NotAllowedError(
-                    f"resume: run {run.id} is {run.state.value}; allowed when it is held",
-                    code=MillCode.RUN_STATE,
-                    values={"state": run.state.value},
-                )
+                words = f"resume: run {run.id} is {run.state.value}; allowed when it is held"
+                raise WrongStateError(words, MillCode.RUN_STATE, run.state)
             run.journal.repair()
             run.journal.append("resume", wall_s=round(self._wall(), 3))
             self._journal_words = ""

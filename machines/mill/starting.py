@@ -11,7 +11,7 @@ from typing import Any
 
 from machines.codes import MillCode
 from machines.driver import Driver, MillState, TrustPosition
-from machines.errors import JournalError, MachineError, NotAllowedError
+from machines.errors import JournalError, MachineError, NotAllowedError, WrongStateError
 from machines.grbl.settings import find_missing_option
 from machines.mill.cycle import MillCycle
 from machines.mill.link import get_settings
@@ -38,11 +38,8 @@ class RecoveryPlanner:
     def plan(self, run: Run) -> tuple[RecoveryPlan, dict[str, Any] | None, Placement]:
         """Return the plan, with the answer and the check of place it rests on."""
         if run.state not in RECOVERABLE:
-            raise NotAllowedError(
-                f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered",
-                code=MillCode.RUN_STATE,
-                values={"state": run.state.value},
-            )
+            words = f"recovery: run {run.id} is {run.state.value}; only an interrupted or aborted run is recovered"
+            raise WrongStateError(words, MillCode.RUN_STATE, run.state)
         if not run.record.get("started_s"):
             words = f"recovery: run {run.id} was never started; load the program again"
             raise NotAllowedError(words, code=MillCode.RUN_UNSTARTED)
@@ -99,11 +96,8 @@ class RunStarter:
         run = self._runs.get(run_id)
         if run.state is not RunState.PARKED:
             way = "recover it" if run.state in RECOVERABLE else "load the program again"
-            raise NotAllowedError(
-                f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}",
-                code=MillCode.RUN_STATE,
-                values={"state": run.state.value},
-            )
+            words = f"start: run {run_id} is {run.state.value} and does not wait for its start; {way}"
+            raise WrongStateError(words, MillCode.RUN_STATE, run.state)
         confirmation.demand(START_CHECKS, "start")
         order.extend()
         driver = self._ready_driver("start")
@@ -155,13 +149,9 @@ class RunStarter:
             raise NotAllowedError(f"{doing}: {self._link.latched} waits for the link to come back")
         driver, state = self._link.driver, self._link.status.state
         if driver is None or state is not MillState.IDLE:
-            words = self._link.problem or self._link.status.detail
-            more = f" ({words})" if words else ""
-            raise NotAllowedError(
-                f"{doing}: the mill is {state.value}{more}; allowed when it is idle",
-                code=MillCode.MILL_STATE,
-                values={"state": state.value},
-            )
+            why = self._link.problem or self._link.status.detail
+            words = f"{doing}: the mill is {state.value}{f' ({why})' if why else ''}; allowed when it is idle"
+            raise WrongStateError(words, MillCode.MILL_STATE, state)
         return driver
 
     def _vouch(self, driver: Driver) -> None:

@@ -55,7 +55,7 @@ class UnattendedRuns:
         place_mm = self._standstill.reached(driver.status, self._clock())
         if place_mm is None:
             return
-        for run in self._unattended():
+        for run in self._list_unattended():
             try:
                 self._book_place(run, driver, place_mm)
             except MachineError as error:  # the program is gone, or the disk refuses: what was known stays
@@ -64,12 +64,12 @@ class UnattendedRuns:
 
     def note_touch(self, but: Run | None = None) -> None:
         """Something is done to the mill that may move it or its zero: its place proves nothing more."""
-        for run in self._unattended():
+        for run in self._list_unattended():
             if run is not but:
                 run.write("ashore", adrift="")
                 self._runs.rest(run)
 
-    def _unattended(self) -> list[Run]:
+    def _list_unattended(self) -> list[Run]:
         return [run for run in self._runs.recoverable() if run.unattended]
 
     def _book_place(self, run: Run, driver: Driver, place_mm: Triple) -> None:

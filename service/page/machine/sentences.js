@@ -75,6 +75,8 @@ const POSITION = "home the mill, or touch off again at the same points of the pa
 const NO_ANSWER = "The computer beside the mill does not answer.";
 const unanswered = ({ seconds }) => (seconds ? `The computer beside the mill did not answer within ${seconds} s.` : NO_ANSWER);
 
+const fault = (cause) => ({ detail }) => sentence(`${cause}: ${detail}`);
+
 /** code: a sentence, or how it is made of the values; {brief, whole} where a line has no room for all of it. */
 const SENTENCES = {
   // an order that was refused
@@ -123,17 +125,17 @@ const SENTENCES = {
   run_lost: "The computer beside the mill no longer knows this program.",
   run_given_up: "Given up.",
   run_unknown: "No computer beside a mill knows this program.",
-  "error reply": ({ detail }) => sentence(`Error reply: ${detail}`),
+  "error reply": fault("Error reply"),
   alarm: ({ alarm, detail }) => sentence(`Alarm: ${alarm ? alarmed(alarm) : detail}`),
-  "controller restarted": ({ detail }) => sentence(`Controller restarted: ${detail}`),
-  "port lost": ({ detail }) => sentence(`Port lost: ${detail}`),
-  "replies do not match lines": ({ detail }) => sentence(`Replies do not match lines: ${detail}`),
-  "garbled reply": ({ detail }) => sentence(`Garbled reply: ${detail}`),
-  "no reply in time": ({ detail }) => sentence(`No reply in time: ${detail}`),
-  "position off the programmed path": ({ detail }) => sentence(`Position off the programmed path: ${detail}`),
-  "echo differs from what was sent": ({ detail }) => sentence(`Echo differs from what was sent: ${detail}`),
-  "program changed on disk": ({ detail }) => sentence(`Program changed on disk: ${detail}`),
-  "device reports a fault": ({ detail }) => sentence(`Device reports a fault: ${detail}`),
+  "controller restarted": fault("Controller restarted"),
+  "port lost": fault("Port lost"),
+  "replies do not match lines": fault("Replies do not match lines"),
+  "garbled reply": fault("Garbled reply"),
+  "no reply in time": fault("No reply in time"),
+  "position off the programmed path": fault("Position off the programmed path"),
+  "echo differs from what was sent": fault("Echo differs from what was sent"),
+  "program changed on disk": fault("Program changed on disk"),
+  "device reports a fault": fault("Device reports a fault"),
 
   // why a mill is as it is
   locked: ({ alarm }) => ({ brief: lockedBy(alarm), whole: `${capital(alarmed(alarm))}.` }),

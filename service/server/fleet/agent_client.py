@@ -67,6 +67,11 @@ class AgentAwayError(Exception):
         return Problem(504, words, field="machine", code=code, values=self.values | {"order": order})
 
 
+def as_problem(error: AgentAwayError | Problem) -> Problem:
+    """Why an agent that was only asked how things stand did not say."""
+    return error.problem() if isinstance(error, AgentAwayError) else error
+
+
 async def require_answer(asking: Awaitable[T], order: str = "") -> T:
     """Return what the agent answered. Problem as `AgentAwayError.problem`."""
     try:
@@ -135,7 +140,7 @@ class AgentLink:
                 yield _lines(answer, self.machine.name)
         except _HTTP_ERRORS as error:
             self._address = None
-            raise self._unreached(error) from None
+            raise self._make_unreached(error) from None
 
     async def address(self) -> tuple[str, str]:
         """Address and token of the agent, once it has said that it is this machine's. AgentAwayError."""
@@ -178,7 +183,7 @@ class AgentLink:
             status, content = await self._exchange("GET", f"{url}/v1/machine", token, within_s=ASK_S)
             said = json_object(content, self.machine.name).get("name") if status == 200 else None
         except (*_HTTP_ERRORS, TimeoutError, Problem) as error:
-            raise self._unreached(error) from None
+            raise self._make_unreached(error) from None
         if status in (401, 403):
             raise AgentAwayError(
                 f"machine '{self.machine.name}': the agent at {url} does not take the token we have for it",
@@ -208,7 +213,7 @@ class AgentLink:
         except (*_HTTP_ERRORS, TimeoutError) as error:
             self._address = None
             unsent = isinstance(error, httpx.ConnectError | httpx.ConnectTimeout | httpx.PoolTimeout)
-            raise self._unreached(error, sent=not unsent) from None
+            raise self._make_unreached(error, sent=not unsent) from None
         if 200 <= status < 300:
             return json_object(content, self.machine.name)
         if status in (401, 403):
@@ -245,7 +250,7 @@ class AgentLink:
         code = told["code"][:100] if isinstance(told.get("code"), str) else ""
         return Problem(status, detail, field=field, code=code, values=list_values(told), more=more)
 
-    def _unreached(self, error: Exception, *, sent: bool = False) -> AgentAwayError:
+    def _make_unreached(self, error: Exception, *, sent: bool = False) -> AgentAwayError:
         reason = str(error) or {"ReadTimeout": "no answer in time", "TimeoutError": "no answer in time"}.get(
             type(error).__name__, type(error).__name__
         )

@@ -16,7 +16,7 @@ from service.http.problems import Problem
 from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
 from service.server.database.runs import PREPARING, RunRow, UnknownRunError
-from service.server.fleet.agent_client import AgentAwayError, require_answer
+from service.server.fleet.agent_client import AgentAwayError, as_problem, require_answer
 from service.server.fleet.core import FleetCore, Seen
 from service.server.fleet.event_format import known_id
 from service.server.fleet.handover import Handovers
@@ -86,10 +86,8 @@ class Fleet:
         try:
             status = await self._core.link(machine).get("/v1/status")
             run = None if run is None else (await self._now(run)).run
-        except AgentAwayError as error:
-            away = error.problem()
-        except Problem as problem:
-            away = problem
+        except (AgentAwayError, Problem) as error:
+            away = as_problem(error)
         return machine_json(machine, status, away, run if run is not None and run.open else None)
 
     async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:

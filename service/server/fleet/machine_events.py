@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from service.http.problems import Problem, ServerCode
 from service.server.database.runs import RunRow
-from service.server.fleet.agent_client import AgentAwayError, AgentLink
+from service.server.fleet.agent_client import AgentAwayError, AgentLink, as_problem
 from service.server.fleet.agent_feed import Message
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore
@@ -50,10 +50,8 @@ class MachineEvents:
                 async for piece in self._live():
                     yield piece
                 away = Problem(503, "the event stream of its agent has ended", code=ServerCode.AGENT_SILENT)
-            except AgentAwayError as error:
-                away = error.problem()
-            except Problem as problem:
-                away = problem
+            except (AgentAwayError, Problem) as error:
+                away = as_problem(error)
             self._status = None
             yield await self._state(away, fresh=True) or PING
             if await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)]):

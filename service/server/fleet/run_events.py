@@ -15,7 +15,7 @@ from math import inf
 
 from service.http.problems import Problem
 from service.server.database.runs import ENDED, RunRow, read_reason
-from service.server.fleet.agent_client import AgentAwayError
+from service.server.fleet.agent_client import AgentAwayError, as_problem
 from service.server.fleet.agent_feed import Message
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore, Seen
@@ -47,10 +47,8 @@ class RunEvents:
                     yield piece
                 if not self._shown["open"]:
                     return
-            except AgentAwayError as error:
-                away = error.problem()
-            except Problem as problem:
-                away = problem
+            except (AgentAwayError, Problem) as error:
+                away = as_problem(error)
             await core.await_end(AGAIN_S[min(self._failures, len(AGAIN_S) - 1)])
             self._failures += 1
             seen = self._seen = await self._now()

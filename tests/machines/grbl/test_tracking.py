@@ -25,7 +25,7 @@ def tracker_of(*blocks: bytes, answered: int | None = None) -> Tracker:
     for number, block in enumerate((START, *blocks), 1):
         tracker.sent(number, interpreter.take(block))
     for _ in range(len(blocks) + 1 if answered is None else answered):
-        tracker.answered()
+        tracker.take_answer()
     return tracker
 
 
@@ -94,8 +94,8 @@ def test_standing_before_the_first_move_is_no_lost_reply() -> None:
     )
     for block in (b"G21G90G94G17", b"M3S1000", b"G4P3", b"G0Z5", b"G0X1"):
         tracker.sent(0, interpreter.take(block))
-    tracker.answered()
-    tracker.answered()
+    tracker.take_answer()
+    tracker.take_answer()
     assert tracker.reported((9.0, 0.0, 5.0)).place is not Place.UNANSWERED
 
 

@@ -19,7 +19,7 @@ def test_never_more_than_the_capacity_is_under_way_and_each_line_is_answered_onc
     for step in steps:
         if step is None:
             if len(window):
-                answered.append(window.answered())
+                answered.append(window.take_answer())
         elif window.accepts(step):
             window.sent(step, len(sent))
             sent.append(step)
@@ -32,7 +32,7 @@ def test_never_more_than_the_capacity_is_under_way_and_each_line_is_answered_onc
 
 def test_an_answer_to_nothing_is_refused() -> None:
     with pytest.raises(IndexError):
-        SendWindow[int](127).answered()
+        SendWindow[int](127).take_answer()
 
 
 def test_one_byte_of_the_reported_buffer_is_left_free() -> None:
