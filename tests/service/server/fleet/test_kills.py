@@ -61,13 +61,14 @@ def _found_again(client: httpx.Client, card: AgentCard, key: str, job: str) -> N
     until(lambda: client.get(address).json()["state"] == "parked")
     assert _post(client, key, job).json()["id"] == run.json()["id"]
     assert len(client.get("/v1/runs", params={"job": job}).json()["runs"]) == 1
-    assert [one["state"] for one in _at_the_agent(card, job)] == ["parked"], key
+    assert [one["state"] for one in _at_the_agent(card, run.json()["program"]["sha256"])] == ["parked"], key
     client.post(f"{address}:abort").raise_for_status()
 
 
-def _at_the_agent(card: AgentCard, job: str) -> list[Any]:
+def _at_the_agent(card: AgentCard, sha256: str) -> list[Any]:
+    """Its runs of a program, which is of one job only."""
     token = Path(card.token_file).read_text().strip()
     runs = httpx.get(
         f"{card.url}/v1/runs", headers={"Authorization": f"Bearer {token}"}, trust_env=False, timeout=PATIENCE_S
     ).json()
-    return [one for one in runs["runs"] if job in one["name"]]
+    return [one for one in runs["runs"] if one["program"] == sha256]
