@@ -1,14 +1,41 @@
-"""An answer that is held open for events: given up when the other side is gone or reads nothing."""
+"""Server-sent events: how they are written, and an answer that is held open for them, given up when the other side is
+gone or reads nothing.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
+import json
 from collections.abc import Coroutine
 
 from starlette.types import Receive, Send
 
+EVENT_HEADERS = {
+    "Content-Type": "text/event-stream; charset=utf-8",
+    "Cache-Control": "no-store",
+    "X-Accel-Buffering": "no",
+}
+FIRST = b"retry: 1000\n\n"
+PING = b": still here\n\n"
 _SEND_WAIT_S = 20.0
+
+
+def event_bytes(kind: str, data: str, event_id: str = "") -> bytes:
+    """An event. data: JSON in one line; event_id: what a reader comes back with, empty for one that is not repeated."""
+    number = f"id: {event_id}\n" if event_id else ""
+    return f"{number}event: {kind}\ndata: {data}\n\n".encode()
+
+
+def compact_json(data: object) -> str:
+    return json.dumps(data, separators=(",", ":"))
+
+
+async def begin_events(send: Send, first: bytes = b"") -> None:
+    """Send the headers, and what comes before the first event that is waited for."""
+    headers = [(name.lower().encode(), value.encode()) for name, value in EVENT_HEADERS.items()]
+    await send({"type": "http.response.start", "status": 200, "headers": headers})
+    await sent(send, FIRST + first)
 
 
 async def sent(send: Send, body: bytes, *, more: bool = True) -> None:

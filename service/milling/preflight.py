@@ -27,9 +27,9 @@ from machines.profiles import MachineProfile
 from service.errors import sentence_of_os_error
 from service.processes.private import make_private
 from service.processes.python_path import python_path
+from service.processes.source_tree import hash_files
 
 _ROOT = Path(__file__).parents[2]
-_CHUNK_BYTES = 1 << 20
 _KEPT_BYTES = 200_000_000  # of results and quick keys
 
 
@@ -173,11 +173,8 @@ def _forget_oldest(folder: Path) -> None:
 
 
 def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
     with path.open("rb", buffering=0) as file:
-        while chunk := file.read(_CHUNK_BYTES):
-            digest.update(chunk)
-    return digest.hexdigest()
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _digest(values: list[Any]) -> str:
@@ -187,9 +184,7 @@ def _digest(values: list[Any]) -> str:
 @once
 def _sources() -> str:
     """State of the code that judges: a new version judges anew."""
-    digest = hashlib.sha256()
     machines = _ROOT / "machines"
     files = [file for pattern in ("gcode/*.py", "preflight/*.py", "roland/rml*.py") for file in machines.glob(pattern)]
-    for file in (*sorted(files), _ROOT / "cam" / "duration.py", _ROOT / "service" / "milling" / "preflight_child.py"):
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+    own = (_ROOT / "cam" / "duration.py", _ROOT / "service" / "milling" / "preflight_child.py")
+    return hash_files((*sorted(files), *own))

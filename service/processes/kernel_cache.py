@@ -10,7 +10,6 @@ have other last digits, and other hashes, on another computer. Our own kernels u
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import os
 import shutil
 import time
@@ -19,6 +18,7 @@ from importlib.metadata import version
 from pathlib import Path
 
 from service.processes.private import make_private
+from service.processes.source_tree import hash_files
 
 ESTIMATES, LENSES, JOBS = "estimates", "lenses", "jobs"  # tasks of `ready_mark`
 
@@ -69,8 +69,5 @@ def _folder() -> Path:
 @cache
 def _state_of_sources() -> str:
     root = Path(__file__).parents[2]
-    digest = hashlib.sha256()
-    for package in ("optics", "cam", "machines/gcode"):
-        for source in sorted((root / package).rglob("*.py")):
-            digest.update(source.read_bytes())
-    return digest.hexdigest()[:16]
+    packages = ("optics", "cam", "machines/gcode")
+    return hash_files(path for package in packages for path in sorted((root / package).rglob("*.py")))[:16]

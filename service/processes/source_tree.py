@@ -1,9 +1,11 @@
-"""Python sources as trees, read one at a time."""
+"""Our own sources: Python as trees, read one at a time, and the state of some files."""
 
 from __future__ import annotations
 
 import ast
+import hashlib
 import threading
+from collections.abc import Iterable
 from pathlib import Path
 
 _parsing = threading.Lock()  # CPython before 3.12 may fail where two threads parse at once (its issue 106905)
@@ -12,3 +14,11 @@ _parsing = threading.Lock()  # CPython before 3.12 may fail where two threads pa
 def parse(path: Path) -> ast.Module:
     with _parsing:
         return ast.parse(path.read_bytes())
+
+
+def hash_files(paths: Iterable[Path]) -> str:
+    """Hash of what these files hold, in this order."""
+    digest = hashlib.sha256()
+    for path in paths:
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

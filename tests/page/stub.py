@@ -23,13 +23,12 @@ from starlette.datastructures import MutableHeaders
 from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from service.http import listener as address
+from service.http.listener import bound, url_of
 from service.http.problems import Problem
 from service.server.api.errors import install_problems
-from service.server.api.routes import page as routes_page
-from service.server.api.routes import root as routes_root
-from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
-from service.server.api.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE
+from service.server.api.routes import page, root
+from service.server.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import asked_wrongly, lies_of
 from tests.page.machine_states import MACHINE, NAME
@@ -195,7 +194,7 @@ def keeping_files(app: ASGIApp) -> ASGIApp:
 
     async def answer(scope: Scope, receive: Receive, send: Send) -> None:
         async def kept(message: Message) -> None:
-            if message["type"] == "http.response.start" and scope["path"].startswith(routes_page.PREFIX):
+            if message["type"] == "http.response.start" and scope["path"].startswith(page.PREFIX):
                 MutableHeaders(scope=message)["Cache-Control"] = "max-age=86400, immutable"
             await send(message)
 
@@ -209,10 +208,10 @@ def running_stub() -> Iterator[Stub]:
     """On a socket of its own, in a thread of this process."""
     app = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     install_problems(app)
-    app.include_router(routes_page.router)
-    app.include_router(routes_root.router)
-    with contextlib.closing(address.bound("127.0.0.1", 0)) as listener:
-        stub = Stub(address.url_of(listener))
+    app.include_router(page.router)
+    app.include_router(root.router)
+    with contextlib.closing(bound("127.0.0.1", 0)) as listener:
+        stub = Stub(url_of(listener))
 
         async def answer(request: Request) -> Response:
             return stub.answer(request, await request.body())

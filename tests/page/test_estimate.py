@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Route, expect
 
-from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from service.wording import psnr_in_words
 from tests.page.answers import problem
 from tests.page.browser import Watched, open_blank

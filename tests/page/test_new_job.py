@@ -16,7 +16,7 @@ from playwright.sync_api import Page, Route, expect
 from service.job.picture.tone import invert_tones, linear_to_srgb, srgb_to_linear
 from service.job.spec.loading import resolve_spec
 from service.job.spec.model import JobSpec
-from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.page import canned_job
 from tests.page.browser import open_blank
 from tests.page.conftest import Opened

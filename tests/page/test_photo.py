@@ -7,8 +7,8 @@ from typing import Any
 
 from playwright.sync_api import FilePayload, Route, expect
 
-from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
-from service.server.api.schemas.photos import COUPON_EXAMPLE
+from service.server.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.schemas.photos import COUPON_EXAMPLE
 from tests.page import canned_job
 from tests.page.answers import problem
 from tests.page.conftest import Opened

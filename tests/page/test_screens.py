@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from playwright.sync_api import Page, expect
 
-from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE
+from service.server.schemas.estimates import ESTIMATE_EXAMPLE
 from tests.levels import mostly_thorough
 from tests.page import jobs
 from tests.page.browser import NOWHERE, Scheme, layout_faults, open_blank, serious_faults

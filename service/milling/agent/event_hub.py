@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import secrets
 from collections import deque
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from dataclasses import dataclass, field
 from starlette.types import Receive, Scope, Send
 
 from service.http.problems import Problem, problem_response
-from service.http.streaming import sent, while_connected
+from service.http.streaming import PING, begin_events, compact_json, event_bytes, sent, while_connected
 
 _QUEUE = 256
 
@@ -80,8 +79,7 @@ class Hub:
             self._drop(reader)
 
     def text(self, message: HubMessage) -> bytes:
-        number = f"id: {self.life}-{message.number}\n" if message.number else ""
-        return f"{number}event: {message.kind}\ndata: {message.data}\n\n".encode()
+        return event_bytes(message.kind, message.data, f"{self.life}-{message.number}" if message.number else "")
 
     def _missed(self, last_id: str) -> list[HubMessage]:
         life, _, number = last_id.partition("-")
@@ -95,7 +93,7 @@ class Hub:
 
     def _message(self, kind: str, data: dict[str, object]) -> HubMessage:
         self._number += 1
-        return HubMessage(self._number, kind, json.dumps(data, separators=(",", ":")))
+        return HubMessage(self._number, kind, compact_json(data))
 
     def _send(self, message: HubMessage) -> None:
         for reader in list(self._readers):
@@ -131,18 +129,12 @@ class HubStream:
             self._hub.leave(reader)
 
     async def _write(self, reader: Reader, first: list[HubMessage], send: Send) -> None:
-        headers = [
-            (b"content-type", b"text/event-stream"),
-            (b"cache-control", b"no-store"),
-            (b"x-accel-buffering", b"no"),
-        ]
-        await send({"type": "http.response.start", "status": 200, "headers": headers})
-        await sent(send, b"retry: 1000\n\n" + b"".join(map(self._hub.text, first)))
+        await begin_events(send, b"".join(map(self._hub.text, first)))
         while not (reader.dropped and reader.queue.empty()):
             try:
                 message = await asyncio.wait_for(reader.queue.get(), self._heartbeat_s)
             except TimeoutError:
-                await sent(send, b": still here\n\n")
+                await sent(send, PING)
                 continue
             if message is None:
                 break
@@ -151,4 +143,4 @@ class HubStream:
 
 
 def _gap(words: str) -> HubMessage:
-    return HubMessage(0, "event", json.dumps({"kind": "gap", "words": words}))
+    return HubMessage(0, "event", compact_json({"kind": "gap", "words": words}))

@@ -18,23 +18,25 @@ from service.server.api.errors import install_problems
 from service.server.api.intake.body import Patient, SmallBodies
 from service.server.api.metrics import Measured
 from service.server.api.openapi import with_problems
-from service.server.api.routes import archive as routes_archive
-from service.server.api.routes import artifacts as routes_artifacts
-from service.server.api.routes import control as routes_control
-from service.server.api.routes import estimates as routes_estimates
-from service.server.api.routes import events as routes_events
-from service.server.api.routes import health as routes_health
-from service.server.api.routes import identity as routes_who
-from service.server.api.routes import jobs as routes_jobs
-from service.server.api.routes import machines as routes_machines
-from service.server.api.routes import page as routes_page
-from service.server.api.routes import photos as routes_photos
-from service.server.api.routes import profiles as routes_beginnings
-from service.server.api.routes import root as routes_root
-from service.server.api.routes import runs as routes_runs
-from service.server.api.routes import stops as routes_stops
-from service.server.api.routes import submit as routes_submit
-from service.server.api.routes import tokens as routes_tokens
+from service.server.api.routes import (
+    archive,
+    artifacts,
+    control,
+    estimates,
+    events,
+    health,
+    identity,
+    jobs,
+    machines,
+    page,
+    photos,
+    profiles,
+    root,
+    runs,
+    stops,
+    submit,
+    tokens,
+)
 from service.server.api.services import Services
 
 _ABOUT = """A picture goes in; out come the programs that mill a block so that light through it paints the picture.
@@ -52,23 +54,23 @@ _TAGS = [
     {"name": "operations", "description": "For whoever runs the server."},
 ]
 _ROUTERS = (
-    routes_submit,
-    routes_estimates,
-    routes_photos,
-    routes_tokens,
-    routes_jobs,
-    routes_events,
-    routes_artifacts,
-    routes_beginnings,
-    routes_archive,
-    routes_machines,
-    routes_control,
-    routes_runs,
-    routes_stops,
-    routes_health,
-    routes_who,
-    routes_root,
-    routes_page,
+    submit,
+    estimates,
+    photos,
+    tokens,
+    jobs,
+    events,
+    artifacts,
+    profiles,
+    archive,
+    machines,
+    control,
+    runs,
+    stops,
+    health,
+    identity,
+    root,
+    page,
 )
 _WITH_PICTURES = re.compile(r"/v1/(jobs|estimates|jobs/[^/]+/photos|profiles/[^/]+/coupon/photos)")
 _QUIET: Any = {"tracing": False, "metrics": False, "logs": False, "operation_spans": False}

@@ -23,7 +23,7 @@ import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import EXIT_FAILURE, ServiceError
-from service.http import listener as address
+from service.http.listener import bound, url_of
 from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
 from service.logs import configure_logs
 from service.processes import lifeline
@@ -69,8 +69,8 @@ def main() -> int:
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
         allow_open_files(_FILES)
-        listener = lifeline.inherit_socket() or address.bound(settings.host, settings.port)
-        url = address.url_of(listener)
+        listener = lifeline.inherit_socket() or bound(settings.host, settings.port)
+        url = url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
             asyncio.run(_serve(services, listener))
     except ServiceError as error:
@@ -137,7 +137,7 @@ def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> I
 
 
 async def _serve(services: Services, listener: socket.socket) -> None:
-    server = server_of(services, on_ready=lambda: print(f"causticmill on {address.url_of(listener)}", flush=True))
+    server = server_of(services, on_ready=lambda: print(f"causticmill on {url_of(listener)}", flush=True))
     if services.settings.prepare:
         loop = asyncio.get_running_loop()
         loop.call_later(_CALM_S, loop.run_in_executor, None, services.estimates.prepare)

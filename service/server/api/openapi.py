@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from service.server.api.schemas.jobs import ProblemBody
+from service.server.schemas.jobs import ProblemBody
 
 _SEALED = "example: "
 _PROBLEM_JSON = "application/problem+json"
@@ -30,6 +30,7 @@ _WORDS = {
     504: "the mill's agent did not answer in time",
     507: "the server has no space left",
 }
+_EVENT = {"type": "object", "properties": {name: {"type": "string"} for name in ("id", "event", "data")}}
 # What the guard and the frame answer on every route, whatever it does.
 _ANYWHERE = (400, 401, 403, 404, 405, 408, 413, 422, 429, 431, 503)
 
@@ -49,6 +50,11 @@ def answers(good: Responses, *refused: int) -> Responses:
 def example(value: object) -> dict[str, Any]:
     """A JSON answer's example. As a text until the document is made: FastAPI takes every null out of it."""
     return {"content": {"application/json": {"example": _SEALED + json.dumps(value)}}}
+
+
+def event_stream(words: str, example: str) -> Responses:
+    """A stream of events, each as OpenAPI 3.2 describes one."""
+    return {200: {"description": words, "content": {"text/event-stream": {"schema": _EVENT, "example": example}}}}
 
 
 def _refusal(status: int) -> dict[str, Any]:

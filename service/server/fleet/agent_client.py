@@ -24,9 +24,9 @@ from service.server.fleet.agent_feed import AgentFeed
 from service.server.fleet.agent_replies import (
     MOST_BYTES,
     json_object,
-    lease_json,
     list_values,
     make_wrong_problem,
+    parse_holder,
     table,
 )
 from service.server.fleet.registry import KnownMachine
@@ -246,7 +246,7 @@ class AgentLink:
             return Problem(502, words, code=ServerCode.AGENT_FAULT, values=values | {"reason": reason})
         more: Json = {"effect": told["effect"][:2000]} if isinstance(told.get("effect"), str) else {}
         if "control" in told:
-            more["control"] = lease_json(table(told, "control")) if told["control"] else None
+            more["control"] = parse_holder(table(told, "control")).model_dump(mode="json") if told["control"] else None
         code = told["code"][:100] if isinstance(told.get("code"), str) else ""
         return Problem(status, detail, field=field, code=code, values=list_values(told), more=more)
 

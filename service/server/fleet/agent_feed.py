@@ -10,11 +10,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import re
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Mapping
 from contextlib import AbstractAsyncContextManager
+from typing import Any
 
 from service.http.problems import ServerCode
 
+AGAIN_S = (0.2, 0.5, 1.0, 2.0)  # after so long a broken stream is asked for again
+_EVENT_ID = re.compile(r"[0-9a-f]{1,16}-[0-9]{1,15}")
 _QUEUE = 1000
 _CATCH_UP = 4  # connections beside the one
 
@@ -90,6 +94,37 @@ class AgentFeed:
                 if message.get("event") == "status" or not message:
                     break
         return found
+
+
+def known_id(text: str) -> str:
+    """The id of an event as agents give them; nothing for any other text."""
+    return text if _EVENT_ID.fullmatch(text) else ""
+
+
+async def until(
+    ending: asyncio.Event, messages: AsyncGenerator[Message], *, tick_s: float | None = None
+) -> AsyncGenerator[Message | None]:
+    """The messages, as long as the server does not end; None each time that none has come for `tick_s`."""
+    over = asyncio.ensure_future(ending.wait())
+    step: asyncio.Future[Message | None] | None = None
+    try:
+        while not over.done():
+            step = step or asyncio.ensure_future(anext(messages, None))
+            pending: set[asyncio.Future[Any]] = {step, over}
+            await asyncio.wait(pending, timeout=tick_s, return_when=asyncio.FIRST_COMPLETED)
+            if not step.done():
+                yield None
+                continue
+            message, step = step.result(), None
+            if message is None:
+                return
+            yield message
+    finally:
+        for waiting in (over, step):
+            if waiting is not None:
+                waiting.cancel()
+                await asyncio.gather(waiting, return_exceptions=True)
+        await messages.aclose()
 
 
 async def _parse(lines: AsyncIterator[str]) -> AsyncGenerator[Message]:

@@ -7,18 +7,20 @@ here, once, as a problem of its own (502), and is neither written down nor shown
 from __future__ import annotations
 
 import json
-from datetime import UTC, datetime
 from math import isfinite
-from typing import Any
+from typing import Any, TypeVar
 
-from machines.mill.orders import LEASE_S
+from pydantic import ValidationError
+
 from machines.runs import RunState
 from service.http.problems import Problem, ServerCode
+from service.server.schemas.base import Body
+from service.server.schemas.runs import Holder
 
 MOST_BYTES = 4_000_000
 _STATES = frozenset(state.value for state in RunState)
 _LATEST_S = 4e9  # year 2096: what is later is no time
-_NUMBERS = {  # least, most; None is allowed where a run has none of it yet
+_NUMBERS = {  # least, most; whole where the least is an int; None is allowed where a run has none of it yet
     "share": (0.0, 1.0),
     "executed_line": (0, 1e12),
     "lines": (0, 1e12),
@@ -32,6 +34,7 @@ _NUMBERS = {  # least, most; None is allowed where a run has none of it yet
 _NEVER_NONE = ("share", "executed_line", "recoveries")
 
 Json = dict[str, Any]
+Reply = TypeVar("Reply", bound=Body)
 
 
 def json_object(content: bytes, machine: str) -> Json:
@@ -68,19 +71,21 @@ def make_wrong_problem(machine: str, what: str) -> Problem:
     return Problem(502, f"the agent of '{machine}' {what}", code=ServerCode.AGENT_WRONG)
 
 
-def lease_json(values: Json, secret: str = "") -> Json:
-    """Who has control and since when; for the holder, with the secret and how long it lasts without a sign."""
+def parse_reply(kind: type[Reply], values: Json, machine: str) -> Reply:
+    """What the agent says, to be passed on; what only an agent of another version says is left out. Problem 502."""
+    try:
+        return kind.model_validate(values, extra="ignore")
+    except ValidationError as error:
+        wrong = dict.fromkeys(str(one["loc"][0]) for one in error.errors())
+        raise make_wrong_problem(machine, f"says what cannot be: {', '.join(wrong)}") from None
+
+
+def parse_holder(values: Json) -> Holder:
+    """Who has control and since when."""
     since_s = values.get("since_s")
-    known = isinstance(since_s, int | float) and 0 <= since_s < _LATEST_S
-    told: Json = {"operator": str(values.get("operator", ""))[:100], "since": moment(since_s if known else 0.0)}
-    return told | ({"control": secret, "expires_s": LEASE_S} if secret else {})
-
-
-def moment(at: float | None) -> str | None:
-    """ISO 8601, UTC."""
-    if at is None:
-        return None
-    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+    if not isinstance(since_s, int | float) or not 0 <= since_s < _LATEST_S:
+        since_s = 0.0
+    return Holder(operator=str(values.get("operator", ""))[:100], since=since_s)
 
 
 def table(values: Json, name: str) -> Json:
@@ -101,4 +106,6 @@ def _is_number(values: Json, name: str, least: float, most: float) -> bool:
     value = values.get(name, 0 if name in _NEVER_NONE else None)
     if value is None:
         return name not in _NEVER_NONE
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and least <= value <= most
+    if not isinstance(value, int | float) or isinstance(value, bool) or not isfinite(value):
+        return False
+    return least <= value <= most and (isinstance(least, float) or value == int(value))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 from collections.abc import AsyncGenerator, AsyncIterator, Sequence
-from typing import Any
 
 import sqlalchemy as sa
 import structlog
@@ -17,21 +16,22 @@ from service.server.database.jobs import JobBook
 from service.server.database.records import ClientKey
 from service.server.database.runs import PREPARING, RunRow, UnknownRunError
 from service.server.fleet.agent_client import AgentAwayError, as_problem, require_answer
+from service.server.fleet.agent_feed import known_id
+from service.server.fleet.agent_replies import parse_reply
 from service.server.fleet.core import FleetCore, Seen
-from service.server.fleet.event_format import known_id
 from service.server.fleet.handover import Handovers
 from service.server.fleet.machine_commands import ASK_S, OrderContext, Orders
 from service.server.fleet.machine_events import MachineEvents
 from service.server.fleet.programs import programs_of
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.representation import Surroundings, machine_json, run_json
+from service.server.fleet.representation import Surroundings, make_machine_view, make_run_view
 from service.server.fleet.run_commands import Controls, RunOrder
 from service.server.fleet.run_events import RunEvents
 from service.server.fleet.stops import Stops
+from service.server.schemas.runs import MachineList, MachineView, PastOrders, RecoveryView, RunView
 from service.settings import ServerSettings
 from service.store.base import Store
 
-Json = dict[str, Any]
 WATCH_S = 10.0
 _MOST_FOLLOWERS = 300
 _log = structlog.get_logger("api")
@@ -73,22 +73,22 @@ class Fleet:
 
     # ------------------------------------------------------------------ machines
 
-    async def machines(self) -> Json:
+    async def machines(self) -> MachineList:
         known, problems = await self._core.machines()
         rows = await asyncio.gather(*(self._machine(machine) for machine in known.values()))
-        return {"machines": list(rows), "problems": problems}
+        return MachineList(machines=rows, problems=problems)
 
-    async def machine(self, name: str) -> Json:
+    async def machine(self, name: str) -> MachineView:
         return await self._machine(await self._core.machine(name))
 
-    async def _machine(self, machine: KnownMachine) -> Json:
+    async def _machine(self, machine: KnownMachine) -> MachineView:
         status, away, run = None, None, await self._core.do(self._core.runs.open_on, machine.name)
         try:
             status = await self._core.link(machine).get("/v1/status")
             run = None if run is None else (await self._now(run)).run
         except (AgentAwayError, Problem) as error:
             away = as_problem(error)
-        return machine_json(machine, status, away, run if run is not None and run.open else None)
+        return make_machine_view(machine, status, away, run if run is not None and run.open else None)
 
     async def machine_events(self, name: str, last_id: str) -> AsyncIterator[bytes]:
         """What a mill does and what happens at it, as server-sent events without an end."""
@@ -105,7 +105,7 @@ class Fleet:
         by: str,
         key: ClientKey | None,
         context: OrderContext,
-    ) -> tuple[Json, bool]:
+    ) -> tuple[RunView, bool]:
         """Hand a program over; the run, and whether it is parked by now (False: it is still being prepared)."""
         known = await self._core.machine(machine)
         with contextlib.suppress(AgentAwayError):
@@ -114,7 +114,7 @@ class Fleet:
         run = self._core.remember(await self._handovers.finish(run, known))
         return await self._shown(Seen(run)), run.state != PREPARING
 
-    async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> Json:
+    async def runs(self, *, machine: str | None, job: str | None, limit: int, before: str | None) -> list[RunView]:
         """Newest first; open ones as their agents have them now."""
         try:
             rows = await self._core.do(self._core.runs.list_rows, machine=machine, job=job, limit=limit, before=before)
@@ -122,34 +122,35 @@ class Fleet:
             raise Problem(422, str(error), field="cursor") from None
         seen = await asyncio.gather(*(self._now(run) if run.open else _as_it_is(run) for run in rows))
         around = await self._core.do(self._read_surroundings, [one.run for one in seen])
-        return {"runs": list(map(run_json, seen, around)), "next": rows[-1].id if len(rows) == limit else None}
+        return list(map(make_run_view, seen, around))
 
-    async def run(self, run_id: str) -> Json:
+    async def run(self, run_id: str) -> RunView:
         return await self._shown(await self._now(await self._core.row(run_id)))
 
-    async def recovery(self, run_id: str, caller: str) -> Json:
+    async def recovery(self, run_id: str, caller: str) -> RecoveryView:
         return await self._controls.recovery(run_id, caller)
 
-    async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+    async def start(self, run_id: str, said: RunOrder, context: OrderContext) -> RunView:
         context = await self._controls.require_grant(run_id, context)
         run = await self._core.row(run_id)
         return await self._shown(await self._controls.start(run_id, said, await self._around(run), context))
 
-    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> Json:
+    async def recover(self, run_id: str, said: RunOrder, context: OrderContext) -> RunView:
         return await self._shown(await self._controls.recover(run_id, said, context))
 
-    async def resume(self, run_id: str, context: OrderContext) -> Json:
+    async def resume(self, run_id: str, context: OrderContext) -> RunView:
         return await self._shown(await self._controls.resume(run_id, context))
 
-    async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> Json:
+    async def stop_run(self, run_id: str, stop: Stop, context: OrderContext) -> RunView:
         seen = await self.stops.stop_run(run_id, stop, context)
-        return run_json(seen, await self.stops.wait_briefly(self._around(seen.run), Surroundings()))
+        return make_run_view(seen, await self.stops.wait_briefly(self._around(seen.run), Surroundings()))
 
-    async def past_orders(self, machine: str, before: int | None, limit: int) -> Json:
+    async def past_orders(self, machine: str, before: int | None, limit: int) -> PastOrders:
         """Who ordered what at this mill, newest first."""
         link = self._core.link(await self._core.machine(machine))
         from_number = "" if before is None else f"&before={before}"
-        return await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
+        told = await require_answer(link.get(f"/v1/orders?limit={limit}{from_number}"))
+        return parse_reply(PastOrders, told, machine)
 
     async def events(self, run_id: str, last_id: str) -> AsyncIterator[bytes] | None:
         """The run's server-sent events; None where it was over when the reader last heard of it."""
@@ -177,8 +178,8 @@ class Fleet:
     async def _now(self, run: RunRow) -> Seen:
         return await self._core.seen((await self._handovers.repair(Seen(run))).run)
 
-    async def _shown(self, seen: Seen) -> Json:
-        return run_json(seen, await self._around(seen.run))
+    async def _shown(self, seen: Seen) -> RunView:
+        return make_run_view(seen, await self._around(seen.run))
 
     async def _around(self, run: RunRow) -> Surroundings:
         """The job may be gone by now; its run is not."""

@@ -13,13 +13,14 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from urllib.parse import quote
 
-from machines.mill.orders import Refusal, suspend_aware_clock_s
+from machines.mill.orders import LEASE_S, Refusal, suspend_aware_clock_s
 from service.http.problems import Problem
 from service.milling.agent.callers import BY, CONTROL, FROM, GRANT
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
-from service.server.fleet.agent_replies import lease_json
+from service.server.fleet.agent_replies import parse_holder, parse_reply
 from service.server.fleet.core import FleetCore
-from service.server.fleet.representation import order_json
+from service.server.fleet.representation import make_order_view
+from service.server.schemas.control import ControlView, GrantView, OrderView
 
 ASK_S = 2.0  # from the request's arrival to the grant
 _ANSWER_S = 6.0  # more than the agent takes to carry an order out or to take it back
@@ -49,13 +50,16 @@ class Orders:
 
     # ------------------------------------------------------------------ control
 
-    async def take(self, machine: str, context: OrderContext, operator: str, *, take_over: bool) -> tuple[Json, bool]:
+    async def take(
+        self, machine: str, context: OrderContext, operator: str, *, take_over: bool
+    ) -> tuple[ControlView, bool]:
         """Control of a machine, and whether it is new. Problem 409 where another person has it."""
         link = self._core.link(await self._core.machine(machine))
         body = {"operator": operator, "principal": context.name, "take_over": take_over}
         lease = await require_answer(link.once("/v1/lease", body, timeout_s=_ANSWER_S, headers=context.headers()))
         secret = str(lease.get("control", ""))
-        return lease_json(lease, secret), secret != context.control
+        control = ControlView(**dict(parse_holder(lease)), control=secret, expires_s=LEASE_S)
+        return control, secret != context.control
 
     async def release(self, machine: str, context: OrderContext) -> None:
         """Nobody has control, if it was the caller who had it. Problem 409 where it is somebody else."""
@@ -64,12 +68,12 @@ class Orders:
 
     # ------------------------------------------------------------------ orders
 
-    async def grant(self, machine: str, context: OrderContext, stops: int | None = None) -> Json:
+    async def grant(self, machine: str, context: OrderContext, stops: int | None = None) -> GrantView:
         """A grant for the caller's next order. Problem 409 where the mill is in other hands, or was stopped since the
         caller has seen this stop count.
         """
         link = self._core.link(await self._core.machine(machine))
-        return await require_answer(self._ask_grant(link, context, stops))
+        return parse_reply(GrantView, await require_answer(self._ask_grant(link, context, stops)), machine)
 
     async def require_grant(self, machine: str, context: OrderContext) -> OrderContext:
         """Return the context with a grant. To be called before anything else is waited for; Problem as `grant`."""
@@ -78,12 +82,12 @@ class Orders:
         granted = await require_answer(self._ask_first_grant(machine, context))
         return replace(context, grant=str(granted.get("grant", "")))
 
-    async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> Json:
+    async def give(self, machine: str, what: str, body: Json, context: OrderContext) -> OrderView:
         """An order beside a run, from the holder of control. Problem 504 where it is not known what came of it."""
         context = await self.require_grant(machine, context)
         link = self._core.link(await self._core.machine(machine))
         sending = link.once(f"/v1/control/{what}", body, timeout_s=_ANSWER_S, headers=context.headers())
-        return order_json(machine, what, await require_answer(sending, what))
+        return make_order_view(machine, what, await require_answer(sending, what))
 
     # ------------------------------------------------------------------
 

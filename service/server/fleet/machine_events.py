@@ -13,14 +13,15 @@ from collections.abc import AsyncGenerator
 from dataclasses import replace
 
 from service.http.problems import Problem, ServerCode
+from service.http.streaming import FIRST, PING, compact_json, event_bytes
 from service.server.database.runs import RunRow
-from service.server.fleet.agent_client import AgentAwayError, AgentLink, as_problem
-from service.server.fleet.agent_feed import Message
+from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, as_problem
+from service.server.fleet.agent_feed import AGAIN_S, Message, known_id, until
 from service.server.fleet.agent_replies import json_object, run_view, table
 from service.server.fleet.core import FleetCore
-from service.server.fleet.event_format import AGAIN_S, FIRST, PING, Json, event_bytes, known_id, until
 from service.server.fleet.registry import KnownMachine
-from service.server.fleet.representation import machine_json
+from service.server.fleet.representation import make_machine_view
+from service.server.schemas.runs import MachineView
 
 _TICK_S = 0.5  # which run is open is looked at so often
 _BEAT_S = 15.0
@@ -34,7 +35,7 @@ class MachineEvents:
         self._machine = machine
         self._last_id = last_id
         self._status: Json | None = None
-        self._shown: Json = {}
+        self._shown: MachineView | None = None
         self._told: tuple[float, float] = (0.0, 0.0)  # time and number of the last entry of the log
         self._remembered = bool(last_id)
         self._sent_s = self._looked_s = 0.0
@@ -103,7 +104,7 @@ class MachineEvents:
         if place != (0.0, 0.0) and place <= self._told:
             return b""
         self._told = max(place, self._told)
-        return event_bytes("log", entry, event_id)
+        return event_bytes("log", compact_json(entry), event_id)
 
     # ------------------------------------------------------------------ how it stands
 
@@ -117,10 +118,10 @@ class MachineEvents:
         run = self._run
         if run is not None and _is_about(view, run):
             run = replace(run, view=run_view(view, self._machine.name))
-        shown = machine_json(self._machine, self._status, away, run)
+        shown = make_machine_view(self._machine, self._status, away, run)
         if shown != self._shown:
             self._shown, self._sent_s = shown, now_s
-            return event_bytes("status", shown, self._last_id)
+            return event_bytes("status", shown.model_dump_json(), self._last_id)
         if now_s > self._sent_s + _BEAT_S:
             self._sent_s = now_s
             return PING

@@ -27,9 +27,6 @@ class Program:
     sha256: str
     bytes: int
 
-    def as_dict(self) -> Json:
-        return {"number": self.number, "name": self.name, "sha256": self.sha256}
-
 
 def programs_of(files: Sequence[Artifact]) -> list[Program]:
     """The programs among a job's files, in the order in which they are run."""

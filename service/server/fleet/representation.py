@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import Any
 from urllib.parse import quote
 
 from machines.profiles import MachineProfile
@@ -12,14 +11,15 @@ from machines.runs import RECOVER_CHECKS, START_CHECKS
 from service.http.problems import Problem
 from service.server.database.records import Job
 from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, RunRow
-from service.server.fleet.agent_replies import lease_json, moment, table
+from service.server.fleet.agent_replies import Json, parse_holder, table
 from service.server.fleet.core import Seen
 from service.server.fleet.programs import Program, set_up
 from service.server.fleet.registry import KnownMachine
+from service.server.schemas.control import OrderView
+from service.server.schemas.runs import AgentView, Check, LiveRun, MachineView, OpenRun, ProgramOfRun, RunView
 
-Json = dict[str, Any]
-ORDER = "order"
-CHECK_ORDER = ("tool", "zero", "stock", "clear", "position", ORDER)
+ORDER: Check = "order"
+CHECK_ORDER: tuple[Check, ...] = ("tool", "zero", "stock", "clear", "position", ORDER)
 _ACTIONS = ("start", "hold", "resume", "abort", "recover")
 
 
@@ -39,7 +39,7 @@ class Surroundings:
         return next((one for one in self.programs if one.number > number and one.sha256 not in self.finished), None)
 
 
-def list_required_checks(run: RunRow, around: Surroundings) -> list[str]:
+def list_required_checks(run: RunRow, around: Surroundings) -> list[Check]:
     """What a person has to confirm before the run may go on from here."""
     if run.state == PARKED and run.open:
         needed = START_CHECKS | ({ORDER} if around.left_out(run.number) else frozenset())
@@ -54,21 +54,22 @@ def has_started(run: RunRow) -> bool:
     return bool(run.view and run.view.get("started_s"))
 
 
-def run_json(seen: Seen, around: Surroundings) -> Json:
+def make_run_view(seen: Seen, around: Surroundings) -> RunView:
     """A whole run."""
     run = seen.run
     following = around.following(run.number)
-    return live_json(seen) | {
-        "job": run.job_id,
-        "program": {"number": run.number, "name": run.program, "sha256": run.sha256},
-        "setup": _set_up(around, run),
-        "required_checks": list_required_checks(run, around),
-        "left_out": [one.as_dict() for one in around.left_out(run.number)],
-        "next": None if following is None else following.as_dict(),
-        "created_by": run.created_by,
-        "created_at": moment(run.created_at),
-        "links": _links(run),
-    }
+    return RunView(
+        **dict(make_live_run(seen)),
+        job=run.job_id,
+        program=ProgramOfRun(number=run.number, name=run.program, sha256=run.sha256),
+        setup=_set_up(around, run),
+        required_checks=list_required_checks(run, around),
+        left_out=[ProgramOfRun.model_validate(one) for one in around.left_out(run.number)],
+        next=None if following is None else ProgramOfRun.model_validate(following),
+        created_by=run.created_by,
+        created_at=run.created_at,
+        links=_links(run),
+    )
 
 
 def _set_up(around: Surroundings, run: RunRow) -> Json | None:
@@ -80,71 +81,75 @@ def _set_up(around: Surroundings, run: RunRow) -> Json | None:
     return set_up(around.job, run.number)
 
 
-def _links(run: RunRow) -> Json:
+def _links(run: RunRow) -> dict[str, str]:
     here = f"/v1/runs/{run.id}"
     own = {"self": here, "events": f"{here}/events", "recovery": f"{here}/recovery"}
     others = {"job": f"/v1/jobs/{run.job_id}", "machine": f"/v1/machines/{quote(run.machine, safe='')}"}
     return own | others | {action: f"{here}:{action}" for action in _ACTIONS}
 
 
-def live_json(seen: Seen) -> Json:
+def make_live_run(seen: Seen) -> LiveRun:
     """The part of a run that changes while it is on the mill."""
     run, view = seen.run, seen.run.view or {}
-    return {
-        "id": run.id,
-        "machine": run.machine,
-        "state": run.state,
-        "open": run.open,
-        **_words(run),
-        "unreachable": seen.away is not None,
-        "unreachable_words": "" if seen.away is None else seen.away.detail,
-        "share": view.get("share", 0.0),
-        "executed_line": view.get("executed_line", 0),
-        "lines": view.get("lines"),
-        "time_s": view.get("time_s"),
-        "time_left_s": view.get("time_left_s"),
-        "operator": view.get("operator", ""),
-        "recoveries": view.get("recoveries", 0),
-        "warnings": view.get("warnings", []),
-        "travel_in_doubt": view.get("travel_in_doubt", False),
-        "started_at": moment(view.get("started_s")),
-        "ended_at": moment(run.ended_at),
-    }
+    return LiveRun(
+        id=run.id,
+        machine=run.machine,
+        state=run.state,
+        open=run.open,
+        unreachable=seen.away is not None,
+        unreachable_words="" if seen.away is None else seen.away.detail,
+        recoveries=view.get("recoveries", 0),
+        warnings=view.get("warnings", []),
+        travel_in_doubt=view.get("travel_in_doubt", False),
+        started_at=view.get("started_s"),
+        ended_at=run.ended_at,
+        **_why(run),
+        **_how_far(view),
+    )
 
 
-def _words(run: RunRow) -> Json:
+def _why(run: RunRow) -> Json:
     reason = run.reason or {}
     return {"words": run.words or "", "code": reason.get("code", ""), "values": reason.get("values", {})}
 
 
-def _why_away(away: Problem | None) -> Json:
+def _how_far(view: Json) -> Json:
+    """Out of what the agent says of a run."""
+    nothing = {"share": 0.0, "executed_line": 0, "lines": None, "time_s": None, "time_left_s": None, "operator": ""}
+    return {name: view.get(name, none) for name, none in nothing.items()}
+
+
+def _agent(status: Json | None, away: Problem | None) -> AgentView:
+    reachable = status is not None
     if away is None:
-        return {"words": "", "code": "", "values": {}}
-    return {"words": away.detail, "code": away.code, "values": away.values}
+        return AgentView(reachable=reachable, words="", code="", values={})
+    return AgentView(reachable=reachable, words=away.detail, code=away.code, values=away.values)
 
 
-def machine_json(machine: KnownMachine, status: Json | None, away: Problem | None, run: RunRow | None) -> Json:
+def make_machine_view(
+    machine: KnownMachine, status: Json | None, away: Problem | None, run: RunRow | None
+) -> MachineView:
     """A mill: what it is, whether its agent answers, what it does, the run that is open on it, and who has control."""
     profile = machine.profile
     name = quote(machine.name, safe="")
     here = f"/v1/machines/{name}"
-    return {
-        "name": machine.name,
-        "remote": machine.remote,
-        "simulated": machine.simulated,
-        "problem": machine.problem,
-        "profile": None if profile is None else _profile(profile),
-        "agent": {"reachable": status is not None} | _why_away(away),
-        "mill": None if status is None else mill_json(status),
-        "run": None if run is None else _open_run(run),
-        "control": lease_json(lease) if (lease := table(status or {}, "control")) else None,
-        "links": {
+    return MachineView(
+        name=machine.name,
+        remote=machine.remote,
+        simulated=machine.simulated,
+        problem=machine.problem,
+        profile=None if profile is None else _profile(profile),
+        agent=_agent(status, away),
+        mill=None if status is None else _mill(status),
+        run=None if run is None else _open_run(run),
+        control=parse_holder(lease) if (lease := table(status or {}, "control")) else None,
+        links={
             "self": here,
             "events": f"{here}/events",
             "control": f"{here}/control",
             "runs": f"/v1/runs?machine={name}",
         },
-    }
+    )
 
 
 def _profile(profile: MachineProfile) -> Json:
@@ -166,30 +171,24 @@ def _profile(profile: MachineProfile) -> Json:
     return told
 
 
-def _open_run(run: RunRow) -> Json:
+def _open_run(run: RunRow) -> OpenRun:
     """How far the run is, for who looks at the mill; the rest is in the run itself."""
-    view = run.view or {}
-    return {
-        "id": run.id,
-        "state": run.state,
-        "job": run.job_id,
-        "program": run.program,
-        **_words(run),
-        "share": view.get("share", 0.0),
-        "executed_line": view.get("executed_line", 0),
-        "lines": view.get("lines"),
-        "time_s": view.get("time_s"),
-        "time_left_s": view.get("time_left_s"),
-        "operator": view.get("operator", ""),
-    }
+    return OpenRun(
+        id=run.id,
+        state=run.state,
+        job=run.job_id,
+        program=run.program,
+        **_why(run),
+        **_how_far(run.view or {}),
+    )
 
 
-def order_json(machine: str, order: str, status: Json) -> Json:
+def make_order_view(machine: str, order: str, status: Json) -> OrderView:
     """What an order or a stop beside a run is answered with."""
-    return {"machine": machine, "order": order, "mill": mill_json(status)}
+    return OrderView(machine=machine, order=order, mill=_mill(status))
 
 
-def mill_json(status: Json) -> Json:
+def _mill(status: Json) -> Json:
     """What the mill does, out of its agent's status."""
     told = table(status, "status")
     names = (

@@ -12,10 +12,11 @@ from machines.mill.orders import Refusal
 from service.http.problems import Problem, ServerCode
 from service.server.database.runs import ABORTED, INTERRUPTED, PARKED, MachineTakenError, RunRow
 from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, require_answer
-from service.server.fleet.agent_replies import run_view
+from service.server.fleet.agent_replies import parse_reply, run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
 from service.server.fleet.machine_commands import OrderContext, Orders
 from service.server.fleet.representation import ORDER, Surroundings, list_required_checks
+from service.server.schemas.runs import RecoveryView
 
 _MOST_KNOWN = 1000
 _PLAN_S = 30.0  # the controller is asked first
@@ -90,15 +91,16 @@ class Controls:
             if not was_open:  # as its agent has it now: closed again where nothing came of it
                 await self._core.seen(await self._core.row(run_id))
 
-    async def recovery(self, run_id: str, caller: str) -> Json:
+    async def recovery(self, run_id: str, caller: str) -> RecoveryView:
         """How the run would go on now; what the caller has been shown."""
         run = await self._require_handed_over(run_id)
         path = f"/v1/runs/{run.agent_run}/recovery"
-        plan = await require_answer((await self._link(run)).get(path, timeout_s=_PLAN_S))
+        told = await require_answer((await self._link(run)).get(path, timeout_s=_PLAN_S))
+        plan = parse_reply(RecoveryView, told | {"run": run.id}, run.machine)
         while len(self._plans_shown) >= _MOST_KNOWN:
             del self._plans_shown[next(iter(self._plans_shown))]
-        self._plans_shown[caller, run.id] = str(plan.get("plan", ""))[:100]
-        return plan | {"run": run.id}
+        self._plans_shown[caller, run.id] = plan.plan[:100]
+        return plan
 
     # ------------------------------------------------------------------
 

@@ -20,7 +20,8 @@ from service.server.fleet.agent_client import AgentAwayError, AgentLink, Json, r
 from service.server.fleet.agent_replies import run_view
 from service.server.fleet.core import FleetCore, Seen, not_handed_over
 from service.server.fleet.machine_commands import OrderContext
-from service.server.fleet.representation import order_json
+from service.server.fleet.representation import make_order_view
+from service.server.schemas.control import OrderView
 
 T = TypeVar("T")
 _LOOK_S = 0.2  # for a look at the profiles before the answer: a page that has none after 0.3 s says a stop again
@@ -33,7 +34,7 @@ class Stops:
         self._core = core
         self._behind: set[asyncio.Future[Any]] = set()  # what goes on after the answer
 
-    async def stop_machine(self, machine: str, stop: Stop, context: OrderContext) -> Json:
+    async def stop_machine(self, machine: str, stop: Stop, context: OrderContext) -> OrderView:
         """Sent twice where no answer came. Problem 404 where there is no such machine, 503 or 504 for no answer."""
         self._core.stopped_s[machine] = context.arrived_s
         path = f"/v1/control/{stop.value}"
@@ -41,7 +42,7 @@ class Stops:
         if known is None:
             known = await self._present_link(machine, None)
             answer = await require_answer(known.urgent(path, headers=context.headers()), stop)
-            return order_json(machine, stop.value, answer)
+            return make_order_view(machine, stop.value, answer)
         sending = self._go_on(known.urgent(path, headers=context.headers()))
         present = self._go_on(self._stop_present(machine, known, path, context))
         await asyncio.wait({present}, timeout=_LOOK_S)
@@ -49,7 +50,7 @@ class Stops:
         await asyncio.wait(waiting, return_when=asyncio.FIRST_COMPLETED)
         if present.done() or sending.exception() is not None:
             sending = await present or sending
-        return order_json(machine, stop.value, await require_answer(sending, stop))
+        return make_order_view(machine, stop.value, await require_answer(sending, stop))
 
     async def _stop_present(
         self, machine: str, known: AgentLink, path: str, context: OrderContext

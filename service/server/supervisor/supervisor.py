@@ -22,7 +22,7 @@ from types import FrameType
 from typing import TextIO
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, ServiceError, printable
-from service.http import listener as address
+from service.http.listener import answers, bound, complaint, url_of
 from service.processes import lifeline
 from service.processes.folder_lock import lock_folder
 from service.server.pairing_code import code_lines, code_of, new_offer
@@ -122,20 +122,20 @@ class Supervisor:
                 if not child.failed:
                     _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
                 return self._stop(EXIT_FAILURE)
-        if address.answers(self._listener, self._probe, patience_s=_ANSWER_S):
+        if answers(self._listener, self._probe, patience_s=_ANSWER_S):
             self._ready = True
             for child in self._children:
                 child.trusted = True
             self._announce(f"ready in {time.time() - self._began:.1f} s")
         elif not self._announced and time.time() - self._began > _LONG_S:
-            words = address.complaint(self._listener, self._probe, patience_s=_ANSWER_S)
+            words = complaint(self._listener, self._probe, patience_s=_ANSWER_S)
             if words is not None:
                 self._announce(f"not ready: {words}")
         return None
 
     def _announce(self, words: str) -> None:
         """Where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
-        where, folder = address.url_of(self._listener), _read_setting("DATA", "")
+        where, folder = url_of(self._listener), _read_setting("DATA", "")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
             if self._ready:
@@ -180,7 +180,7 @@ def main() -> int:
         with (
             lock_folder(Path(_read_setting("DATA", "causticmill-data"))),
             contextlib.closing(
-                address.bound(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
+                bound(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
             ) as listener,
         ):
             wanted = {name: module for name, module in modules.items() if module}

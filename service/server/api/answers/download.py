@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from starlette.responses import RedirectResponse, Response, StreamingResponse
 
 from service.http.problems import Problem
-from service.server.api.answers.job_json import media_type
+from service.server.api.answers.job_views import media_type
 from service.server.database.records import Artifact
 from service.store.base import Store
 

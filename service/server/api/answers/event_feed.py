@@ -11,17 +11,17 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 from collections.abc import AsyncIterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import structlog
 from sqlalchemy.exc import SQLAlchemyError
 
-from service.server.api.answers.times import iso_time
+from service.http.streaming import compact_json, event_bytes
 from service.server.database.events import BATCH, MOST_NEWS
 from service.server.database.jobs import JobBook
 from service.server.database.records import JobEvent, News, Progress
+from service.server.schemas.base import iso_time
 
 _POLL_S = 0.25
 _AFTER_ERROR_S = 2.0
@@ -140,7 +140,7 @@ class Feed:
         if shown != follower.progress:
             follower.progress = shown
             data = {"stage": now.stage, "share": round(now.share, 4), "progress": round(now.progress, 4)}
-            self._give(follower, Message(f"event: progress\ndata: {json.dumps(data)}\n\n".encode()))
+            self._give(follower, Message(event_bytes("progress", compact_json(data))))
 
     def _give(self, follower: Follower, message: Message) -> None:
         if follower not in self._followers:
@@ -160,6 +160,4 @@ class Feed:
 
 
 def _text_of(event: JobEvent) -> bytes:
-    data = event.data | {"at": iso_time(event.at)}
-    text = json.dumps(data, separators=(",", ":"))
-    return f"id: {event.seq}\nevent: {event.kind}\ndata: {text}\n\n".encode()
+    return event_bytes(event.kind, compact_json(event.data | {"at": iso_time(event.at)}), str(event.seq))

@@ -8,17 +8,12 @@ import contextlib
 from starlette.responses import Response
 from starlette.types import Receive, Scope, Send
 
-from service.http.streaming import sent, while_connected
+from service.http.streaming import PING, begin_events, sent, while_connected
 from service.server.api.answers.event_feed import Feed, Follower
 from service.server.database.jobs import JobBook
 from service.server.database.records import UnknownJobError
 
 _MOST_AT_ONCE = 64
-_HEADERS = [
-    (b"content-type", b"text/event-stream; charset=utf-8"),
-    (b"cache-control", b"no-store"),
-    (b"x-accel-buffering", b"no"),
-]
 
 
 class EventStream(Response):
@@ -37,14 +32,13 @@ class EventStream(Response):
             await while_connected(receive, self._write(follower, send))
 
     async def _write(self, follower: Follower, send: Send) -> None:
-        await send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
-        await sent(send, b"retry: 1000\n\n")
+        await begin_events(send)
         going = True
         while going:
             try:
                 message = await asyncio.wait_for(follower.queue.get(), self._heartbeat_s)
             except TimeoutError:
-                await sent(send, b": still here\n\n")
+                await sent(send, PING)
                 going = await self._still_there()
                 continue
             texts: list[bytes] = []

@@ -6,18 +6,17 @@ import asyncio
 from collections.abc import Iterable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Header, Path, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Depends, Header, Path, Request, Response
 
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
-from service.server.api.answers import job_json as views
 from service.server.api.answers.download import Conditions, download
+from service.server.api.answers.job_views import MEDIA_TYPES, make_artifact_view, programs
 from service.server.api.openapi import Responses, example, refusals
 from service.server.api.routes.jobs import JobId
-from service.server.api.schemas.jobs import ARTIFACT_EXAMPLE, ArtifactList
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
+from service.server.schemas.jobs import ARTIFACT_EXAMPLE, ArtifactList
 
 router = APIRouter(tags=["artifacts"])
 
@@ -34,7 +33,7 @@ def byte_answers(what: str, kinds: Iterable[str]) -> Responses:
     }
 
 
-_DOWNLOAD = byte_answers("file", views.MEDIA_TYPES)
+_DOWNLOAD = byte_answers("file", MEDIA_TYPES)
 
 Ranged = Annotated[
     str | None, Header(alias="Range", description="bytes=FIRST-LAST; one range", examples=["bytes=0-99"])
@@ -68,13 +67,12 @@ def _get_and_head(path: str, **told: Any) -> Any:
 @_get_and_head(
     "/v1/jobs/{id:uuid}/artifacts",
     summary="List the files of a job",
-    response_model=ArtifactList,
     responses={200: example({"artifacts": [ARTIFACT_EXAMPLE]})} | refusals(),
 )
-async def artifacts(request: Request, _: Reader, job_id: JobId) -> Response:
+async def artifacts(request: Request, _: Reader, job_id: JobId) -> ArtifactList:
     """Each file is there as soon as its stage is committed; programs once all of them have been checked."""
     files = await asyncio.to_thread(services_of(request).book.artifacts, str(job_id))
-    return JSONResponse({"artifacts": [views.artifact_view(file) for file in files]})
+    return ArtifactList(artifacts=[make_artifact_view(file) for file in files])
 
 
 @_get_and_head(
@@ -98,7 +96,7 @@ async def artifact(request: Request, _: Reader, job_id: JobId, name: FileName, a
 async def program(request: Request, _: Reader, job_id: JobId, n: Number, asked: Asked) -> Response:
     """The program of pass n, as soon as every program of the job has been checked."""
     services = services_of(request)
-    found = views.programs(await asyncio.to_thread(services.book.artifacts, str(job_id)))
+    found = programs(await asyncio.to_thread(services.book.artifacts, str(job_id)))
     if n not in found:
         offered = ", ".join(map(str, found)) or "none yet"
         raise Problem(404, f"the job offers no program {n}; offered: {offered}", field="n")

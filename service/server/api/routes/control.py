@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Awaitable, Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from fastapi import APIRouter, Header, Request, Response
+from starlette.responses import StreamingResponse
 
 from machines.mill.orders import Stop
+from service.http.streaming import EVENT_HEADERS
 from service.server.api.access.order_context import Order
 from service.server.api.access.scopes import Operator, Reader, Stopper
-from service.server.api.openapi import Responses, answers, example, refusals
+from service.server.api.openapi import Responses, answers, event_stream, example, refusals
 from service.server.api.routes.machines import MachineName
-from service.server.api.schemas.control import (
+from service.server.api.services import services_of
+from service.server.fleet.machine_commands import OrderContext
+from service.server.schemas.base import Body
+from service.server.schemas.control import (
     BlockBody,
     CheckBody,
     ControlBody,
@@ -26,10 +30,7 @@ from service.server.api.schemas.control import (
     ProbeBody,
     ZeroBody,
 )
-from service.server.api.schemas.examples import CONTROL_EXAMPLE, GRANT_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
-from service.server.api.schemas.jobs import SSE_EVENT, Body
-from service.server.api.services import services_of
-from service.server.fleet.machine_commands import OrderContext
+from service.server.schemas.examples import CONTROL_EXAMPLE, GRANT_EXAMPLE, MACHINE_EVENTS_EXAMPLE, ORDER_EXAMPLE
 
 router = APIRouter(tags=["machines"])
 
@@ -37,15 +38,8 @@ _GIVEN: Responses = {
     201: example(CONTROL_EXAMPLE) | {"description": "control is yours"},
     200: example(CONTROL_EXAMPLE) | {"description": "it was yours, and stays so", "model": ControlView},
 }
-_STREAM: Responses = {
-    200: {
-        "description": "the stream; it has no end",
-        "content": {"text/event-stream": {"schema": SSE_EVENT, "example": MACHINE_EVENTS_EXAMPLE}},
-    }
-}
 _ORDER: dict[str, Any] = {
     "status_code": 202,
-    "response_model": OrderView,
     "responses": {202: example(ORDER_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
     | refusals(409, 502, 504, 507),
 }
@@ -63,21 +57,24 @@ _STOPS = {
     Stop.ABORT: "Hold, and clear what the controller has left.",
     Stop.JOG_CANCEL: "End a jog; the place is kept.",
 }
-Endpoint = Callable[..., Awaitable[Response]]
+Endpoint = Callable[..., Awaitable[OrderView]]
 
 
 @router.post(
     "/v1/machines/{machine}/control",
     summary="Take or keep control of a mill",
     status_code=201,
-    response_model=ControlView,
     responses=_GIVEN | refusals(409),
 )
-async def take(request: Request, _: Operator, machine: MachineName, body: ControlBody, context: Order) -> Response:
+async def take(
+    request: Request, response: Response, _: Operator, machine: MachineName, body: ControlBody, context: Order
+) -> ControlView:
     """One person at a time. It is kept by any order, or by asking again with the header, once a minute at least."""
     orders = services_of(request).fleet.orders
-    told, new = await orders.take(machine, context, body.operator, take_over=body.take_over)
-    return JSONResponse(told, status_code=201 if new else 200, headers={"Cache-Control": "no-store"})
+    control, new = await orders.take(machine, context, body.operator, take_over=body.take_over)
+    response.status_code = 201 if new else 200
+    response.headers["Cache-Control"] = "no-store"
+    return control
 
 
 @router.delete(
@@ -96,25 +93,29 @@ async def release(request: Request, _: Operator, machine: MachineName, context: 
     "/v1/machines/{machine}/grants",
     summary="Ask for a grant",
     status_code=201,
-    response_model=GrantView,
     responses=answers({201: example(GRANT_EXAMPLE)}, 409, 502, 504),
 )
 async def grant(
-    request: Request, _: Operator, machine: MachineName, context: Order, body: GrantBody | None = None
-) -> Response:
+    request: Request,
+    response: Response,
+    _: Operator,
+    machine: MachineName,
+    context: Order,
+    body: GrantBody | None = None,
+) -> GrantView:
     """To be asked for when the person presses the button, and sent with the order: under it the mill's agent carries
     one order out, within seconds, unless somebody stops the mill or takes control first. Without one an order counts
     from its arrival at the server.
     """
-    told = await services_of(request).fleet.orders.grant(machine, context, None if body is None else body.stops)
-    return JSONResponse(told, status_code=201, headers={"Cache-Control": "no-store"})
+    response.headers["Cache-Control"] = "no-store"
+    return await services_of(request).fleet.orders.grant(machine, context, None if body is None else body.stops)
 
 
 @router.get(
     "/v1/machines/{machine}/events",
     summary="Follow a mill",
     response_class=Response,
-    responses=answers(_STREAM),
+    responses=answers(event_stream("the stream; it has no end", MACHINE_EVENTS_EXAMPLE)),
 )
 async def events(
     request: Request,
@@ -127,63 +128,64 @@ async def events(
     misses nothing that the agent remembers; a new one is told the latest of it.
     """
     stream = await services_of(request).fleet.machine_events(machine, last_event_id or "")
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
+    return StreamingResponse(stream, headers=EVENT_HEADERS)
 
 
-async def _give(request: Request, machine: str, what: str, context: OrderContext, body: Body | None = None) -> Response:
+async def _give(
+    request: Request, machine: str, what: str, context: OrderContext, body: Body | None = None
+) -> OrderView:
     values = {} if body is None else body.model_dump()
-    told = await services_of(request).fleet.orders.give(machine, what, values, context)
-    return JSONResponse(told, status_code=202)
+    return await services_of(request).fleet.orders.give(machine, what, values, context)
 
 
 @router.post(f"{_PATH}/jog", summary="Jog a mill", **_ORDER)
-async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, context: Order) -> Response:
+async def jog(request: Request, _: Operator, machine: MachineName, body: JogBody, context: Order) -> OrderView:
     """THE MILL MOVES by so much. Sent once, as every order: what became of it is told by the events."""
     return await _give(request, machine, "jog", context, body)
 
 
 @router.post(f"{_PATH}/probe", summary="Probe Z", **_ORDER)
-async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, context: Order) -> Response:
+async def probe(request: Request, _: Operator, machine: MachineName, body: ProbeBody, context: Order) -> OrderView:
     """THE MILL MOVES down until it touches; work Z is set there, and it moves up again."""
     return await _give(request, machine, "probe", context, body)
 
 
 @router.post(f"{_PATH}/zero", summary="Set the work zero", **_ORDER)
-async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, context: Order) -> Response:
+async def zero(request: Request, _: Operator, machine: MachineName, body: ZeroBody, context: Order) -> OrderView:
     """From now on the tool stands at zero of these axes."""
     return await _give(request, machine, "zero", context, body)
 
 
 @router.post(f"{_PATH}/override", summary="Override feed, rapids or spindle", **_ORDER)
-async def override(request: Request, _: Operator, machine: MachineName, body: OverrideBody, context: Order) -> Response:
+async def override(
+    request: Request, _: Operator, machine: MachineName, body: OverrideBody, context: Order
+) -> OrderView:
     """At once, in the middle of a run too."""
     return await _give(request, machine, "override", context, body)
 
 
 @router.post(f"{_PATH}/check", summary="Switch check mode", **_ORDER)
-async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, context: Order) -> Response:
+async def check(request: Request, _: Operator, machine: MachineName, body: CheckBody, context: Order) -> OrderView:
     """In check mode ($C) the controller reads everything and moves nothing."""
     return await _give(request, machine, "check", context, body)
 
 
 @router.post(f"{_PATH}/block", summary="Send one line of G-code", **_ORDER)
-async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, context: Order) -> Response:
+async def block(request: Request, _: Operator, machine: MachineName, body: BlockBody, context: Order) -> OrderView:
     """THE MILL MAY MOVE."""
     return await _give(request, machine, "block", context, body)
 
 
 def _make_order(what: str) -> Endpoint:
-    async def order(request: Request, _: Operator, machine: MachineName, context: Order) -> Response:
+    async def order(request: Request, _: Operator, machine: MachineName, context: Order) -> OrderView:
         return await _give(request, machine, what, context)
 
     return order
 
 
 def _make_stop(stop: Stop) -> Endpoint:
-    async def order(request: Request, _: Stopper, machine: MachineName, context: Order) -> Response:
-        told = await services_of(request).fleet.stops.stop_machine(machine, stop, context)
-        return JSONResponse(told, status_code=202)
+    async def order(request: Request, _: Stopper, machine: MachineName, context: Order) -> OrderView:
+        return await services_of(request).fleet.stops.stop_machine(machine, stop, context)
 
     return order
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated
+from typing import Annotated, Any
 
-from fastapi import APIRouter, Header, Query, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Header, Query, Request, Response
 
 from service.server.api.access.scopes import Writer
 from service.server.api.intake.disk_space import Space
@@ -14,8 +13,8 @@ from service.server.api.intake.form import JobForm, receive_form
 from service.server.api.intake.request import job_request
 from service.server.api.openapi import answers, example
 from service.server.api.routes.submit import JOB_FORM
-from service.server.api.schemas.estimates import ESTIMATE_EXAMPLE, EstimateView
 from service.server.api.services import Services, services_of
+from service.server.schemas.estimates import ESTIMATE_EXAMPLE, EstimateView
 
 router = APIRouter()
 _LOOK_S = 1.0  # whether somebody still waits
@@ -36,7 +35,9 @@ Exactly = Annotated[bool, Query(description="from a lens as fine as the picture,
     responses=answers({200: example(ESTIMATE_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=JOB_FORM,
 )
-async def post_estimate(request: Request, principal: Writer, tab: Tab = "", exactly: Exactly = False) -> Response:
+async def post_estimate(
+    request: Request, response: Response, principal: Writer, tab: Tab = "", exactly: Exactly = False
+) -> dict[str, Any]:
     """Relief, hours and blur, from a coarse picture unless it is to be exact. A caller who asks again ends the requests
     before with 409, but an exact one lets a coarse one be; several windows of one caller name themselves, and do not
     end each other's.
@@ -68,7 +69,8 @@ async def post_estimate(request: Request, principal: Writer, tab: Tab = "", exac
             if await request.is_disconnected() and not asking.done():
                 estimates.leave(caller)
         found = await answer
-    return JSONResponse({**found, "spec": wanted.spec}, headers={"Cache-Control": "no-store"})
+    response.headers["Cache-Control"] = "no-store"
+    return {**found, "spec": wanted.spec}
 
 
 def _check_picture(services: Services, form: JobForm) -> None:

@@ -11,18 +11,14 @@ from starlette.responses import Response
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader
 from service.server.api.answers.event_stream import EventStream
-from service.server.api.openapi import Responses, answers
+from service.server.api.openapi import Responses, answers, event_stream
 from service.server.api.routes.jobs import JobId
-from service.server.api.schemas.jobs import EVENTS_EXAMPLE, SSE_EVENT
 from service.server.api.services import Services, services_of
+from service.server.schemas.jobs import EVENTS_EXAMPLE
 
 router = APIRouter(tags=["jobs"])
 
-_STREAM: Responses = {
-    200: {
-        "description": "the stream; it ends after the event `ended`",
-        "content": {"text/event-stream": {"schema": SSE_EVENT, "example": EVENTS_EXAMPLE}},
-    },
+_STREAM: Responses = event_stream("the stream; it ends after the event `ended`", EVENTS_EXAMPLE) | {
     204: {"description": "the job has ended and the client has every event: do not come back"},
 }
 

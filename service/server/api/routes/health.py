@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter, Depends, Request, Response
 from prometheus_client import CONTENT_TYPE_LATEST
-from starlette.responses import JSONResponse, Response
 
 from service.http.problems import Kind, Problem
 from service.server.api.access.scopes import ADMIN, open_here, require
 from service.server.api.openapi import Responses, answers, example
-from service.server.api.schemas.jobs import Alive, Ready
 from service.server.api.services import services_of
+from service.server.schemas.jobs import Alive, Ready
 
 router = APIRouter(tags=["operations"])
 
@@ -41,22 +40,20 @@ _READY = {"ready": True, "checks": {"database": "ok", "store": "ok", "worker": "
     "/livez",
     summary="Is the process alive?",
     dependencies=[Known],
-    response_model=Alive,
     responses=answers({200: example({"alive": True})}),
 )
-async def livez() -> Response:
+async def livez() -> Alive:
     """Answers as long as the process does; asks nothing of the database."""
-    return JSONResponse({"alive": True})
+    return Alive(alive=True)
 
 
 @router.get(
     "/readyz",
     summary="Can the server do its work?",
     dependencies=[Known],
-    response_model=Ready,
     responses=answers({200: example(_READY)}),
 )
-async def readyz(request: Request) -> Response:
+async def readyz(request: Request) -> Ready:
     """Writes to the database and to the artifact store, looks for a live worker and for free disk space."""
     services = services_of(request)
     checks = await services.readiness.checks()
@@ -67,7 +64,7 @@ async def readyz(request: Request) -> Response:
         raise Problem(
             503, detail, field=next(iter(wrong)), kind=Kind.NOT_READY, headers={"Retry-After": "2"}, more=more
         )
-    return JSONResponse({"ready": True, "checks": checks})
+    return Ready(ready=True, checks=checks)
 
 
 @router.get(

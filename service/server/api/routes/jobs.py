@@ -3,37 +3,36 @@
 from __future__ import annotations
 
 import asyncio
-from typing import Annotated, Any
+from typing import Annotated, Literal
 from urllib.parse import urlencode
 from uuid import UUID
 
 import structlog
-from fastapi import APIRouter, Header, Path, Query, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Header, Path, Query, Request, Response
 
 from service.http.problems import Problem
 from service.server.api.access.scopes import Reader, Writer
 from service.server.api.answers.download import matches
-from service.server.api.answers.job_json import job_list, whole_job
+from service.server.api.answers.job_views import read_summaries, read_view
 from service.server.api.openapi import Responses, answers, example
 from service.server.api.routes.submit import hand_to_engine
-from service.server.api.schemas.jobs import JOB_EXAMPLE, SUMMARY_EXAMPLE, JobList, JobView, State
 from service.server.api.services import Services, services_of
 from service.server.database.records import Job, UnknownJobError
 from service.server.database.states import JobState
 from service.server.queue.engine import Ticket
+from service.server.schemas.jobs import JOB_EXAMPLE, SUMMARY_EXAMPLE, JobList, JobView
 
 router = APIRouter(tags=["jobs"])
 _log = structlog.get_logger("api")
 
 JobId = Annotated[UUID, Path(alias="id", description="id of a job", examples=[JOB_EXAMPLE["id"]])]
+State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 _JOB: Responses = {200: example(JOB_EXAMPLE)}
 
 
 @router.get(
     "/v1/jobs",
     summary="List jobs, newest first",
-    response_model=JobList,
     responses=answers({200: example({"jobs": [SUMMARY_EXAMPLE], "next": None})}),
 )
 async def list_jobs(
@@ -42,11 +41,12 @@ async def list_jobs(
     state: Annotated[list[State] | None, Query(description="only jobs in this state; may be repeated")] = None,
     limit: Annotated[int, Query(ge=1, le=200)] = 50,
     cursor: Annotated[UUID | None, Query(description="id of the last job of the page before")] = None,
-) -> Response:
+) -> JobList:
     """A page of jobs without their report, spec and stages. `next` is the address of the following page."""
-    services, before = services_of(request), None if cursor is None else str(cursor)
-    body = await asyncio.to_thread(_page, services, [JobState(word) for word in state or ()], limit, before)
-    return JSONResponse(body)
+    before = None if cursor is None else str(cursor)
+    return await asyncio.to_thread(
+        _read_page, services_of(request), [JobState(word) for word in state or ()], limit, before
+    )
 
 
 @router.get(
@@ -56,50 +56,54 @@ async def list_jobs(
     responses=answers(_JOB | {304: {"description": "unchanged since the ETag in If-None-Match"}}),
 )
 async def look(
-    request: Request, _: Reader, job_id: JobId, if_none_match: Annotated[str | None, Header()] = None
-) -> Response:
+    request: Request,
+    response: Response,
+    _: Reader,
+    job_id: JobId,
+    if_none_match: Annotated[str | None, Header()] = None,
+) -> JobView | Response:
     """The whole job. `report` grows as stages end; `programs` appear once all of them have been checked."""
     services = services_of(request)
-    body = await asyncio.to_thread(lambda: whole_job(services, services.book.get(str(job_id))))
-    headers = {"ETag": body["etag"], "Cache-Control": "no-cache"}
-    if matches(if_none_match, body["etag"]):
+    job = await asyncio.to_thread(lambda: read_view(services, services.book.get(str(job_id))))
+    headers = {"ETag": job.etag, "Cache-Control": "no-cache"}
+    if matches(if_none_match, job.etag):
         return Response(status_code=304, headers=headers)
-    if body["state"] in ("queued", "running"):
+    if job.state in ("queued", "running"):
         headers["Retry-After"] = "1"
-    return JSONResponse(body, headers=headers)
+    response.headers.update(headers)
+    return job
 
 
-@router.post("/v1/jobs/{id:uuid}:cancel", summary="Cancel a job", response_model=JobView, responses=answers(_JOB, 409))
-async def cancel(request: Request, principal: Writer, job_id: JobId) -> Response:
+@router.post("/v1/jobs/{id:uuid}:cancel", summary="Cancel a job", responses=answers(_JOB, 409))
+async def cancel(request: Request, response: Response, principal: Writer, job_id: JobId) -> JobView:
     """A waiting job ends at once, a running one when its worker has stopped it, within two seconds. Twice is fine."""
     services = services_of(request)
 
-    def change() -> dict[str, Any]:
+    def change() -> JobView:
         job = services.book.request_cancel(str(job_id), principal.name)
         if job.state is JobState.CANCELLED:
             _tell_engine(services, job)
-        return whole_job(services, job)
+        return read_view(services, job)
 
-    return _change(await asyncio.to_thread(change), 200)
+    return _with_address(response, await asyncio.to_thread(change))
 
 
 @router.post(
     "/v1/jobs/{id:uuid}:retry",
     summary="Run a failed or cancelled job again",
     status_code=202,
-    response_model=JobView,
     responses=answers({202: example(JOB_EXAMPLE)}, 409, 507),
 )
-async def retry(request: Request, principal: Writer, job_id: JobId) -> Response:
+async def retry(request: Request, response: Response, principal: Writer, job_id: JobId) -> JobView:
     """Another attempt. Stages that were finished are not run again."""
     services = services_of(request)
 
-    def change() -> dict[str, Any]:
+    def change() -> JobView:
         job = services.book.retry(str(job_id), principal.name)
         hand_to_engine(services, job)
-        return whole_job(services, job)
+        return read_view(services, job)
 
-    return _change(await asyncio.to_thread(change), 202)
+    return _with_address(response, await asyncio.to_thread(change))
 
 
 @router.delete(
@@ -121,7 +125,7 @@ async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
     return Response(status_code=204)
 
 
-def _page(services: Services, states: list[JobState], limit: int, before: str | None) -> dict[str, Any]:
+def _read_page(services: Services, states: list[JobState], limit: int, before: str | None) -> JobList:
     try:
         found = services.book.list_rows(states=states, limit=limit + 1, before=before)
     except UnknownJobError:
@@ -129,7 +133,7 @@ def _page(services: Services, states: list[JobState], limit: int, before: str | 
     page = found[:limit]
     more = [("state", str(state)) for state in states] + [("limit", str(limit))]
     address = "/v1/jobs?" + urlencode([*more, ("cursor", page[-1].id)]) if len(found) > limit else None
-    return {"jobs": job_list(services, page), "next": address}
+    return JobList(jobs=read_summaries(services, page), next=address)
 
 
 def _tell_engine(services: Services, job: Job) -> None:
@@ -140,6 +144,6 @@ def _tell_engine(services: Services, job: Job) -> None:
         _log.warning("engine was not told", job=job.id, error=str(error)[:200])
 
 
-def _change(body: dict[str, Any], status: int) -> Response:
-    headers = {"ETag": body["etag"], "Location": body["links"]["self"]}
-    return JSONResponse(body, status_code=status, headers=headers)
+def _with_address(response: Response, job: JobView) -> JobView:
+    response.headers.update({"ETag": job.etag, "Location": job.links["self"]})
+    return job

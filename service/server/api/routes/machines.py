@@ -4,22 +4,21 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from fastapi import APIRouter, Header, Path, Query, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Header, Path, Query, Request, Response
 
 from service.server.api.access.order_context import Order
 from service.server.api.access.scopes import Operator, Reader
 from service.server.api.intake.request import idempotency_key
 from service.server.api.openapi import Responses, answers, example, refusals
-from service.server.api.schemas.examples import (
+from service.server.api.services import services_of
+from service.server.schemas.examples import (
     MACHINE_EXAMPLE,
     MACHINES_EXAMPLE,
     ORDERS_EXAMPLE,
     PREPARING_EXAMPLE,
     RUN_EXAMPLE,
 )
-from service.server.api.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, PastOrders, RunView
-from service.server.api.services import services_of
+from service.server.schemas.runs import PLAIN, MachineList, MachineView, NewRunBody, PastOrders, RunView
 
 router = APIRouter(tags=["machines"])
 
@@ -36,28 +35,26 @@ MachineName = Annotated[
 @router.get(
     "/v1/machines",
     summary="List the mills",
-    response_model=MachineList,
     responses=answers({200: example(MACHINES_EXAMPLE)}),
 )
-async def list_machines(request: Request, _: Reader) -> Response:
+async def list_machines(request: Request, _: Reader) -> MachineList:
     """Every mill that has an agent or should have one; one that does not answer, or whose profile is broken, too."""
-    return JSONResponse(await services_of(request).fleet.machines())
+    return await services_of(request).fleet.machines()
 
 
 @router.get(
     "/v1/machines/{machine}",
     summary="Look at a mill",
-    response_model=MachineView,
     responses=answers({200: example(MACHINE_EXAMPLE)}),
 )
-async def look(request: Request, _: Reader, machine: MachineName) -> Response:
-    return JSONResponse(await services_of(request).fleet.machine(machine))
+async def look(request: Request, _: Reader, machine: MachineName) -> MachineView:
+    return await services_of(request).fleet.machine(machine)
 
 
 @router.get(
     "/v1/machines/{machine}/orders",
     summary="Who ordered what",
-    response_model=PastOrders,
+    response_model_exclude_unset=True,
     responses=answers({200: example(ORDERS_EXAMPLE)}, 502, 504),
 )
 async def list_orders(
@@ -66,20 +63,20 @@ async def list_orders(
     machine: MachineName,
     before: Annotated[int | None, Query(ge=0, le=1 << 53, description="`next` of the page before")] = None,
     limit: Annotated[int, Query(ge=1, le=500)] = 50,
-) -> Response:
+) -> PastOrders:
     """Orders and stops, newest first: when, whose, from where, and what came of them. Kept by the mill's agent."""
-    return JSONResponse(await services_of(request).fleet.past_orders(machine, before, limit))
+    return await services_of(request).fleet.past_orders(machine, before, limit)
 
 
 @router.post(
     "/v1/machines/{machine}/runs",
     summary="Hand a program to a mill",
     status_code=201,
-    response_model=RunView,
     responses=_PARKED | refusals(409, 502, 504, 507),
 )
 async def park(
     request: Request,
+    response: Response,
     principal: Operator,
     machine: MachineName,
     body: NewRunBody,
@@ -88,7 +85,7 @@ async def park(
         str | None,
         Header(alias="Idempotency-Key", description="the same key with the same request gives the same run"),
     ] = None,
-) -> Response:
+) -> RunView:
     """The program goes to the mill's agent, which reads it whole and holds it against the mill. Nothing moves.
 
     One run has a mill at a time: while another is open this is refused.
@@ -96,5 +93,8 @@ async def park(
     key = idempotency_key(idempotency_key_header, principal)
     fleet = services_of(request).fleet
     run, parked = await fleet.park(machine, str(body.job), body.program, principal.name, key, context)
-    headers = {"Location": f"/v1/runs/{run['id']}"} | ({} if parked else {"Retry-After": "1"})
-    return JSONResponse(run, status_code=201 if parked else 202, headers=headers)
+    response.headers["Location"] = run.links["self"]
+    if not parked:
+        response.status_code = 202
+        response.headers["Retry-After"] = "1"
+    return run

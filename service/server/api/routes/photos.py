@@ -13,9 +13,8 @@ from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter, Request, Response
 from fastapi import Path as InPath
-from starlette.responses import JSONResponse, Response
 
 from machines.profiles import profile_names
 from service.errors import PictureError
@@ -28,8 +27,8 @@ from service.server.api.intake.form import receive_form
 from service.server.api.openapi import Responses, answers, example, refusals
 from service.server.api.routes.archive import ZIP
 from service.server.api.routes.jobs import JobId
-from service.server.api.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
 from service.server.api.services import Services, services_of
+from service.server.schemas.photos import COUPON_EXAMPLE, LOOK_EXAMPLE, CouponView, LookView
 
 router = APIRouter()
 
@@ -71,7 +70,7 @@ _ZIP_ANSWERS: Responses = {
     responses=answers({200: example(LOOK_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=_PHOTO_FORM,
 )
-async def post_look(request: Request, principal: Writer, job_id: JobId) -> Response:
+async def post_look(request: Request, response: Response, principal: Writer, job_id: JobId) -> dict[str, Any]:
     """What is off: distance, tilt, turn, sharpness, surface, each with how surely it is told. A photograph that tells
     nothing is refused with what to do. A caller who asks again of the same job ends the request before with 409.
     """
@@ -81,7 +80,8 @@ async def post_look(request: Request, principal: Writer, job_id: JobId) -> Respo
             await asyncio.to_thread(_fetch, services, str(job_id), Path(folder))
             caller = f"{principal.id or principal.name} {job_id}"
             found = await asyncio.wrap_future(services.looks.ask(caller, {**photo, "job": folder}))
-    return JSONResponse(found, headers={"Cache-Control": "no-store"})
+    response.headers["Cache-Control"] = "no-store"
+    return found
 
 
 @router.get(
@@ -121,7 +121,7 @@ async def download_coupon(request: Request, principal: Writer, profile: ProfileN
     responses=answers({200: example(COUPON_EXAMPLE)}, 408, 409, 415, 507),
     openapi_extra=_PHOTO_FORM,
 )
-async def measure(request: Request, principal: Writer, profile: ProfileName) -> Response:
+async def measure(request: Request, response: Response, principal: Writer, profile: ProfileName) -> dict[str, Any]:
     """What a photograph of the test piece's light says of the mill and the finish, and what that means for a job's
     spec. A photograph that says nothing is refused with what to do. A caller who asks again ends the request before
     with 409.
@@ -132,7 +132,8 @@ async def measure(request: Request, principal: Writer, profile: ProfileName) -> 
         caller = f"{principal.id or principal.name} photo {profile}"
         asked = {**_piece_of(services, profile), **photo}
         found = await asyncio.wrap_future(services.looks.ask(caller, asked, is_long=True))
-    return JSONResponse(found, headers={"Cache-Control": "no-store"})
+    response.headers["Cache-Control"] = "no-store"
+    return found
 
 
 @asynccontextmanager

@@ -6,10 +6,8 @@ import asyncio
 import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from typing import Any
 
-from fastapi import APIRouter, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Request, Response
 
 from machines.profiles import MachineProfile, ProfileError, load_profile, profile_names
 from service.job.spec.minimal import reduce_spec
@@ -17,10 +15,10 @@ from service.server.api.access.scopes import Reader
 from service.server.api.openapi import answers, example
 from service.server.api.routes.artifacts import Asked, byte_answers, sent
 from service.server.api.routes.jobs import JobId
-from service.server.api.schemas.jobs import JOB_EXAMPLE, ProfileList, RequestView
 from service.server.api.services import services_of
 from service.server.database.records import Artifact
 from service.server.fleet.registry import KnownMachine, known_machines
+from service.server.schemas.jobs import JOB_EXAMPLE, ProfileList, ProfileMill, ProfileView, RequestView
 from service.settings import ServerSettings
 
 router = APIRouter()
@@ -48,28 +46,26 @@ _REQUEST = {
     "/v1/profiles",
     tags=["machines"],
     summary="List the machine profiles",
-    response_model=ProfileList,
     responses=answers({200: example(_PROFILES)}),
 )
-async def profiles(request: Request, _: Reader) -> Response:
+async def profiles(request: Request, _: Reader) -> ProfileList:
     """The values that `machine.profile` of a spec may have, each with the mills of this server that its programs are
     for. A profile that cannot be read is left out.
     """
-    return JSONResponse({"profiles": await asyncio.to_thread(_profiles, services_of(request).settings)})
+    return ProfileList(profiles=await asyncio.to_thread(_read_profiles, services_of(request).settings))
 
 
 @router.get(
     "/v1/jobs/{id:uuid}/request",
     tags=["jobs"],
     summary="What a job was asked for with",
-    response_model=RequestView,
     responses=answers({200: example(_REQUEST)}),
 )
-async def get_request(request: Request, _: Reader, job_id: JobId) -> Response:
+async def get_request(request: Request, _: Reader, job_id: JobId) -> RequestView:
     """To be changed and posted as a new job: the spec is as short as it can be, and resolves to that of the job."""
     job = await asyncio.to_thread(services_of(request).book.get, str(job_id))
     spec = await asyncio.to_thread(reduce_spec, job.spec)
-    return JSONResponse({"name": job.name, "spec": spec, "image": f"/v1/jobs/{job.id}/image"})
+    return RequestView(name=job.name, spec=spec, image=f"/v1/jobs/{job.id}/image")
 
 
 @router.get(
@@ -93,20 +89,20 @@ async def image(request: Request, _: Reader, job_id: JobId, asked: Asked) -> Res
     return await sent(request, file, asked)
 
 
-def _profiles(settings: ServerSettings) -> list[dict[str, Any]]:
+def _read_profiles(settings: ServerSettings) -> list[ProfileView]:
     profiles = []
     for name in profile_names():
         with contextlib.suppress(ProfileError):
             profiles.append(load_profile(name))
     mills = mills_by_profile(known_machines(settings)[0].values(), profiles)
     return [
-        {
-            "name": profile.name,
-            "description": profile.description,
-            "dialect": profile.dialect,
-            "travel_mm": list(profile.travel_mm),
-            "mills": [{"name": mill.name, "simulated": mill.simulated} for mill in mills.get(profile.name, ())],
-        }
+        ProfileView(
+            name=profile.name,
+            description=profile.description,
+            dialect=profile.dialect,
+            travel_mm=list(profile.travel_mm),
+            mills=[ProfileMill(name=mill.name, simulated=mill.simulated) for mill in mills.get(profile.name, ())],
+        )
         for profile in profiles
     ]
 

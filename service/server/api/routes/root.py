@@ -6,12 +6,11 @@ import asyncio
 from importlib import metadata
 from typing import Any
 
-from fastapi import APIRouter, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Request, Response
 
 from service.server.api.openapi import answers, example
-from service.server.api.routes import page as routes_page
-from service.server.api.schemas.jobs import Root
+from service.server.api.routes import page
+from service.server.schemas.jobs import Root
 
 router = APIRouter(tags=["operations"])
 
@@ -34,9 +33,9 @@ _HEADERS = {"Vary": "Accept", "X-Content-Type-Options": "nosniff"}
     response_model=Root,
     responses=answers({200: {"content": _EXAMPLE["content"] | _PAGE}}),
 )
-async def root(request: Request) -> Response:
+async def root(request: Request, response: Response) -> Root | Response:
     """Name, version and addresses; the operator page where Accept has text/html."""
     if "text/html" in request.headers.get("accept", ""):
-        return await asyncio.to_thread(routes_page.index, request)
-    version = metadata.version("causticmill")
-    return JSONResponse({"name": "causticmill", "version": version, "links": _LINKS}, headers=_HEADERS)
+        return await asyncio.to_thread(page.index, request)
+    response.headers.update(_HEADERS)
+    return Root(name="causticmill", version=metadata.version("causticmill"), links=_LINKS)

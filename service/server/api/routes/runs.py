@@ -6,18 +6,18 @@ from typing import Annotated, Any
 from urllib.parse import urlencode
 from uuid import UUID
 
-from fastapi import APIRouter, Header, Path, Query, Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from fastapi import APIRouter, Header, Path, Query, Request, Response
+from starlette.responses import StreamingResponse
 
 from machines.mill.orders import Stop
+from service.http.streaming import EVENT_HEADERS
 from service.server.api.access.order_context import Order
 from service.server.api.access.scopes import Operator, Reader, Stopper
-from service.server.api.openapi import Responses, answers, example, refusals
-from service.server.api.schemas.examples import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
-from service.server.api.schemas.jobs import SSE_EVENT
-from service.server.api.schemas.runs import PLAIN, RecoverBody, RecoveryView, RunList, RunView, StartBody
+from service.server.api.openapi import Responses, answers, event_stream, example, refusals
 from service.server.api.services import services_of
 from service.server.fleet.run_commands import RunOrder
+from service.server.schemas.examples import RECOVERY_EXAMPLE, RUN_EVENTS_EXAMPLE, RUN_EXAMPLE, RUNS_EXAMPLE
+from service.server.schemas.runs import PLAIN, RecoverBody, RecoveryView, RunList, RunView, StartBody
 
 router = APIRouter(tags=["runs"])
 
@@ -26,14 +26,9 @@ _RUN: Responses = {200: example(RUN_EXAMPLE)}
 _TOLD: Responses = {202: example(RUN_EXAMPLE) | {"description": "the mill's agent has taken the order"}}
 _ORDER: dict[str, Any] = {
     "status_code": 202,
-    "response_model": RunView,
     "responses": _TOLD | refusals(409, 502, 504, 507),
 }
-_STREAM: Responses = {
-    200: {
-        "description": "the stream; it ends with the run",
-        "content": {"text/event-stream": {"schema": SSE_EVENT, "example": RUN_EVENTS_EXAMPLE}},
-    },
+_STREAM: Responses = event_stream("the stream; it ends with the run", RUN_EVENTS_EXAMPLE) | {
     204: {"description": "the run has ended and the client has heard of it: do not come back"},
 }
 
@@ -41,7 +36,6 @@ _STREAM: Responses = {
 @router.get(
     "/v1/runs",
     summary="List runs, newest first",
-    response_model=RunList,
     responses=answers({200: example(RUNS_EXAMPLE)}),
 )
 async def list_runs(
@@ -51,24 +45,23 @@ async def list_runs(
     job: Annotated[UUID | None, Query(description="only of this job")] = None,
     limit: Annotated[int, Query(ge=1, le=100)] = 50,
     cursor: Annotated[UUID | None, Query(description="id of the last run of the page before")] = None,
-) -> Response:
+) -> RunList:
     before, of_job = (None if one is None else str(one) for one in (cursor, job))
-    page = await services_of(request).fleet.runs(machine=machine, job=of_job, limit=limit, before=before)
-    if page["next"] is not None:
-        chosen = {"machine": machine, "job": job, "limit": limit, "cursor": page["next"]}
-        page["next"] = "/v1/runs?" + urlencode({key: value for key, value in chosen.items() if value is not None})
-    return JSONResponse(page)
+    found = await services_of(request).fleet.runs(machine=machine, job=of_job, limit=limit, before=before)
+    chosen = {"machine": machine, "job": job, "limit": limit, "cursor": found[-1].id if found else None}
+    address = "/v1/runs?" + urlencode({key: value for key, value in chosen.items() if value is not None})
+    return RunList(runs=found, next=address if len(found) == limit else None)
 
 
 @router.get(
     "/v1/runs/{id:uuid}",
     summary="Look at a run",
-    response_model=RunView,
     responses=_RUN | refusals(),
 )
-async def look(request: Request, _: Reader, run_id: RunId) -> Response:
+async def look(request: Request, response: Response, _: Reader, run_id: RunId) -> RunView:
     """As its agent has it now; with `unreachable`: as it was last known."""
-    return JSONResponse(await services_of(request).fleet.run(str(run_id)), headers={"Cache-Control": "no-cache"})
+    response.headers["Cache-Control"] = "no-cache"
+    return await services_of(request).fleet.run(str(run_id))
 
 
 @router.get(
@@ -89,50 +82,47 @@ async def events(
     stream = await services_of(request).fleet.events(str(run_id), last_event_id or "")
     if stream is None:
         return Response(status_code=204)
-    headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
-    return StreamingResponse(stream, media_type="text/event-stream", headers=headers)
+    return StreamingResponse(stream, headers=EVENT_HEADERS)
 
 
 @router.get(
     "/v1/runs/{id:uuid}/recovery",
     summary="How a run would go on",
-    response_model=RecoveryView,
+    response_model_exclude_unset=True,
     responses=answers({200: example(RECOVERY_EXAMPLE)}, 409, 502, 504),
 )
-async def recovery(request: Request, principal: Operator, run_id: RunId) -> Response:
+async def recovery(request: Request, principal: Operator, run_id: RunId) -> RecoveryView:
     """The plan for an interrupted or aborted run. The controller is asked where it is; nothing moves."""
-    return JSONResponse(await services_of(request).fleet.recovery(str(run_id), principal.name))
+    return await services_of(request).fleet.recovery(str(run_id), principal.name)
 
 
 @router.post("/v1/runs/{id:uuid}:start", summary="Start a parked run", **_ORDER)
-async def start(request: Request, _: Operator, run_id: RunId, said: StartBody, context: Order) -> Response:
+async def start(request: Request, _: Operator, run_id: RunId, said: StartBody, context: Order) -> RunView:
     """THE MILL MOVES. Needs the operator's name and every one of `required_checks`. Sent once, never repeated."""
     order = RunOrder(operator=said.operator, checks=frozenset(said.checks), seen=said.setup)
-    run = await services_of(request).fleet.start(str(run_id), order, context)
-    return JSONResponse(run, status_code=202)
+    return await services_of(request).fleet.start(str(run_id), order, context)
 
 
 @router.post("/v1/runs/{id:uuid}:hold", summary="Hold a run", **_ORDER)
-async def hold(request: Request, _: Stopper, run_id: RunId, context: Order) -> Response:
+async def hold(request: Request, _: Stopper, run_id: RunId, context: Order) -> RunView:
     """Feed hold: the mill stops and keeps its place. No emergency stop: that one is on the machine."""
-    return JSONResponse(await services_of(request).fleet.stop_run(str(run_id), Stop.HOLD, context), status_code=202)
+    return await services_of(request).fleet.stop_run(str(run_id), Stop.HOLD, context)
 
 
 @router.post("/v1/runs/{id:uuid}:resume", summary="Resume a held run", **_ORDER)
-async def resume(request: Request, _: Operator, run_id: RunId, context: Order) -> Response:
+async def resume(request: Request, _: Operator, run_id: RunId, context: Order) -> RunView:
     """THE MILL MOVES, from where it was held."""
-    return JSONResponse(await services_of(request).fleet.resume(str(run_id), context), status_code=202)
+    return await services_of(request).fleet.resume(str(run_id), context)
 
 
 @router.post("/v1/runs/{id:uuid}:abort", summary="Abort a run", **_ORDER)
-async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> Response:
+async def abort(request: Request, _: Stopper, run_id: RunId, context: Order) -> RunView:
     """Hold, and clear what the controller has left. One that has not begun is taken back; the mill is free again."""
-    return JSONResponse(await services_of(request).fleet.stop_run(str(run_id), Stop.ABORT, context), status_code=202)
+    return await services_of(request).fleet.stop_run(str(run_id), Stop.ABORT, context)
 
 
 @router.post("/v1/runs/{id:uuid}:recover", summary="Go on with an interrupted run", **_ORDER)
-async def recover(request: Request, _: Operator, run_id: RunId, said: RecoverBody, context: Order) -> Response:
+async def recover(request: Request, _: Operator, run_id: RunId, said: RecoverBody, context: Order) -> RunView:
     """THE MILL MOVES, as the plan says that was read. Needs every one of `required_checks`, the position too."""
     order = RunOrder(operator=said.operator, checks=frozenset(said.checks), seen=said.plan)
-    run = await services_of(request).fleet.recover(str(run_id), order, context)
-    return JSONResponse(run, status_code=202)
+    return await services_of(request).fleet.recover(str(run_id), order, context)

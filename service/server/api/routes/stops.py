@@ -78,11 +78,12 @@ async def _serve(socket: WebSocket, services: Services, context: OrderContext) -
 
 async def _stop(socket: WebSocket, services: Services, context: OrderContext, asked: dict[str, Any]) -> None:
     answer: dict[str, Any] = {"id": asked.get("id")}
+    what, machine = str(asked.get("what")), str(asked.get("machine"))[:100]
     try:
-        stop, machine = Stop(str(asked.get("what"))), str(asked.get("machine"))[:100]
-        answer |= {"taken": True} | await services.fleet.stops.stop_machine(machine, stop, context)
-    except ValueError:
-        answer |= {"taken": False, "detail": f"what is {str(asked.get('what'))[:40]!r}; allowed: {', '.join(Stop)}"}
+        if what not in set(Stop):
+            raise Problem(422, f"what is {what[:40]!r}; allowed: {', '.join(Stop)}", field="what")
+        order = await services.fleet.stops.stop_machine(machine, Stop(what), context)
+        answer |= {"taken": True} | order.model_dump(mode="json")
     except Problem as problem:
         answer |= {"taken": False, "detail": problem.detail, "code": problem.code, "values": problem.values}
     with contextlib.suppress(RuntimeError, WebSocketDisconnect):

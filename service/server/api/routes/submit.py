@@ -6,20 +6,19 @@ import asyncio
 from typing import Annotated, Any
 
 import structlog
-from fastapi import APIRouter, Header, Request
-from starlette.responses import JSONResponse, Response
+from fastapi import APIRouter, Header, Request, Response
 
 from service.http.problems import Problem
 from service.server.api.access.scopes import Writer
-from service.server.api.answers.job_json import whole_job
+from service.server.api.answers.job_views import read_view
 from service.server.api.intake.disk_space import Space
 from service.server.api.intake.form import JobForm, receive_form
 from service.server.api.intake.request import JobRequest, idempotency_key, job_request
 from service.server.api.openapi import answers, example
-from service.server.api.schemas.jobs import JOB_EXAMPLE, JobView
 from service.server.api.services import Services, services_of
 from service.server.database.records import ClientKey, Job, NewJob
 from service.server.queue.engine import Ticket
+from service.server.schemas.jobs import JOB_EXAMPLE, JobView
 
 router = APIRouter()
 _log = structlog.get_logger("api")
@@ -67,12 +66,12 @@ _ACCEPTED = example(JOB_EXAMPLE | {"state": "queued", "stage": None, "progress":
     tags=["jobs"],
     summary="Submit a picture",
     status_code=202,
-    response_model=JobView,
     responses=answers({202: _ACCEPTED}, 408, 415, 507),
     openapi_extra=JOB_FORM,
 )
 async def submit(
     request: Request,
+    response: Response,
     principal: Writer,
     idempotency_key_header: Annotated[
         str | None,
@@ -82,7 +81,7 @@ async def submit(
             openapi_examples={"any": {"value": "order-4711-lens-2"}},
         ),
     ] = None,
-) -> Response:
+) -> JobView:
     """A new job. Answers with the job that the same `Idempotency-Key` made before, if this is the same request."""
     services = services_of(request)
     key = idempotency_key(idempotency_key_header, principal)
@@ -93,14 +92,12 @@ async def submit(
         wanted = await asyncio.to_thread(job_request, form)
         await asyncio.to_thread(space.require_for_programs, wanted.spec)
         async with services.accepting:
-            job, body = await asyncio.to_thread(_accept, services, form, wanted, principal.name, key)
-    headers = {"Location": f"/v1/jobs/{job.id}", "Retry-After": "1", "ETag": body["etag"]}
-    return JSONResponse(body, status_code=202, headers=headers)
+            job = await asyncio.to_thread(_accept, services, form, wanted, principal.name, key)
+    response.headers.update({"Location": job.links["self"], "Retry-After": "1", "ETag": job.etag})
+    return job
 
 
-def _accept(
-    services: Services, form: JobForm, wanted: JobRequest, caller: str, key: ClientKey | None
-) -> tuple[Job, dict[str, Any]]:
+def _accept(services: Services, form: JobForm, wanted: JobRequest, caller: str, key: ClientKey | None) -> JobView:
     """Check, store, write down, hand to the engine: in this order, so that no answer tells of a job that is not."""
     services.pictures.check(form.path, form.image_name, int(services.settings.max_megapixels * 1e6))
     stored = services.store.put_file(form.path)
@@ -120,7 +117,7 @@ def _accept(
     job, made = services.book.create(new)
     if made:
         hand_to_engine(services, job)
-    return job, whole_job(services, job)
+    return read_view(services, job)
 
 
 def hand_to_engine(services: Services, job: Job) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from service.cli.summary import summary_lines
 from service.job.files import files_of_pass, is_known, is_program, program_name, run_order
-from service.server.api.answers import job_json as views
+from service.server.api.answers.job_views import programs
 from service.server.fleet.programs import programs_of, set_up
 
 PARTS = tuple(program_name(2, "finish-3", ".nc", part) for part in (1, 2, 10, 99, 100))
@@ -35,7 +35,7 @@ def test_names_tell_the_order() -> None:
 def test_programs_are_numbered_in_the_order_in_which_they_are_run() -> None:
     """So they are, unsplit, the numbers of the passes."""
     files: Any = [Stored(name) for name in reversed([*NAMES, "report.json"])]
-    assert [file.name for file in views.programs(files).values()] == NAMES
+    assert [file.name for file in programs(files).values()] == NAMES
     found = programs_of(files)
     assert [(one.number, one.pass_number, one.part) for one in found] == [
         (1, 1, 1), (2, 2, 1), (3, 2, 2), (4, 2, 3), (5, 2, 4), (6, 2, 5), (7, 10, 1),

@@ -8,9 +8,9 @@ import json
 import pytest
 from starlette.types import Message as AsgiMessage
 
-from service.http import streaming as open_answer
+from service.http import streaming
 from service.http.problems import Problem
-from service.milling.agent import event_hub as sse
+from service.milling.agent import event_hub
 from service.milling.agent.event_hub import Hub, HubStream
 
 
@@ -52,13 +52,13 @@ def test_a_reader_that_does_not_read_is_dropped_and_the_others_get_all() -> None
         slow, _ = hub.join("")
         quick, _ = hub.join("")
         got = 0
-        for n in range(2 * sse._QUEUE):
+        for n in range(2 * event_hub._QUEUE):
             hub.event({"n": n})
             message = quick.queue.get_nowait()
             assert message is not None
             got += json.loads(message.data)["n"] == n
-        assert (slow.dropped, quick.dropped, got) == (True, False, 2 * sse._QUEUE)
-        assert slow.queue.qsize() == sse._QUEUE + 1  # bounded; the last one is the end
+        assert (slow.dropped, quick.dropped, got) == (True, False, 2 * event_hub._QUEUE)
+        assert slow.queue.qsize() == event_hub._QUEUE + 1  # bounded; the last one is the end
 
     asyncio.run(trial())
 
@@ -66,7 +66,7 @@ def test_a_reader_that_does_not_read_is_dropped_and_the_others_get_all() -> None
 def test_statuses_do_not_push_a_late_reader_out() -> None:
     hub = Hub(ring=10, readers=1)
     reader, _ = hub.join("")
-    for n in range(10 * sse._QUEUE):
+    for n in range(10 * event_hub._QUEUE):
         hub.status({"n": n})
     hub.event({"n": 1})
     assert not reader.dropped
@@ -106,7 +106,7 @@ def test_the_stream_has_ids_heartbeats_and_an_end() -> None:
 
 
 def test_a_connection_that_is_stuck_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(open_answer, "_SEND_WAIT_S", 0.01)
+    monkeypatch.setattr(streaming, "_SEND_WAIT_S", 0.01)
 
     async def trial() -> None:
         hub = Hub(ring=10, readers=1)

@@ -17,10 +17,9 @@ from typing import Any
 
 from service.server.api import main
 from service.server.api.intake import form
-from service.server.api.routes import machines as routes_machines
-from service.server.api.routes import submit as routes_submit
+from service.server.api.routes import submit
 from service.server.api.services import Services
-from service.server.database import jobs as book
+from service.server.database import jobs
 from service.server.fleet.agent_client import AgentLink
 
 JOB_STEPS = ("part", "request", "check", "store", "create", "event", "engine", "answer")
@@ -63,10 +62,9 @@ def _set(owner: object, name: str, step: str) -> None:
 
 def _everywhere() -> None:
     _set(form._Reader, "_data", "part")
-    _set(routes_submit, "job_request", "request")
-    _set(routes_submit, "JSONResponse", "answer")
-    _set(book, "write_event", "event")  # inside the transaction
-    _set(routes_machines, "JSONResponse", "handed")
+    _set(submit, "job_request", "request")
+    _set(submit, "read_view", "answer")
+    _set(jobs, "write_event", "event")  # inside the transaction
     for name, step in (("get", "ask"), ("put", "put"), ("post", "post")):
         _set(AgentLink, name, step)
 
@@ -78,6 +76,7 @@ def _in(services: Services) -> None:
     _set(services.engine, "submit", "engine")
     _set(services.fleet._core.runs, "create", "row")
     _set(services.fleet._core.runs, "confirm_parked", "parked")
+    _set(services.fleet, "park", "handed")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,20 @@
-"""Stands in for the process that estimates: does what the name of the picture says."""
+"""Stands in for the process that estimates: does what the name of the picture says, and says the name again, to the
+server as the warning of an estimate.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
+from typing import Any
+
+_ESTIMATE: dict[str, Any] = {
+    "relief_mm": 9.0, "max_slope_deg": 27.0, "thickness_ok": True, "throw_ok": True, "smallest_detail_mm": 2.5,
+    "passes": [], "planned": False, "exact": True, "hours": 2.0, "blur_mm": 1.2, "psnr_db": None,
+    "blur_by": {"light_mm": 0.0, "milling_mm": 1.2}, "refusals": [], "changes": [],
+    "picture": {"width": 8, "height": 8},
+}  # fmt: skip
 
 
 def main() -> None:
@@ -21,7 +31,7 @@ def main() -> None:
         elif name == "fault":
             _say({"fault": "IndexError: 7"})
         else:
-            _say({"estimate": {"name": name}})
+            _say({"estimate": _ESTIMATE | {"warnings": [name]} if "spec" in asked else {"name": name}})
 
 
 def _say(word: dict[str, object]) -> None:

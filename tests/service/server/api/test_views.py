@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from service.job.spec.loading import resolve_spec
-from service.server.api.answers.job_json import whole
+from service.server.api.answers.job_views import make_view
 from service.server.database.records import Job
 from service.server.database.states import JobState
 
@@ -20,9 +20,9 @@ def job(report: dict[str, object] | None) -> Job:
 
 
 def passes_shown(report: dict[str, object] | None) -> list[str]:
-    shown = whole(job(report), position=None, progress=None, picture=None, runs=(), files=())["stages"]
-    assert abs(sum(stage["share"] for stage in shown) - 1.0) < 1e-3
-    return [stage["name"] for stage in shown if stage["name"].startswith("pass-")]
+    shown = make_view(job(report), position=None, progress=None, picture=None, runs=(), files=()).stages
+    assert abs(sum(stage.share for stage in shown) - 1.0) < 1e-3
+    return [stage.name for stage in shown if stage.name.startswith("pass-")]
 
 
 def test_once_passes_are_planned_their_stages_are_shown() -> None:

@@ -16,7 +16,7 @@ import pytest
 from starlette.exceptions import HTTPException
 from starlette.types import Message, Receive, Scope, Send
 
-from service.http import uvicorn_protocol as http
+from service.http import uvicorn_protocol
 from service.server.api.intake.body import Patient
 from service.server.api.intake.disk_space import Space
 from tests.service.server.api.server import ApiServer, api_server, png, problem
@@ -69,7 +69,7 @@ def test_too_many_requests_at_once_are_told_so(server: ApiServer, monkeypatch: p
 @pytest.mark.parametrize("before", [b"", b"GET /livez HTTP/1.1\r\nHost: localhost\r\n\r\n"])
 def test_half_a_head_is_not_waited_for(server: ApiServer, monkeypatch: pytest.MonkeyPatch, before: bytes) -> None:
     """Neither in a new connection nor after an answer."""
-    monkeypatch.setattr(http, "_REQUEST_HEAD_S", 0.5)
+    monkeypatch.setattr(uvicorn_protocol, "_REQUEST_HEAD_S", 0.5)
     with opened(server) as wire:
         if before:
             wire.sendall(before)
@@ -80,7 +80,7 @@ def test_half_a_head_is_not_waited_for(server: ApiServer, monkeypatch: pytest.Mo
 
 
 def test_a_download_under_way_is_not_taken_for_silence(server: ApiServer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(http, "_REQUEST_HEAD_S", 0.2)
+    monkeypatch.setattr(uvicorn_protocol, "_REQUEST_HEAD_S", 0.2)
     job = server.submit()["id"]
     with opened(server) as wire:
         wire.sendall(f"GET /v1/jobs/{job}/events HTTP/1.1\r\nHost: localhost\r\n\r\n".encode())

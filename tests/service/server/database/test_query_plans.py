@@ -195,8 +195,8 @@ def test_a_page_of_runs_takes_as_many_queries_for_a_hundred_as_for_two(many: sa.
         with recorded(many) as queries:
             page = await fleet.runs(machine=None, job=None, limit=limit, before=run_id(limit))
         await fleet.aclose()
-        assert [run["id"] for run in page["runs"]] == [run_id(number) for number in reversed(range(limit))]
-        assert all(run["setup"] for run in page["runs"])
+        assert [run.id for run in page] == [run_id(number) for number in reversed(range(limit))]
+        assert all(run.setup for run in page)
         return len(queries)
 
     assert asyncio.run(count_queries(100)) == asyncio.run(count_queries(2)) <= 8

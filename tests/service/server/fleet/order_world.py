@@ -57,6 +57,7 @@ from service.server.fleet.registry import KnownMachine
 from service.server.fleet.representation import Surroundings
 from service.server.fleet.run_commands import Controls, RunOrder
 from service.server.fleet.stops import Stops
+from service.server.schemas.control import GrantView
 from service.settings import ServerSettings
 
 MACHINE = "m"
@@ -372,7 +373,7 @@ class World:
         stops_seen = self.thread.snapshot.stops
         context = OrderContext(name="p", origin=str(press.number), control=press.control)
 
-        async def ask() -> dict[str, Any]:
+        async def ask() -> GrantView:
             arrived = OrderContext(name="p", origin="ask", control=press.control, arrived_s=self.now_s())
             return await self.orders.grant(MACHINE, arrived, stops_seen)
 
@@ -380,7 +381,7 @@ class World:
         if self.now_s() - press.at_s > ASK_S:
             press.outcome = "not sent"
             raise Problem(503, "not sent")
-        await self.hop(lambda: self._give(press, body, context, str(granted["grant"])))
+        await self.hop(lambda: self._give(press, body, context, granted.grant))
 
     async def _press_by_curl(self, press: Press, body: dict[str, Any]) -> None:
         """Without a grant the moment is that of the arrival at the server."""

@@ -16,7 +16,7 @@ from service.server.database.records import ClientKey, KeyReusedError, NewJob, U
 from service.server.database.runs import JobNotReadyError, MachineTakenError, NewRun, RunBook, RunRow, UnknownRunError
 from service.server.database.tables import jobs
 from service.server.fleet.core import Seen
-from service.server.fleet.representation import live_json
+from service.server.fleet.representation import make_live_run
 
 
 @pytest.fixture
@@ -54,7 +54,7 @@ def test_why_a_run_is_in_its_state_is_kept_as_a_code_and_as_words_alone_where_th
     of_before = book.told(book.get(run.id), view("held", words="by hand"))
     assert (of_before.words, of_before.reason) == ("by hand", None)
     book.close(run.id, "aborted", "given up", {"code": "run_given_up", "values": {"state": "held"}})
-    assert live_json(Seen(book.get(run.id)))["code"] == "run_given_up"
+    assert make_live_run(Seen(book.get(run.id))).code == "run_given_up"
 
 
 def test_of_many_at_once_one_gets_the_mill(book: RunBook, new: NewRun) -> None:

@@ -1,4 +1,4 @@
-"""What POST /v1/estimates answers, as the OpenAPI document says it."""
+"""What POST /v1/estimates answers."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from service.server.api.schemas.jobs import Body
+from service.server.schemas.base import Body
 
 ESTIMATE_EXAMPLE: dict[str, Any] = {
     "relief_mm": 9.31,

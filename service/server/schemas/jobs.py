@@ -1,4 +1,4 @@
-"""What the routes answer, as the OpenAPI document says it: models of the JSON bodies, with examples."""
+"""What the routes about jobs answer, with examples."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
-StageWord = Literal["waiting", "running", "committed", "reused", "interrupted", "failed", "cancelled"]
-PriorityWord = Literal["high", "normal", "low"]
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+from service.server.database.records import PRIORITIES
+from service.server.database.states import JobState, StageState
+from service.server.schemas.base import Body, Sha256, Time, one_of
 
 _ID = "6f1c1f0e-8a52-4f0c-9c0e-0d5f3a1b2c3d"
 _HASH = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 _JOB = f"/v1/jobs/{_ID}"
-
-
-class Body(BaseModel):
-    model_config = ConfigDict(extra="forbid")
 
 
 class ProblemField(Body):
@@ -66,11 +61,11 @@ class ImageView(Body):
 
 class StageView(Body):
     name: str
-    state: StageWord
+    state: Annotated[str, one_of(("waiting", *StageState))]
     share: Annotated[float, Field(description="part of the whole job's time, as planned")]
     usual_s: Annotated[float, Field(description="what it took on two cores, on an idle computer")]
     seconds: float | None
-    started_at: str | None
+    started_at: Time | None
 
 
 class ProgramView(Body):
@@ -86,18 +81,18 @@ class JobSummary(Body):
 
     id: str
     name: Annotated[str, Field(description="file name of the picture, made harmless")]
-    state: State
+    state: Annotated[str, one_of(JobState)]
     stage: str | None
     progress: Annotated[float, Field(ge=0, le=1)]
     queue_position: Annotated[
         int | None, Field(description="1: starts next; 1000: that place or a later one; null: does not wait")
     ]
-    priority: PriorityWord
+    priority: Annotated[str, one_of(PRIORITIES)]
     attempt: int
     cancel_requested: bool
-    created_at: str
-    started_at: str | None
-    ended_at: str | None
+    created_at: Time
+    started_at: Time | None
+    ended_at: Time | None
     error: JobError | None
     image: ImageView
     links: Annotated[
@@ -227,10 +222,6 @@ ARTIFACT_EXAMPLE: dict[str, Any] = {
     "stage": "pass-1",
     "media_type": "text/plain; charset=us-ascii",
     "url": f"{_JOB}/artifacts/pass-1-rough.nc",
-}
-SSE_EVENT: dict[str, Any] = {  # one event of a stream, as OpenAPI 3.2 describes it
-    "type": "object",
-    "properties": {name: {"type": "string"} for name in ("id", "event", "data")},
 }
 EVENTS_EXAMPLE = (
     'id: 1\nevent: queued\ndata: {"attempt":1,"by":"anonymous","at":"2026-11-21T08:00:00.000Z"}\n\n'

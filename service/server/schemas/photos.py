@@ -1,4 +1,4 @@
-"""What photographs of walls and of test pieces tell, as the OpenAPI document says it."""
+"""What photographs of walls and of test pieces tell."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from service.server.api.schemas.jobs import Body
+from service.server.schemas.base import Body
 
 LOOK_EXAMPLE: dict[str, Any] = {
     "photo": {"name": "wall.jpg", "width": 4032, "height": 3024},

@@ -1,4 +1,4 @@
-"""What the routes about pairing and control of a mill take and answer, as the OpenAPI document says it.
+"""What the routes about pairing and control of a mill take and answer.
 
 The ranges are those of the mill's agent, which looks at everything again.
 """
@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from service.server.api.schemas.jobs import Body
-from service.server.api.schemas.runs import Holder, ScopeWord
+from service.server.schemas.base import Body, Time
+from service.server.schemas.runs import Holder, Scopes
 
 _PERSON = r"^[^\W_][\w .,'@-]{0,59}$"
 Person = Annotated[
@@ -22,10 +22,10 @@ _Mm = Annotated[float, Field(ge=-5000, le=5000)]
 
 class WhoamiView(Body):
     name: str
-    scopes: list[ScopeWord]
+    scopes: Scopes
     anonymous: Annotated[bool, Field(description="without a token, from this computer, where no token was ever made")]
     paired: Annotated[bool, Field(description="with a token that a page got for a code")]
-    expires_at: Annotated[str | None, Field(description="when the token ends; null: never")]
+    expires_at: Annotated[Time | None, Field(description="when the token ends; null: never")]
 
 
 class PairingBody(Body):
@@ -36,8 +36,8 @@ class PairingBody(Body):
 class PairingView(Body):
     token: Annotated[str, Field(description="shown this once; only its SHA-256 is kept")]
     name: Annotated[str, Field(description="of the token: the name given, or that and a number")]
-    scopes: list[ScopeWord]
-    expires_at: str
+    scopes: Scopes
+    expires_at: Time
 
 
 class ControlBody(Body):

@@ -1,20 +1,20 @@
-"""What the routes about machines, runs and tokens take and answer, as the OpenAPI document says it."""
+"""What the routes about machines, runs and tokens take and answer."""
 
 from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 from uuid import UUID
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
-from service.server.api.schemas.jobs import Body, Sha256
+from machines.runs import RunState
+from service.server.database.runs import LOST, PREPARING, REFUSED
+from service.server.schemas.base import Body, Sha256, Time, one_of
 
-RunWord = Literal[
-    "preparing", "refused", "lost",
-    "parked", "running", "holding", "held", "stopping", "interrupted", "recovering", "finished", "aborted",
-]  # fmt: skip
+RunWord = Annotated[str, one_of((PREPARING, REFUSED, LOST, *(state.value for state in RunState)))]
 Check = Literal["tool", "zero", "stock", "clear", "position", "order"]
 ScopeWord = Literal["jobs:read", "jobs:write", "machine:run", "admin"]
+Scopes = Annotated[list[ScopeWord], BeforeValidator(sorted)]
 
 PLAIN = r"^[^\x00-\x1f\x7f]+$"
 
@@ -79,13 +79,11 @@ class ProgramOfRun(Body):
     sha256: Sha256
 
 
-class RunView(Body):
-    """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
+class LiveRun(Body):
+    """The part of a run that changes while it is on the mill."""
 
     id: str
     machine: str
-    job: str
-    program: ProgramOfRun
     state: RunWord
     open: Annotated[bool, Field(description="the mill is taken by this run")]
     words: Annotated[str, Field(description="why it is in this state")]
@@ -102,6 +100,15 @@ class RunView(Body):
     recoveries: int
     warnings: list[str]
     travel_in_doubt: Annotated[bool, Field(description="one of the warnings: it may not fit the travel")]
+    started_at: Time | None
+    ended_at: Time | None
+
+
+class RunView(LiveRun):
+    """A program on a mill. state: preparing until the mill's agent has it, then the agent's own word."""
+
+    job: str
+    program: ProgramOfRun
     setup: Annotated[
         dict[str, Any] | None, Field(description="tool, stock, zero, and the tool change before this pass")
     ]
@@ -109,9 +116,7 @@ class RunView(Body):
     left_out: Annotated[list[ProgramOfRun], Field(description="earlier passes that this mill has not finished")]
     next: Annotated[ProgramOfRun | None, Field(description="the pass that comes after this one")]
     created_by: str
-    created_at: str
-    started_at: str | None
-    ended_at: str | None
+    created_at: Time
     links: dict[str, str]
 
 
@@ -166,7 +171,7 @@ class OpenRun(Body):
 
 class Holder(Body):
     operator: str
-    since: str
+    since: Time
 
 
 class MachineView(Body):
@@ -196,11 +201,11 @@ class NewTokenBody(Body):
 class TokenView(Body):
     id: str
     name: str
-    scopes: list[ScopeWord]
-    created_at: str
-    expires_at: str | None
-    last_used_at: str | None
-    revoked_at: str | None
+    scopes: Scopes
+    created_at: Time
+    expires_at: Time | None
+    last_used_at: Time | None
+    revoked_at: Time | None
     paired: Annotated[bool, Field(description="made by a page, for a code")]
 
 

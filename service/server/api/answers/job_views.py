@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from service.job.files import is_program, run_order
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import with_plan
 from service.job.stages.table import usual_seconds
-from service.server.api.answers import job_json as views
-from service.server.api.answers.times import iso_or_none, iso_time
 from service.server.api.services import Services
 from service.server.database.jobs import MOST_POSITIONS
 from service.server.database.records import Artifact, Job, JobListRow, Progress, StageRun, priority_word
 from service.server.database.states import JobState
-
-Json = dict[str, Any]
+from service.server.schemas.jobs import ArtifactView, ImageView, JobError, JobSummary, JobView, ProgramView, StageView
 
 _MEDIA_TYPES = {
     ".json": "application/json",
@@ -32,34 +28,36 @@ MEDIA_TYPES = sorted({kind.partition(";")[0] for kind in (*_MEDIA_TYPES.values()
 _NO_EVENTS = 1 << 30  # after the last event of any job: only the progress is asked for
 
 
-def summary(job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None) -> Json:
+def make_summary(
+    job: JobListRow, *, position: int | None, progress: Progress | None, picture: str | None
+) -> JobSummary:
     """A job as the list shows it; `picture` is the artifact to show for it."""
     address = f"/v1/jobs/{job.id}"
     links = {"self": address} | {kind: f"{address}/{kind}" for kind in ("events", "artifacts")}
     links["archive"] = f"{address}/archive.zip"
     if picture is not None:
         links["picture"] = f"{address}/artifacts/{picture}"
-    return {
-        "id": job.id,
-        "name": job.name,
-        "state": str(job.state),
-        "stage": job.stage,
-        "progress": _progress(job, progress),
-        "queue_position": position if job.state is JobState.QUEUED else None,
-        "priority": priority_word(job.priority),
-        "attempt": job.attempt,
-        "cancel_requested": job.cancel_requested,
-        "created_at": iso_time(job.created_at),
-        "started_at": iso_or_none(job.started_at),
-        "ended_at": iso_or_none(job.ended_at),
-        "error": job.error,
-        "image": {"sha256": job.image_sha256, "bytes": job.image_bytes},
-        "links": links,
-        "etag": etag(job, position=position, progress=progress),
-    }
+    return JobSummary(
+        id=job.id,
+        name=job.name,
+        state=job.state,
+        stage=job.stage,
+        progress=_progress(job, progress),
+        queue_position=position if job.state is JobState.QUEUED else None,
+        priority=priority_word(job.priority),
+        attempt=job.attempt,
+        cancel_requested=job.cancel_requested,
+        created_at=job.created_at,
+        started_at=job.started_at,
+        ended_at=job.ended_at,
+        error=None if job.error is None else JobError(**job.error),
+        image=ImageView(sha256=job.image_sha256, bytes=job.image_bytes),
+        links=links,
+        etag=etag(job, position=position, progress=progress),
+    )
 
 
-def whole(
+def make_view(
     job: Job,
     *,
     position: int | None,
@@ -67,14 +65,15 @@ def whole(
     picture: str | None,
     runs: Sequence[StageRun],
     files: Sequence[Artifact],
-) -> Json:
+) -> JobView:
     """A job with its report, spec, stages and programs."""
-    return summary(job, position=position, progress=progress, picture=picture) | {
-        "report": job.report,
-        "spec": job.spec,
-        "stages": _stages(job, runs),
-        "programs": [_program(job.id, number, file) for number, file in programs(files).items()],
-    }
+    return JobView(
+        **dict(make_summary(job, position=position, progress=progress, picture=picture)),
+        report=job.report,
+        spec=job.spec,
+        stages=_stages(job, runs),
+        programs=[_program(job.id, number, file) for number, file in programs(files).items()],
+    )
 
 
 def etag(job: JobListRow, *, position: int | None, progress: Progress | None) -> str:
@@ -83,15 +82,15 @@ def etag(job: JobListRow, *, position: int | None, progress: Progress | None) ->
     return f'"{job.attempt}-{job.version}-{position or 0}-{share}"'
 
 
-def artifact_view(file: Artifact) -> Json:
-    return {
-        "name": file.name,
-        "sha256": file.sha256,
-        "bytes": file.bytes,
-        "stage": file.stage,
-        "media_type": media_type(file.name),
-        "url": f"/v1/jobs/{file.job_id}/artifacts/{file.name}",
-    }
+def make_artifact_view(file: Artifact) -> ArtifactView:
+    return ArtifactView(
+        name=file.name,
+        sha256=file.sha256,
+        bytes=file.bytes,
+        stage=file.stage,
+        media_type=media_type(file.name),
+        url=f"/v1/jobs/{file.job_id}/artifacts/{file.name}",
+    )
 
 
 def programs(files: Sequence[Artifact]) -> dict[int, Artifact]:
@@ -106,9 +105,9 @@ def media_type(name: str) -> str:
     return _MEDIA_TYPES.get(f".{name.rpartition('.')[2]}", _OTHER_TYPE)
 
 
-def _program(job_id: str, number: int, file: Artifact) -> Json:
+def _program(job_id: str, number: int, file: Artifact) -> ProgramView:
     url = f"/v1/jobs/{job_id}/programs/{number}"
-    return {"number": number, "name": file.name, "sha256": file.sha256, "bytes": file.bytes, "url": url}
+    return ProgramView(number=number, name=file.name, sha256=file.sha256, bytes=file.bytes, url=url)
 
 
 def _progress(job: JobListRow, progress: Progress | None) -> float:
@@ -116,7 +115,7 @@ def _progress(job: JobListRow, progress: Progress | None) -> float:
     return round(min(1.0, max(0.0, job.progress, live)), 4)
 
 
-def _stages(job: Job, runs: Sequence[StageRun]) -> list[Json]:
+def _stages(job: Job, runs: Sequence[StageRun]) -> list[StageView]:
     """Every stage of the job's plan, with what became of it in this attempt."""
     last: Mapping[str, StageRun] = {run.stage: run for run in runs if run.attempt == job.attempt}
     usual = usual_seconds(with_plan(JobSpec.model_validate(job.spec), job.report or {}))
@@ -124,25 +123,30 @@ def _stages(job: Job, runs: Sequence[StageRun]) -> list[Json]:
     return [_stage(name, own, own / whole, last.get(name)) for name, own in usual.items()]
 
 
-def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> Json:
-    planned = {"name": name, "share": round(share, 4), "usual_s": round(usual_s, 2)}
-    if run is None:
-        return planned | {"state": "waiting", "seconds": None, "started_at": None}
-    seconds = None if run.ended_at is None else round(max(0.0, run.ended_at - run.started_at), 3)
-    return planned | {"state": str(run.state), "seconds": seconds, "started_at": iso_or_none(run.started_at)}
+def _stage(name: str, usual_s: float, share: float, run: StageRun | None) -> StageView:
+    seconds = None if run is None or run.ended_at is None else round(max(0.0, run.ended_at - run.started_at), 3)
+    return StageView(
+        name=name,
+        state="waiting" if run is None else run.state,
+        share=round(share, 4),
+        usual_s=round(usual_s, 2),
+        seconds=seconds,
+        started_at=None if run is None else run.started_at,
+    )
 
 
-def whole_job(services: Services, job: Job) -> dict[str, Any]:
+def read_view(services: Services, job: Job) -> JobView:
+    """The job with all that the book knows of it."""
     book = services.book
     position = _position(job, book.queue_positions()) if job.state is JobState.QUEUED else None
     progress = book.latest({job.id: _NO_EVENTS}).progress.get(job.id) if job.state is JobState.RUNNING else None
     runs, files = book.stages(job.id), book.artifacts(job.id)
     job = book.with_report(job)
     picture = book.pictures([job.id]).get(job.id)
-    return views.whole(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
+    return make_view(job, position=position, progress=progress, runs=runs, files=files, picture=picture)
 
 
-def job_list(services: Services, jobs: Sequence[JobListRow]) -> list[dict[str, Any]]:
+def read_summaries(services: Services, jobs: Sequence[JobListRow]) -> list[JobSummary]:
     book = services.book
     positions = book.queue_positions() if any(job.state is JobState.QUEUED for job in jobs) else {}
     running = {job.id: _NO_EVENTS for job in jobs if job.state is JobState.RUNNING}
@@ -150,7 +154,7 @@ def job_list(services: Services, jobs: Sequence[JobListRow]) -> list[dict[str, A
     pictures = book.pictures([job.id for job in jobs])
     places = [_position(job, positions) for job in jobs]
     return [
-        views.summary(job, position=place, progress=progress.get(job.id), picture=pictures.get(job.id))
+        make_summary(job, position=place, progress=progress.get(job.id), picture=pictures.get(job.id))
         for job, place in zip(jobs, places, strict=True)
     ]
 

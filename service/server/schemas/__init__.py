@@ -1,0 +1,1 @@
+"""What requests and answers are made of: the models that answer, and that the OpenAPI document describes."""

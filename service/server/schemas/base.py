@@ -1,0 +1,29 @@
+"""What the models of requests and answers are made of. What an answer says is made here, so words, hashes and times
+are told in the document and not held against it once more: what another version wrote is passed on, not refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from datetime import UTC, datetime
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, PlainSerializer
+
+
+class Body(BaseModel):
+    model_config = ConfigDict(extra="forbid", from_attributes=True)
+
+
+def iso_time(at: float) -> str:
+    """Seconds since 1970 -> '2026-11-21T08:00:00.123Z'."""
+    return datetime.fromtimestamp(at, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def one_of(words: Iterable[str]) -> Any:
+    """Of a text in an answer: the words that it may be."""
+    return Field(json_schema_extra={"enum": [str(word) for word in words]})
+
+
+Sha256 = Annotated[str, Field(json_schema_extra={"pattern": r"^[0-9a-f]{64}$"})]
+Time = Annotated[float, PlainSerializer(iso_time, return_type=str)]
