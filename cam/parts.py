@@ -78,28 +78,28 @@ def programs(
     part = 0
     while part == 0 or source.has_more:
         part += 1
-        yield _program(source, post, frame, limits, part)
+        yield _write_program(source, post, frame, limits, part)
 
 
-def _program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
+def _write_program(source: _Slices, post: Dialect, frame: PassFrame, limits: PartLimits, part: int) -> Iterator[bytes]:
     writer, meter = post.writer(), _Meter(limits)
     remarks = frame.remarks if part == 1 else (*frame.remarks, f"part {part}: goes on where part {part - 1} has ended")
     setup, trace = (frame.setup, frame.trace) if part == 1 else (frame.setup.without_warm_up(), ())
     number = 100 * frame.number + part
     first = writer.start(remarks, rpm=frame.rpm, safe_z_mm=frame.safe_z_mm, program=number, setup=setup, trace=trace)
-    meter.wrote(first)
+    meter.count_text(first)
     yield first
     for path in _way_back(source, frame):
         for text in writer.write(path):
-            meter.wrote(text)
+            meter.count_text(text)
             yield text
     for path in source:
         for text in writer.write(path):
-            meter.wrote(text)
+            meter.count_text(text)
             yield text
         if not limits.any:
             continue
-        meter.moved(path, source.length_mm)
+        meter.count_path(path, source.length_mm)
         source.points_at_once = meter.points_at_once()
         place = source.place
         aloft = path.motion is Motion.RAPID and place[2] >= frame.safe_z_mm - 1e-9
@@ -147,10 +147,10 @@ class _Meter:
         self._most_bytes = limits.most_bytes * (1 - _SPARE_SHARE) - _SPARE_BYTES
         self._bytes, self._seconds, self._points = 0, 0.0, 0
 
-    def wrote(self, text: bytes) -> None:
+    def count_text(self, text: bytes) -> None:
         self._bytes += len(text)
 
-    def moved(self, path: Path, length_mm: float) -> None:
+    def count_path(self, path: Path, length_mm: float) -> None:
         self._points += len(path.points_mm)
         self._seconds += 60 * length_mm / (path.feed_mm_per_min or self._limits.rapid_mm_per_min)
 
@@ -170,7 +170,7 @@ class _Slices:
     def __init__(self, paths: Iterable[Path], limits: PartLimits) -> None:
         self._limited = limits.any
         self.points_at_once = limits.points_at_once()
-        self._slices = self._cut_up(paths) if self._limited else iter(paths)
+        self._slices = self._slice(paths) if self._limited else iter(paths)
         self._next = next(self._slices, None)
         self._recent: deque[tuple[Path, float]] = deque()  # each with the length of all before its first point
         self._way_mm = 0.0
@@ -190,7 +190,7 @@ class _Slices:
         while (path := self._next) is not None:
             self._next = next(self._slices, None)
             if self._limited:
-                self._passed(path)
+                self._record(path)
             yield path
 
     def recent(self) -> tuple[Array, float] | None:
@@ -200,7 +200,7 @@ class _Slices:
             return None
         return np.concatenate([path.points_mm for path, _ in self._recent]), feed
 
-    def _cut_up(self, paths: Iterable[Path]) -> Iterator[Path]:
+    def _slice(self, paths: Iterable[Path]) -> Iterator[Path]:
         for path in paths:
             first = 0
             while first < len(path.points_mm):
@@ -212,7 +212,7 @@ class _Slices:
                 )
                 first = end
 
-    def _passed(self, path: Path) -> None:
+    def _record(self, path: Path) -> None:
         """Moves on to the end of a path, and keeps of the cuts what an entry in their midst would need."""
         points = path.points_mm
         reach_mm = 0.0 if np.isnan(self.place[2]) else math.dist(self.place, points[0])

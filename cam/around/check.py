@@ -233,7 +233,7 @@ class _FlatRun:
     def stock(self) -> StockGrid:
         """What is left after all moves."""
         if self._ball is not None:
-            self._ball.rest()
+            self._ball.cut_at_rest()
             return self._ball.stock()
         grid = self._before
         return StockGrid(x0_mm=grid.x0_mm, y0_mm=grid.y0_mm, cell_mm=grid.cell_mm, top_mm=self._flat.top_mm)

@@ -32,8 +32,8 @@ def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
                     batch = _batch(chain[first : first + _AT_ONCE + 1])
                     grid.refresh()
                     list(pool.map(grid.sweep, [batch] * _SHARES, range(_SHARES)))
-                    grid.passed(batch)
-                grid.rest()
+                    grid.finish_batch(batch)
+                grid.cut_at_rest()
                 stock = replace(before, top_mm=grid.top_mm)
     return stock
 

@@ -246,7 +246,7 @@ class _Run:
 
     def finish(self, pending: _Pending) -> None:
         drops = deepest([share.result() for share in pending.drops])
-        self.whole.passed(pending.batch)
+        self.whole.finish_batch(pending.batch)
         self.rules.judge(pending.batch, drops, pending.overlaps.result(), self.whole)
         self.engagement.add(pending.batch, drops)
         self.collisions.add(pending.batch, drops, self.whole)
@@ -254,19 +254,19 @@ class _Run:
             other.result()
 
     def verdict(self, travel_mm: Sequence[float], report: Progress) -> PassCheck:
-        depth, cell = self.whole.rest()
+        depth, cell = self.whole.cut_at_rest()
         idle = self.rest is not None and not self.rest.core.any()
         if idle:
             self.rules.notes.append("the ball before has left nothing to this one: the program only lifts")
         self.rules.judge_rest(Drops(depth_mm=np.array([depth]), cell=np.array([cell])), self.whole, may_idle=idle)
         for window in self.windows:
-            window.rest()
+            window.cut_at_rest()
         after = self.whole.stock()
         left = StockLeft.of(after, self.heightfield, self.spec)
         fine = [StockLeft.of(window.stock(), self.heightfield, self.spec) for window in self.windows]
         excess = find_excess(left, self.heightfield, self.spec, None if self.rest is None else self.rest.core)
         gouge_um = self._gouge_um(left, fine)
-        measures = None if self.quality is None else self.quality.measures(report)
+        measures = None if self.quality is None else self.quality.measure(report)
         gap_mm = self._row_gap(left) if measures is None else self._contour_gap(measures)
         self._judge_excess(excess)
         rules = self.rules

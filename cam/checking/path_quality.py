@@ -91,7 +91,7 @@ class PathQuality:
         self._judge_turns(batch.points_mm, on)
         return on
 
-    def measures(self, on_progress: Progress | None = None) -> PathMeasures:
+    def measure(self, on_progress: Progress | None = None) -> PathMeasures:
         """Judges what is left and scans the aperture."""
         turns(self._tail_points, self._tail_on, self._judged, self._tail_on.size, self._pitch_mm, self._sums)
         self._judged = self._tail_on.size
@@ -105,7 +105,7 @@ class PathQuality:
             aligned_share=aligned / sloped if sloped else 1.0,
             turns_over_60_per_m=1000 * sharp / length if length else 0.0,
             tight_turn_share=tight / length if length else 0.0,
-            gap=self._gaps.widest(on_progress),
+            gap=self._gaps.find_widest(on_progress),
         )
 
     def _on_surface(self, batch: MoveBatch, overlaps: Overlaps) -> np.ndarray:
@@ -148,4 +148,4 @@ def measure_program(batches: Iterable[MoveBatch], heightfield: Heightfield, spec
     witness = SurfaceWitness(heightfield, radius_mm=spec.radius_mm, near_mm=quality.near_mm)
     for batch in batches:
         quality.add(batch, witness.overlaps(batch))
-    return quality.measures()
+    return quality.measure()

@@ -100,14 +100,14 @@ class RemovalGrid:
         )
         return Drops(depth_mm=drops, cell=cells, tally=tally)
 
-    def passed(self, batch: MoveBatch) -> None:
+    def finish_batch(self, batch: MoveBatch) -> None:
         """All shares of the batch are done."""
         moved = np.flatnonzero((batch.points_mm[1:] != batch.points_mm[:-1]).any(axis=1))
         if moved.size:
             self._owner_line = int(batch.line[moved[-1]])
             self._last_point = batch.points_mm[moved[-1] + 1].copy()
 
-    def rest(self) -> tuple[float, int]:
+    def cut_at_rest(self) -> tuple[float, int]:
         """The ball stops where the last move ended: (drop, cell) of that, on the last move's account."""
         if not np.isfinite(self._last_point).all():
             return 0.0, -1
@@ -121,7 +121,7 @@ class RemovalGrid:
         """All shares of one batch, one after the other."""
         self.refresh()
         parts = [self.sweep(batch, share) for share in range(self.shares)]
-        self.passed(batch)
+        self.finish_batch(batch)
         return deepest(parts)
 
     def place_mm(self, cell: int) -> tuple[float, float]:

@@ -122,7 +122,7 @@ class TrackGaps:
         self._points.append(np.rint(points_mm[:, :2] / MICRO).astype(np.int32))
         self._counts.append(np.append(counts, False))  # nothing joins one batch's end to the next one's start
 
-    def widest(self, on_progress: Progress | None = None) -> Gap:
+    def find_widest(self, on_progress: Progress | None = None) -> Gap:
         """Scans all tiles on two threads."""
         if not self._points:
             return Gap(width_mm=self._longest_mm, x_mm=0.0, y_mm=0.0, bare_share=1.0)
@@ -131,7 +131,7 @@ class TrackGaps:
         best = int(found[:, 0].argmax())
         distance, x, y = found[best, :3]
         if distance > (REACH_PITCHES - 0.5) * self._pitch_mm:
-            distance, x, y = self._emptiest()
+            distance, x, y = self._find_emptiest()
         bare = float(found[:, 3].sum())
         inside = self._area_mm2() / self._pixel_mm**2
         return Gap(
@@ -163,7 +163,7 @@ class TrackGaps:
                 report(done / down)
         return found
 
-    def _emptiest(self) -> tuple[float, float, float]:
+    def _find_emptiest(self) -> tuple[float, float, float]:
         """(distance, x, y) of the place farthest from all tracks, where that is more than a few pitches.
 
         Of the cells that lie farthest from those with tracks some are tried, and the best is climbed from.

@@ -18,7 +18,7 @@ from cam.planning.pass_time import LensForm, finish_layers_s, rows_s
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, pitches_mm, why_not
+from cam.planning.shop import Shop, pitches_mm, find_exclusion
 from cam.tools import Tool, tool_pass
 
 TOLERATED_DB = 0.2
@@ -162,13 +162,13 @@ def find_candidates(
         if form is None:
             left_out.append((tool.name, "no lens was shaped for it"))
             continue
-        if (reason := why_not(tool, form, shop) or _unfit(tool, form)) is not None:
+        if (reason := find_exclusion(tool, form, shop) or _find_misfit(tool, form)) is not None:
             left_out.append((tool.name, reason))
             continue
         rests = RestWork(tool, form=form, shop=shop, fillings=fillings)
         if rough is None or rough.form is not form:
             rough = Roughing(form=form, shop=shop, like=rough)
-        candidates += _candidates(tool, rough, rests, light)
+        candidates += _generate_candidates(tool, rough, rests, light)
     if not candidates:
         raise NoPlanError(tuple(left_out))
     return candidates, tuple(left_out)
@@ -176,7 +176,7 @@ def find_candidates(
 
 def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], light: Light, goal: Goal) -> Plan:
     """The choice among candidates that the light has guessed."""
-    near = _near_front(candidates)
+    near = _select_near_front(candidates)
     best = {one.finish.radius_mm: one for one in sorted(near, key=lambda one: one.psnr_db)}
     light.settle(one.marks for one in best.values())
     return plan_by_score([replace(one, psnr_db=light.aimed_db(one.marks)) for one in near], left_out, goal)
@@ -184,7 +184,7 @@ def plan_among(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...
 
 def plan_by_score(candidates: list[Candidate], left_out: tuple[tuple[str, str], ...], goal: Goal) -> Plan:
     """The choice among candidates by what they say of themselves."""
-    front = _front(candidates, _WORTH_DB)
+    front = _select_front(candidates, _WORTH_DB)
     chosen, met = choose(front, goal)
     return Plan(chosen=chosen, front=front, left_out=left_out, met=met)
 
@@ -202,7 +202,7 @@ def choose(front: tuple[Candidate, ...], goal: Goal) -> tuple[Candidate, bool]:
     return (good[0], True) if good else (front[-1], False)
 
 
-def _front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...]:
+def _select_front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...]:
     """Those that are better than all that are quicker, or as quick and cheaper, by more than worth_db."""
     front: list[Candidate] = []
     for one in sorted(candidates, key=lambda one: (one.hours, -one.psnr_db, one.tool.cost_class)):
@@ -211,7 +211,7 @@ def _front(candidates: list[Candidate], worth_db: float) -> tuple[Candidate, ...
     return tuple(front)
 
 
-def _near_front(candidates: list[Candidate]) -> list[Candidate]:
+def _select_near_front(candidates: list[Candidate]) -> list[Candidate]:
     """Those that a guess puts on the front; of good ones also those so little behind that a closer look may."""
     good_db = max(one.psnr_db for one in candidates) - _GOOD_DB
     near: list[Candidate] = []
@@ -223,24 +223,24 @@ def _near_front(candidates: list[Candidate]) -> list[Candidate]:
     return near
 
 
-def _unfit(tool: Tool, form: LensForm) -> str | None:
+def _find_misfit(tool: Tool, form: LensForm) -> str | None:
     """Whether too much of the lens is too hollow for a ball, as a clause."""
     if (share := form.reached_share(tool.radius_mm)) >= LEAST_FIT:
         return None
     return f"its ball fits {100 * share:.1f} % of the lens; {100 * LEAST_FIT:.0f} % are needed"
 
 
-def _candidates(tool: Tool, rough: Roughing, rests: RestWork, light: Light) -> Iterator[Candidate]:
+def _generate_candidates(tool: Tool, rough: Roughing, rests: RestWork, light: Light) -> Iterator[Candidate]:
     """Every finish with a tool, alone and, where it leaves anything, with a rest pass."""
-    for finish in _finishes(tool, rough.shop):
-        if rough.before(finish) is None:
+    for finish in _generate_finishes(tool, rough.shop):
+        if rough.plan_before(finish) is None:
             continue
-        yield _candidate(rough, tool, finish, None, light)
-        if (rest := rests.after(finish)) is not None:
-            yield _candidate(rough, tool, finish, rest, light)
+        yield _make_candidate(rough, tool, finish, None, light)
+        if (rest := rests.plan_after(finish)) is not None:
+            yield _make_candidate(rough, tool, finish, rest, light)
 
 
-def _finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
+def _generate_finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
     speeds, step_down_mm = shop.speeds(tool), shop.finish_step_down_mm(tool)
     directions: tuple[Direction, ...] = ("x", "y")
     for strategy in shop.strategies:
@@ -252,8 +252,8 @@ def _finishes(tool: Tool, shop: Shop) -> Iterator[PassSpec]:
                 )  # fmt: skip
 
 
-def _candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light) -> Candidate:
-    before = rough.before(finish)
+def _make_candidate(rough: Roughing, tool: Tool, finish: PassSpec, rest: RestPass | None, light: Light) -> Candidate:
+    before = rough.plan_before(finish)
     assert before is not None
     shop, form = rough.shop, rough.form
     own_s = rows_s(form, finish, shop.mill) + finish_layers_s(form, finish, before.depth_mm, shop.mill)

@@ -19,7 +19,7 @@ from cam.duration import Kinematics
 from cam.passes import Direction, PassSpec
 from cam.planning.pass_time import LensForm, entry_s, layers_where_s, slowness_s_per_mm, turn_s
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, pitches_mm, why_not
+from cam.planning.shop import Shop, pitches_mm, find_exclusion
 from cam.rows.rest import BLEND_MM, CUSPS, LEAST_MM
 from cam.tools import Tool, tool_pass
 from optics.heightfield import Array, Heightfield
@@ -116,21 +116,21 @@ class RestWork:
     def __init__(self, tool: Tool, *, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]) -> None:
         self._form, self._shop = form, shop
         self._filled = fillings.get(tool.radius_mm)
-        self._smaller = None if self._filled is None else _smaller(tool, self._filled, form, shop, fillings)
+        self._smaller = None if self._filled is None else _choose_smaller(tool, self._filled, form, shop, fillings)
         self._known: dict[tuple[Direction, float], RestPass] = {}
 
-    def after(self, finish: PassSpec) -> RestPass | None:
+    def plan_after(self, finish: PassSpec) -> RestPass | None:
         """None: nothing is left, or no tool of the shop reaches it."""
         if self._filled is None or self._smaller is None:
             return None
         direction: Direction = finish.direction if finish.strategy == "raster" else "x"
         key = (direction, _pitch_mm(self._smaller, finish))
         if key not in self._known:
-            self._known[key] = self._made(self._smaller, self._filled, *key)
+            self._known[key] = self._plan_pass(self._smaller, self._filled, *key)
         return self._known[key]
 
-    def _made(self, tool: Tool, filled: Filled, direction: Direction, pitch_mm: float) -> RestPass:
-        spec = _spec(tool, self._shop, pitch_mm, direction)
+    def _plan_pass(self, tool: Tool, filled: Filled, direction: Direction, pitch_mm: float) -> RestPass:
+        spec = _make_spec(tool, self._shop, pitch_mm, direction)
         return RestPass(
             tool=tool,
             spec=spec,
@@ -139,14 +139,14 @@ class RestWork:
         )
 
 
-def _smaller(big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]) -> Tool | None:
+def _choose_smaller(big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]) -> Tool | None:
     """The largest ball that reaches what the big one leaves, or the one that reaches most; None: none is of use."""
     if left.share == 0:
         return None
     shares = {
         tool: fillings[tool.radius_mm].share / left.share if tool.radius_mm in fillings else 0.0
         for tool in shop.tools
-        if tool.radius_mm < big.radius_mm and pitches_mm(tool) and why_not(tool, form, shop) is None
+        if tool.radius_mm < big.radius_mm and pitches_mm(tool) and find_exclusion(tool, form, shop) is None
     }
     reaching = [tool for tool, share in shares.items() if share <= _REACHES]
     if reaching:
@@ -161,7 +161,7 @@ def _pitch_mm(tool: Tool, finish: PassSpec) -> float:
     return max((pitch for pitch in pitches_mm(tool) if pitch <= allowed + 1e-9), default=pitches_mm(tool)[0])
 
 
-def _spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) -> PassSpec:
+def _make_spec(tool: Tool, shop: Shop, pitch_mm: float, direction: Direction) -> PassSpec:
     step_down_mm = shop.finish_step_down_mm(tool)
     spec = tool_pass(
         "rest", tool, shop.speeds(tool), pitch_mm=pitch_mm, leaves_mm=0.0, step_down_mm=step_down_mm,

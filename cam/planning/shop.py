@@ -73,7 +73,7 @@ def pitches_mm(tool: Tool) -> tuple[float, ...]:
     return tuple(pitch for pitch in PITCHES_MM if pitch <= PITCH_SHARE * tool.radius_mm)
 
 
-def why_not(tool: Tool, form: LensForm, shop: Shop) -> str | None:
+def find_exclusion(tool: Tool, form: LensForm, shop: Shop) -> str | None:
     """Why a tool cannot go all over a lens, as a clause; whether its ball fits the hollows is asked elsewhere."""
     if 2 * tool.radius_mm + CLEAR_MM > shop.margin_mm:
         need_mm = 2 * tool.radius_mm + CLEAR_MM

@@ -20,7 +20,7 @@ from typing import Any, Protocol
 import httpx
 
 from service.client.follow import explain_interrupt
-from service.client.server import GoneError, ServerClient, shown
+from service.client.server import GoneError, ServerClient, clean
 from service.errors import FailedError, InputError, sentence_of_os_error
 from service.job.files import is_drawing
 
@@ -50,7 +50,7 @@ class RemoteFile:
         except (KeyError, TypeError, ValueError):
             raise FailedError("the server's list of files cannot be read; use the same version on both sides") from None
         if not _NAME.fullmatch(file.name) or not _HASH.fullmatch(file.sha256) or file.bytes < 0:
-            raise FailedError(f"the server offers a file that cannot be one: '{shown(file.name)}'")
+            raise FailedError(f"the server offers a file that cannot be one: '{clean(file.name)}'")
         return file
 
 
@@ -122,7 +122,7 @@ def _go_on(server: ServerClient, file: RemoteFile, part: Path, on_bytes: OnBytes
         if answer.status_code == 416:
             part.unlink(missing_ok=True)
             raise GoneError("the server did not go on where this file ends", begun=True)
-        server.demand_good(answer)
+        server.raise_for_status(answer)
         _append(answer, part, file, on_bytes, whole=answer.status_code != 206)
 
 

@@ -57,7 +57,7 @@ def stream_events(
         try:
             headers = {"Accept": "text/event-stream"} | ({"Last-Event-ID": last_id} if last_id else {})
             with server.stream_answer(path, headers=headers, read_s=_SILENCE_S) as answer:
-                server.demand_good(answer)
+                server.raise_for_status(answer)
                 if lost_s is not None:
                     on_back()
                     lost_s = None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from service.client.server import ServerClient, shown
+from service.client.server import ServerClient, clean
 
 _PAGE = 100
 
@@ -27,11 +27,11 @@ def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
     rows = [("ID", "STATE", "DONE", "CREATED", "NAME")]
     rows += [
         (
-            shown(job["id"]),
+            clean(job["id"]),
             state_words(job),
             f"{100 * float(job['progress']):.0f} %",
             when(job["created_at"]),
-            shown(job["name"]),
+            clean(job["name"]),
         )
         for job in jobs
     ]
@@ -40,11 +40,11 @@ def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
 
 def state_words(job: dict[str, Any]) -> str:
     """running (pass-1), queued (3 before it), cancelling, ..."""
-    state = shown(job["state"])
+    state = clean(job["state"])
     if job.get("cancel_requested") and state == "running":
         return "cancelling"
     if state == "running" and job.get("stage"):
-        return f"running ({shown(job['stage'])})"
+        return f"running ({clean(job['stage'])})"
     if state == "queued" and int(job.get("queue_position") or 1) > 1:
         return f"queued ({int(job['queue_position']) - 1} before it)"
     return state
@@ -52,27 +52,27 @@ def state_words(job: dict[str, Any]) -> str:
 
 def job_lines(job: dict[str, Any]) -> list[str]:
     """One job, in full."""
-    lines = [f"{shown(job['id'])}  {shown(job['name'])}", f"state:    {state_words(job)}"]
+    lines = [f"{clean(job['id'])}  {clean(job['name'])}", f"state:    {state_words(job)}"]
     lines += [f"{name + ':':9} {when(job[key])}" for name, key in _TIMES if job.get(key)]
     if job.get("attempt", 1) > 1:
         lines.append(f"attempt:  {job['attempt']}")
     if error := job.get("error"):
-        where = f"in stage {shown(error['stage'])}: " if error.get("stage") else ""
-        lines += [f"error:    {where}{shown(line)}" for line in str(error.get("detail", "")).split("\n")]
-    stages = [(shown(stage["name"]), shown(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
+        where = f"in stage {clean(error['stage'])}: " if error.get("stage") else ""
+        lines += [f"error:    {where}{clean(line)}" for line in str(error.get("detail", "")).split("\n")]
+    stages = [(clean(stage["name"]), clean(stage["state"]), _seconds(stage)) for stage in job.get("stages") or ()]
     lines += ["", *table([("STAGE", "STATE", "TOOK"), *stages])] if stages else []
     return [*lines, *program_lines(job)]
 
 
 def program_lines(job: dict[str, Any]) -> list[str]:
     programs = job.get("programs") or ()
-    rows = [(str(p["number"]), shown(p["name"]), f"{p['bytes']:,} bytes", shown(p["sha256"])) for p in programs]
+    rows = [(str(p["number"]), clean(p["name"]), f"{p['bytes']:,} bytes", clean(p["sha256"])) for p in programs]
     return ["", *table([("PROGRAM", "FILE", "SIZE", "SHA-256"), *rows])] if rows else []
 
 
 def when(text: object) -> str:
     """2026-11-21T08:00:00.123Z without what nobody reads."""
-    return shown(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
+    return clean(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
 
 
 def _seconds(stage: dict[str, Any]) -> str:

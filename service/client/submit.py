@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from service.client.follow import LeftError
-from service.client.server import ServerClient, misunderstood
+from service.client.server import ServerClient, make_mismatch_error
 from service.errors import InputError, sentence_of_os_error
 from service.job.spec.loading import spec_data
 
 PRIORITIES = ("low", "normal", "high")
-_PATIENCE_S = 60.0
+_TIMEOUT_S = 60.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -28,18 +28,18 @@ class Submission:
     priority: str = "normal"
 
 
-def submit(server: ServerClient, order: Submission) -> dict[str, Any]:
+def submit_job(server: ServerClient, order: Submission) -> dict[str, Any]:
     """The new job. The same key goes with every try, so that the server makes one job of them."""
     if order.priority not in PRIORITIES:
         raise InputError(f"--priority: '{order.priority}' is not allowed; allowed: {', '.join(PRIORITIES)}")
     key = str(uuid.uuid4())
     try:
-        return dict(server.patiently(lambda: _post(server, order, key), patience_s=_PATIENCE_S))
+        return dict(server.retry(lambda: _post_form(server, order, key), timeout_s=_TIMEOUT_S))
     except KeyboardInterrupt:
         raise LeftError("interrupted before the server had answered; `causticmill jobs` tells if it is known") from None
 
 
-def _post(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
+def _post_form(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
     form = {"priority": order.priority} | ({"spec": order.spec} if order.spec is not None else {})
     try:
         with order.picture.open("rb") as picture:
@@ -59,7 +59,7 @@ def _post(server: ServerClient, order: Submission, key: str) -> dict[str, Any]:
     except ValueError:
         job = None
     if not isinstance(job, dict) or "id" not in job:
-        raise misunderstood(server, answer)
+        raise make_mismatch_error(server, answer)
     return job
 
 

@@ -33,7 +33,7 @@ class ReliefTooDeep(SolidError):
 
 
 @contextmanager
-def in_the_services_words() -> Iterator[None]:
+def translate_errors() -> Iterator[None]:
     """InputError or FailedError, one line, in place of a package's own error."""
     try:
         yield

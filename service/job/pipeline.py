@@ -14,12 +14,12 @@ from typing import Any
 
 from service.job import files as job_files
 from service.job.arrays import load_heightfield, load_target
-from service.job.errors import in_the_services_words
+from service.job.errors import translate_errors
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
 from service.job.spec.resolved import ResolvedJob
-from service.job.stages.context import Workshop
-from service.job.stages.lens import require_fit_in_stock, solid_block
+from service.job.stages.context import StageContext
+from service.job.stages.lens import require_fit_in_stock, write_solid_block
 from service.job.stages.picture_queue import PictureQueue
 from service.job.stages.so_far import JobSoFar
 from service.job.stages.table import stage_of
@@ -46,13 +46,13 @@ class FolderJob:
 
     def run(self, name: str) -> None:
         if name == _LAST:
-            self.work(lambda shop: shop.picture_queue.finish())
+            self.work(lambda context: context.picture_queue.finish())
         stage = stage_of(name)
         self.work(stage.load(), number=stage.number)
 
-    def work(self, function: Callable[[Workshop], None], *, number: int = 0) -> None:
+    def work(self, function: Callable[[StageContext], None], *, number: int = 0) -> None:
         """Call a stage's function and add what it makes to the report and the notes."""
-        shop = Workshop(
+        context = StageContext(
             job=self.so_far.job,
             folder=self.folder,
             watch=Stopwatch(self.reporter),
@@ -64,9 +64,9 @@ class FolderJob:
             picture_name=self.picture.name,
             desk=self.desk,
         )
-        with in_the_services_words():
-            function(shop)
-        self.so_far.add({**shop.report, "timings_s": shop.watch.timings_s}, shop.notes)
+        with translate_errors():
+            function(context)
+        self.so_far.add({**context.report, "timings_s": context.watch.timings_s}, context.notes)
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
@@ -95,7 +95,7 @@ def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _job(output, job, reporter, keep=kept) as folder_job:
         lens = folder_job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
-        folder_job.work(lambda shop: require_fit_in_stock(shop, lens))
+        folder_job.work(lambda context: require_fit_in_stock(context, lens))
         if job.spec.to_be_planned:
             from service.job.stages.passes import passes_for_lens
 
@@ -104,7 +104,7 @@ def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]
         folder_job.work(_note_shortage)
         for stage in folder_job.so_far.stages():
             if stage == _LAST:
-                folder_job.work(lambda shop: solid_block(shop, lens))  # the stock may have changed
+                folder_job.work(lambda context: write_solid_block(context, lens))  # the stock may have changed
             if stage not in _LENS:
                 folder_job.run(stage)
     return folder_job.so_far.report
@@ -122,12 +122,12 @@ def caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, 
     return folder_job.so_far.report
 
 
-def _note_shortage(shop: Workshop) -> None:
-    from service.job.planning.fit import shortage  # what it stands on is slow to import: a lens alone does without
+def _note_shortage(context: StageContext) -> None:
+    from service.job.planning.fit import check_disk_space  # what it stands on is slow to import: a lens alone does without
 
-    disk = f"the disk of {shop.folder.parent}"
-    if sentence := shortage(shop.folder, disk, cam_stock_of(shop.spec), cam_passes_of(shop.spec)):
-        shop.note("passes", sentence)
+    disk = f"the disk of {context.folder.parent}"
+    if sentence := check_disk_space(context.folder, disk, cam_stock_of(context.spec), cam_passes_of(context.spec)):
+        context.note("passes", sentence)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache as once
+import functools
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ def default_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill" / "preflight"
 
 
-def preflight(
+def run_preflight(
     path: Path,
     profile: MachineProfile,
     *,
@@ -66,9 +66,9 @@ def preflight(
             raise PreflightError(f"{path}: not a file")
         quick = folder / f"quick-{_digest([stat.st_dev, stat.st_ino, stat.st_size, stat.st_mtime_ns])}.txt"
         held_against = _digest([limits.to_dict(), _sources()])
-        found = _recall(folder, held_against, _read_note(quick))
+        found = _load_kept(folder, held_against, _read_note(quick))
         if found is None and list(folder.glob(f"{held_against}-{stat.st_size}-*.json")):
-            found = _recall(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
+            found = _load_kept(folder, held_against, f"{stat.st_size}-{_sha256(path)}")
         if found is None:
             found = _compute(path, limits, folder, held_against, on_progress)
             _forget_oldest(folder)
@@ -94,7 +94,7 @@ def _compute(
         text=True,
     )
     try:
-        answer = _conversation(child, request, on_progress)
+        answer = _exchange(child, request, on_progress)
         if refused := answer.get("refused"):
             raise ProgramRefusedError(refused["line"], refused["text"], refused["reason"])
         if "done" not in answer:
@@ -114,7 +114,7 @@ def _compute(
         staging.unlink(missing_ok=True)
 
 
-def _conversation(
+def _exchange(
     child: subprocess.Popen[str], request: str, on_progress: Callable[[float], None] | None
 ) -> dict[str, Any]:
     """Give the request, pass shares on, return the last answer."""
@@ -133,7 +133,7 @@ def _conversation(
     return answer
 
 
-def _recall(folder: Path, held_against: str, content: str | None) -> Preflight | None:
+def _load_kept(folder: Path, held_against: str, content: str | None) -> Preflight | None:
     """The kept result for this content, if it is there and whole."""
     if content is None:
         return None
@@ -181,7 +181,7 @@ def _digest(values: list[Any]) -> str:
     return hashlib.blake2b(json.dumps(values, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
-@once
+@functools.cache
 def _sources() -> str:
     """State of the code that judges: a new version judges anew."""
     machines = _ROOT / "machines"

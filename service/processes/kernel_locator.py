@@ -99,7 +99,7 @@ def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[st
                 for alias in statement.names:
                     if bound == (alias.asname or alias.name):
                         text.append(f"{getattr(statement, 'module', '')}.{alias.name}")
-                        uses += _of_ours(root, text[-1])
+                        uses += _resolve_import(root, text[-1])
                 continue
             for node in ast.walk(statement):
                 if isinstance(node, ast.Name) and node.id in names:
@@ -110,7 +110,7 @@ def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[st
     return "\n".join(text), tuple(uses)
 
 
-def _of_ours(root: Path, imported: str) -> list[tuple[str, str]]:
+def _resolve_import(root: Path, imported: str) -> list[tuple[str, str]]:
     """What an import is: something of a module of ours, or a module, which counts as a whole."""
     module, _, name = imported.rpartition(".")
     return [at for at in ((imported, ""), (module, name)) if _file(root, at[0]).is_file()]
@@ -122,12 +122,12 @@ def _names(root: Path, module: str) -> dict[str, list[ast.stmt]]:
     names: dict[str, list[ast.stmt]] = {}
     for statement in parse(_file(root, module)).body:
         for one in statement.body if isinstance(statement, ast.If) else [statement]:  # if TYPE_CHECKING
-            for name in _bound(one):
+            for name in _bound_names(one):
                 names.setdefault(name, []).append(one)
     return names
 
 
-def _bound(statement: ast.stmt) -> Iterator[str]:
+def _bound_names(statement: ast.stmt) -> Iterator[str]:
     match statement:
         case ast.FunctionDef() | ast.ClassDef():
             yield statement.name

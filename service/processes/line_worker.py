@@ -41,7 +41,7 @@ def answer_lines(
     _say(answers, {"ready": True})
     for line in sys.stdin:
         asked = json.loads(line)
-        _limit(base + beside_bytes + bytes_per_pixel * asked["max_pixels"])
+        _limit_memory(base + beside_bytes + bytes_per_pixel * asked["max_pixels"])
         _say(answers, answer(asked))
 
 
@@ -59,7 +59,7 @@ def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         return {"fault": " ".join(f"{type(error).__name__}: {error}".split())[:500]}
 
 
-def _limit(most: int) -> None:
+def _limit_memory(most: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     with contextlib.suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))

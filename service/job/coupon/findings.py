@@ -139,24 +139,24 @@ def measure_photo(
     on_progress: Callable[[float], None] | None = None,
 ) -> CouponResult:
     """What the photograph says of that test piece. PhotoRefused where it says nothing."""
-    reached = on_progress or (lambda share: None)
+    on_progress = on_progress or (lambda share: None)
     coupon, template = coupon_of(job), 0
     placed = _place(name, photo, foretold, template, job)
-    reached(0.4)
+    on_progress(0.4)
     finished, folds = _choose_finished_half(name, placed, foretold, job)
     fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
-    reached(0.6)
+    on_progress(0.6)
     if finished == "left" and (nearest := _nearest_template(fit)) != template:
         placed = _place(name, photo, foretold, nearest, job)
         folds = fold_all(placed.picture, coupon)
         fit = fit_finish(coupon, foretold.profiles, folds, finished=finished)
-    reached(0.9)
+    on_progress(0.9)
     if fit.blur_mm > _MOST_BLUR_MM:
         raise PhotoRefused(name, CouponFinding("blurred", {"blur_mm": fit.blur_mm, "most_mm": _MOST_BLUR_MM}))
     if np.median([one.share for one in fit.ripples[-3:]]) >= _NOTHING_LEFT_OFF:
         raise PhotoRefused(name, CouponFinding("not_finished", {}))
     rows = _row_errors(placed, foretold, job, fit, finished)
-    reached(1.0)
+    on_progress(1.0)
     notes = tuple(_notes(fit, placed, finished, job))
     return CouponResult(fit=fit, rows=rows, finished=finished, placed=placed, notes=notes)
 

@@ -24,8 +24,8 @@ def measure_coupon(photo: Path, folder: Path, *, reporter: Reporter) -> CouponRe
     watch = Stopwatch(reporter)
     with watch.stage("photograph"):
         shot = read_photo(photo)
-    with watch.stage("fit") as reached:
-        result = fit_photo(str(photo), shot, folder, on_progress=reached)
+    with watch.stage("fit") as on_progress:
+        result = fit_photo(str(photo), shot, folder, on_progress=on_progress)
     with watch.stage("figure"):
         picture = draw_fit(result, viewed_from_lens=job.spec.optics.viewed_from == "lens")
     job_files.write_bytes(folder / FIT_PICTURE, picture)

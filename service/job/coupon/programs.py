@@ -100,15 +100,15 @@ def make_coupon(output: Path, job: ResolvedJob, *, reporter: Reporter, force: bo
 
 def _foretell(folder: Path, job: ResolvedJob, watch: Stopwatch) -> None:
     """Both pictures; and coupon.npz, what photographs are compared with."""
-    with watch.stage("heights as milled") as reached:
+    with watch.stage("heights as milled") as on_progress:
         profiles = profiles_of_milled(mill_piece(folder, job, seed=_SEEDS[0], cell_mm=FINE_CELL_MM))
-        reached(0.5)
+        on_progress(0.5)
         made, clean = mill_piece(folder, job, seed=_SEEDS[1]), mill_piece(folder, job, seed=None)
-    with watch.stage("photograph foretold") as reached:
+    with watch.stage("photograph foretold") as on_progress:
         finish = finish_of(job.spec)
         finishes = [_usual(k0) for k0 in TEMPLATES_RAD_PER_MM]
         light = predict_light(
-            job, made, (None, None if finish is None else finish.kept, *finishes), on_progress=reached
+            job, made, (None, None if finish is None else finish.kept, *finishes), on_progress=on_progress
         )
         without_errors = predict_light(job, clean, (finishes[0],))[0]
     for name, one in zip((PREDICTED, PREDICTED_FINISHED), light, strict=False):
@@ -228,10 +228,10 @@ def _pixels(per_mm: float) -> tuple[int, int]:
 
 
 def _draw(path: Path, light: Array, spec: JobSpec) -> None:
-    from service.job.report.figures import base as figures  # what it stands on is slow to import
+    from service.job.report.figures.base import picture_png  # what it stands on is slow to import
 
     seen = picture_from_irradiance(light, viewed_from=spec.optics.viewed_from)
-    job_files.write_bytes(path, figures.picture_png(seen, white=3.0))
+    job_files.write_bytes(path, picture_png(seen, white=3.0))
 
 
 def _as_reals(values: Complex) -> Array:

@@ -68,7 +68,7 @@ def look_at(
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("finding the picture"):
         place = _register(photo, foretold, name)
-    with watch.stage("fitting the wall") as reached:
+    with watch.stage("fitting the wall") as on_progress:
         fit = fit_wall(
             photo.light,
             place,
@@ -77,7 +77,7 @@ def look_at(
             foretold.irradiance,
             viewed_from=foretold.viewed_from,
             picture_width_mm=picture_width_mm,
-            on_progress=reached,
+            on_progress=on_progress,
         )
     findings = tuple(_findings(photo, foretold, place, fit))
 
@@ -146,7 +146,7 @@ def _distance(foretold: ForetoldLight, throw: Estimate) -> PhotoFinding:
     if throw.exceeds(_SURE):
         code = "wall_too_far" if throw.value > 0 else "wall_too_near"
         return PhotoFinding(code=code, values={"mm": abs(throw.value), "deviation_mm": throw.deviation})
-    if throw.told:
+    if throw.is_determined:
         return PhotoFinding(code="wall_in_place", values={"within_mm": max(within, abs(throw.value))})
     return PhotoFinding(code="wall_unknown", values={"within_mm": within, "throw_mm": foretold.bench.throw_mm})
 
@@ -183,7 +183,7 @@ def _softness(foretold: ForetoldLight, place: Registration, fit: WallFit) -> Pho
 
 
 def _surface(foretold: ForetoldLight, fit: WallFit) -> PhotoFinding:
-    told = [one for one in fit.surface_um if one.told]
+    told = [one for one in fit.surface_um if one.is_determined]
     if not told:
         return PhotoFinding(code="surface_unknown")
     sure = [(order, one) for order, one in zip(ORDERS, fit.surface_um, strict=True) if one.exceeds(_SUREST)]
@@ -214,7 +214,7 @@ def _figures(
     name: str,
 ) -> dict[str, Any]:
     def degrees_of(one: Estimate) -> dict[str, Any]:
-        return {"deg": math.degrees(one.value), "deviation_deg": math.degrees(one.deviation), "told": one.told}
+        return {"deg": math.degrees(one.value), "deviation_deg": math.degrees(one.deviation), "told": one.is_determined}
 
     throw = fit.throw_mm
     return plain(
@@ -238,7 +238,7 @@ def _figures(
             "wall": {
                 "throw_off_mm": throw.value,
                 "throw_deviation_mm": throw.deviation,
-                "throw_told": throw.told,
+                "throw_told": throw.is_determined,
                 "tilt_x": degrees_of(fit.wall_tilt_rad[0]),
                 "tilt_y": degrees_of(fit.wall_tilt_rad[1]),
             },
@@ -247,7 +247,7 @@ def _figures(
             "surface": {
                 "peak_to_valley_um": _peak_to_valley(foretold, fit, 0.0),
                 "terms": [
-                    {"order_x": a, "order_y": b, "um": one.value, "deviation_um": one.deviation, "told": one.told}
+                    {"order_x": a, "order_y": b, "um": one.value, "deviation_um": one.deviation, "told": one.is_determined}
                     for (a, b), one in zip(ORDERS, fit.surface_um, strict=True)
                 ],
             },

@@ -18,14 +18,14 @@ _NEEDS_A_PROGRAM = {"EPS", "WMF"}  # Pillow hands these to Ghostscript or to Win
 
 def decode_picture(path: Path, limits: PictureLimits, name: str) -> Image.Image:
     """The first frame, decoded and upright. PictureError, one line that calls the picture by `name`."""
-    with _refusals(name, limits), _load(path, limits, name) as image:
+    with _translate_refusals(name, limits), _load(path, limits, name) as image:
         upright = ImageOps.exif_transpose(image)
         return upright.copy() if upright is image else upright
 
 
 def check_picture(path: Path, limits: PictureLimits, name: str) -> PictureFacts:
     """Decode the picture whole, as `decode_picture` does, and keep nothing of it."""
-    with _refusals(name, limits), _load(path, limits, name) as image:
+    with _translate_refusals(name, limits), _load(path, limits, name) as image:
         image.getexif()
         _require_convertible(image, name)
         return PictureFacts(width=image.width, height=image.height, format=image.format or "", mode=image.mode)
@@ -50,7 +50,7 @@ def _load(path: Path, limits: PictureLimits, name: str) -> Iterator[Image.Image]
 
 
 @contextmanager
-def _refusals(name: str, limits: PictureLimits) -> Iterator[None]:
+def _translate_refusals(name: str, limits: PictureLimits) -> Iterator[None]:
     try:
         yield
     except PictureError:

@@ -29,20 +29,20 @@ from optics.heightfield import Array, Heightfield
 from optics.settings import LensSettings
 from optics.tolerance import blur_mm, source_rad
 from service.errors import InputError
-from service.job.errors import in_the_services_words
+from service.job.errors import translate_errors
 from service.job.files import CUT_OUT, FACE
 from service.job.picture.decoding import decode_picture
 from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import picture_of
-from service.job.planning import fit as fitting
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, foretell, told_by
+from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, foretell, describe_light
 from service.job.planning.finished_light import blur_of
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import compute_passes, design_for_finishes, simplify
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
+from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.preparation import aim_at_picture
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings
@@ -98,13 +98,13 @@ def estimate(
     """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
-    with in_the_services_words():
+    with translate_errors():
         specs = [fine] if exactly else [coarse, fine]
         targets, (width, height) = _targets(path, *specs, limits=limits, name=name)
         whole = targets[-1]
         quick = quick_lens(job.with_spec(specs[0]), targets[0], None if exactly else whole)
         passes = _with_around(quick.job, list(_hours(quick)))
-        seen = _foretold(quick, whole, exactly=exactly)
+        seen = _foretell_picture(quick, whole, exactly=exactly)
         blur = _blur(quick, seen)
     own_px_mm = spec.optics.screen_size_mm[0] / spec.image.pixels
     detail_mm = max(own_px_mm, blur.detail_mm)
@@ -130,7 +130,7 @@ def estimate(
     }
 
 
-def what_shows_more(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
+def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
     """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
     own = estimate(job, path, limits=limits, name=path.name)
     for change in changes_of(job, own["smallest_detail_mm"]):
@@ -173,7 +173,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
     planned: Planned | None = None
     if job.spec.to_be_planned:
         planned = plan_for_picture(job, target, whole=whole)
-        job = job.with_spec(with_plan(job.spec, {"plan": _plan(planned)}))
+        job = job.with_spec(with_plan(job.spec, {"plan": _make_plan(planned)}))
     spec = job.spec
     settings = lens_settings(spec, branch=branch_of(spec, target))
     quick = simplify(settings)
@@ -192,7 +192,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
     )
 
 
-def _plan(planned: Planned) -> dict[str, Any]:
+def _make_plan(planned: Planned) -> dict[str, Any]:
     """What `with_plan` takes of a plan, without its pictures and scores."""
     return {
         "passes": planned.rows(),
@@ -285,13 +285,13 @@ def _blur_of_milling_mm(quick: QuickLens) -> float:
     return reach_mm * hypot(slopes.across.rms, slopes.along.rms)
 
 
-def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
+def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
     """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
-    planned, finish, slopes = quick.planned, _finish(quick), _slopes(quick)
+    planned, finish, slopes = quick.planned, _find_finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
     if planned is not None and exactly:
-        return told_by(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
+        return describe_light(planned.light, planned.chosen.marks, planned.chosen.psnr_db)
     by_hand = finish_of(quick.spec)
     found = foretell(
         target,
@@ -308,7 +308,7 @@ def _foretold(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPict
     return found
 
 
-def _finish(quick: QuickLens) -> PassSpec | None:
+def _find_finish(quick: QuickLens) -> PassSpec | None:
     """The last pass that finishes the whole lens."""
     finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
     return finishes[-1] if finishes else None
@@ -316,7 +316,7 @@ def _finish(quick: QuickLens) -> PassSpec | None:
 
 def _slopes(quick: QuickLens) -> RowSlopes | None:
     """What the last finishing pass leaves; None where none finishes."""
-    machine, finish = quick.job.machine, _finish(quick)
+    machine, finish = quick.job.machine, _find_finish(quick)
     if finish is None:
         return None
     digit_mm = POSTS[machine.dialect].digits.z_mm
@@ -344,9 +344,9 @@ def _refusals(quick: QuickLens) -> Iterator[str]:
             f"{need_mm} mm, a wall farther away or a smaller lens"
         )
     try:
-        fitting.require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
-        fitting.require_flutes(quick.lens, passes)
-        fitting.unfit_ball(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
+        require_travel(quick.lens, cam_stock_of(spec), passes, quick.job.machine)
+        require_flutes(quick.lens, passes)
+        check_ball_fit(quick.facts, passes, shaped_for_mm=spec.lens_radius_mm)
     except InputError as error:
         yield str(error)
 

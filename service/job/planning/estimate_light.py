@@ -49,14 +49,14 @@ def foretell(
     light = PictureLight(target, bench, aims=aims)
     light.add(marks.radius_mm, form, missed)
     if by_hand is None:
-        return told_by(light, marks, light.aimed_db(marks))
+        return describe_light(light, marks, light.aimed_db(marks))
     finished = FinishedLight(light, by_hand)
     if design is not None:
         finished.calibrate(marks, design, fine=True)
-    return told_by(finished, marks, finished.psnr_db(marks))
+    return describe_light(finished, marks, finished.psnr_db(marks))
 
 
-def told_by(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
+def describe_light(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
     """What a plan's light tells of its marks."""
     seen = light.smooth_picture(marks)
     detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])

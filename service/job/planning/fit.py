@@ -20,7 +20,7 @@ from service.job.planning.program_size import SURE, pass_bytes
 from service.wording import ball
 
 
-def unfit_ball(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
+def check_ball_fit(facts: LensFacts, passes: tuple[PassSpec, ...], *, shaped_for_mm: float) -> str | None:
     """A warning when the finishing ball does not fit everywhere; InputError when it touches too little of the lens."""
     radius_mm = min((spec.radius_mm for spec in passes if spec.finishes), default=0.0)
     if radius_mm <= facts.min_concave_radius_mm:
@@ -88,7 +88,7 @@ def estimate_bytes(stock: Stock, spec: PassSpec) -> float:
     return pass_bytes(size_mm, radius_mm=spec.radius_mm, pitch_mm=spec.pitch_mm, finishes=spec.finishes)
 
 
-def shortage(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
+def check_disk_space(folder: Path, disk: str, stock: Stock, passes: tuple[PassSpec, ...]) -> str | None:
     """A warning when the disk may not hold the programs; FailedError when it cannot hold a quarter of them.
 
     disk : what the disk of the folder is called

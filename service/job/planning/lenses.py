@@ -39,7 +39,7 @@ _TUBES, _BEAMS = 2, 7
 Progress = Callable[[float], None]
 
 
-def lit_designs(
+def predict_designs(
     target: Array,
     settings: LensSettings,
     radii_mm: Iterable[float],
@@ -58,38 +58,38 @@ def lit_designs(
     solving = Lock()
 
     @cache
-    def solution() -> OpticalPath:
+    def solve_first() -> OpticalPath:
         return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
 
     def first() -> OpticalPath:
         """Of the picture itself: lenses for all balls begin with it."""
         with solving:
-            return solution()
+            return solve_first()
 
-    def near_first(aim: Array) -> OpticalPath | None:
+    def solve_near_first(aim: Array) -> OpticalPath | None:
         path = solve_transport(aim, settings.bench, skim_mm=settings.skim_mm, start=first())
         return path if path.converged else None
 
-    def shaped_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
+    def shape_for(radius_mm: float, aim: Array, start: Callable[[], OpticalPath | None]) -> _Shaped:
         made = compute_passes(aim, replace(quick, min_radius_mm=radius_mm), start)
         missed = made.best.caustic.irradiance - aim
         return _Shaped(form=LensForm.of(made.best.lens), missed=missed, fits=not made.is_shaped)
 
-    def again(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
+    def redesign(marks: Marks, aim: Array) -> Callable[[PictureLight], None]:
         aim = _coarser(aim)
         if as_given:
-            lens = compute_passes(aim, quick, lambda: near_first(aim)).best.lens
+            lens = compute_passes(aim, quick, lambda: solve_near_first(aim)).best.lens
             return lambda light: _add_as_left(light, lens, aim, {marks.radius_mm, marks.smallest_mm}, None)
-        shaped = shaped_for(marks.radius_mm, aim, lambda: near_first(aim))
+        shaped = shape_for(marks.radius_mm, aim, lambda: solve_near_first(aim))
         return lambda light: light.add(marks.radius_mm, shaped.form, shaped.missed)
 
-    light = PictureLight(target, settings.bench, aims=aims, redesign=again)
+    light = PictureLight(target, settings.bench, aims=aims, redesign=redesign)
     if as_given:
         _add_as_left(light, compute_passes(coarse, quick, first).best.lens, coarse, radii_mm, on_progress)
         return light
     wanted = sorted(set(radii_mm), reverse=True)
     with ThreadPoolExecutor(thread_count()) as pool:
-        coming = [pool.submit(shaped_for, radius_mm, coarse, first) for radius_mm in wanted]
+        coming = [pool.submit(shape_for, radius_mm, coarse, first) for radius_mm in wanted]
         for number, radius_mm in enumerate(wanted):
             shaped = coming[number].result()
             light.add(radius_mm, shaped.form, shaped.missed)
@@ -98,7 +98,7 @@ def lit_designs(
             if shaped.fits:
                 pool.shutdown(wait=False, cancel_futures=True)
                 for smaller_mm in wanted[number + 1 :]:
-                    light.same(smaller_mm, radius_mm)
+                    light.reuse_lens(smaller_mm, radius_mm)
                 break
     return light
 
@@ -154,7 +154,7 @@ def _compute_once(wanted: _Wanted) -> Corrected:
     return wanted.make()
 
 
-def lit_lens(
+def predict_lens(
     lens: Heightfield,
     target: Array,
     bench: Bench,
@@ -180,7 +180,7 @@ def _add_as_left(
     for number, radius_mm in enumerate(wanted, 1):
         fits = ball_fits(lens, radius_mm)
         if fits and served is not None:
-            light.same(radius_mm, served)
+            light.reuse_lens(radius_mm, served)
             continue
         if fits:
             served = radius_mm

@@ -21,7 +21,7 @@ from service.job.planning.finish_choice import (
     plan_finish,
 )
 from service.job.planning.finished_light import Design
-from service.job.planning.lenses import design_for_finishes, lit_designs, lit_lens
+from service.job.planning.lenses import design_for_finishes, predict_designs, predict_lens
 from service.job.planning.plan import Planned
 from service.job.planning.predicted_light import PictureLight
 from service.job.spec.kinematics import kinematics_of
@@ -49,7 +49,7 @@ def plan_for_picture(
     settings = lens_settings(spec, branch=branch_of(spec, target))
     aims = not any(spec.optics.foreseen_blur_mm)
     shapes = spec.optics.min_radius_mm is None and not spec.optics.creases
-    light = lit_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
+    light = predict_designs(target, settings, _radii(shop), as_given=not shapes, aims=aims, on_progress=on_progress)
     return _choose_plan(job, shop, light, design_for_finishes(target, settings), shapes_lens=shapes, whole=whole)
 
 
@@ -59,7 +59,7 @@ def plan_for_lens(
     """Passes for a lens that exists."""
     shop = shop_of(job)
     bench = replace(bench_of(job.spec), branch=branch_of(job.spec, target))
-    light = lit_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
+    light = predict_lens(lens, target, bench, _radii(shop), on_progress=on_progress)
     return _choose_plan(job, shop, light, lambda finish, radius_mm, fine: (lens, target), shapes_lens=False)
 
 
@@ -111,7 +111,7 @@ def _choose_plan(
         if finishings and whole is None:
             finished = plan_finish(finishings, candidates, left_out, light, design, goal, exactly=True)
         if finishings and whole is not None:
-            seen, plan = light.against(whole), plan_by_score(candidates, left_out, goal)
+            seen, plan = light.retarget(whole), plan_by_score(candidates, left_out, goal)
             with ThreadPoolExecutor(1) as beside:
                 guessed = beside.submit(_score_by, seen, plan)
                 finished = plan_finish(finishings, candidates, left_out, seen, design, goal, exactly=False)

@@ -106,23 +106,23 @@ class PictureLight:
             valleys=valleys and replace(valleys, shares_past=resize(valleys.shares_past, self.target.shape)),
         )
 
-    def same(self, radius_mm: float, as_of_mm: float) -> None:
+    def reuse_lens(self, radius_mm: float, as_of_mm: float) -> None:
         """The lens for another ball serves this one as well."""
         self.lenses[radius_mm] = self.lenses[as_of_mm]
 
-    def against(self, target: Array) -> PictureLight:
+    def retarget(self, target: Array) -> PictureLight:
         """The same lenses against the picture at another size; what balls leave filled of them is not told."""
         light = PictureLight(target, self.bench, aims=self.aims)
         first: dict[Shown, float] = {}
         for radius_mm, shown in self.lenses.items():
             if shown in first:
-                light.same(radius_mm, first[shown])
+                light.reuse_lens(radius_mm, first[shown])
                 continue
             light.add(radius_mm, shown.form, picture_of_waves(shown.waves - self.goal))
             first[shown] = radius_mm
         return light
 
-    def _seen(self, marks: Marks) -> RowSlopes:
+    def _widen_slopes(self, marks: Marks) -> RowSlopes:
         """Slope errors as wide as the picture sees them: a groove's light starts from its own width, too."""
         form = self.lenses[marks.radius_mm].form
         reach_mm = self.reach_mm(form) * (-1.0 if self.bench.mirror else 1.0)
@@ -212,7 +212,7 @@ class PictureLight:
         if not self.aims or marks.spec.strategy == "contour":
             return 0.0, 0.0
         form = self.lenses[marks.radius_mm].form
-        slopes = self._seen(marks)
+        slopes = self._widen_slopes(marks)
         across, along = (self.reach_mm(form) * spread.rms for spread in (slopes.across, slopes.along))
         along = along if along > _SEEN_PIXELS * min(self.pixel_mm) else 0.0
         return (along, across) if marks.spec.direction == "x" else (across, along)
@@ -233,14 +233,14 @@ class PictureLight:
     def _error_by_contours(self, marks: Marks) -> float:
         """Each place is blurred in a direction of its own: squares of what is left are averaged, not what is left."""
         form, along = self.lenses[marks.radius_mm].form, self._along.by_blocks
-        kept, squared = along.kept_by_contours(form, self._seen(marks), self.reach_mm(form))
+        kept, squared = along.kept_by_contours(form, self._widen_slopes(marks), self.reach_mm(form))
         goal, sums = self.goal, self._along.block_sums
         if marks.rest is None:
             own = self.lenses[marks.radius_mm].waves
             error = (squared * sums(own**2) - 2 * kept * sums(own * goal)).sum()
         else:
             own, other = self._half_waves(marks)
-            left = along.kept(form, self._seen(marks.rest), marks.rest.spec, self.reach_mm(form))
+            left = along.kept(form, self._widen_slopes(marks.rest), marks.rest.spec, self.reach_mm(form))
             error = (squared * sums(own**2) + 2 * kept * (left * sums(own * other) - sums(own * goal))).sum()
             error += (left**2 * sums(other**2) - 2 * left * sums(other * goal)).sum()
         return float(max(error + sums(goal**2).sum(), 0.0)) / self.target.size
@@ -277,7 +277,7 @@ class PictureLight:
         edges = [
             spread.kept_inside((np.arange(count) + 0.5) * pixel_mm, count * pixel_mm, reach_mm)
             for spread, count, pixel_mm in zip(
-                yx_spreads(self._seen(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
+                yx_spreads(self._widen_slopes(marks), marks.spec), waves.shape, self.pixel_mm, strict=True
             )
         ]
         if marks.rest is None:
@@ -290,7 +290,7 @@ class PictureLight:
     def _kept(self, marks: Marks) -> Array:
         """What is left of each wave (ny, nx)."""
         form = self.lenses[marks.radius_mm].form
-        return self._along.kept(form, self._seen(marks), marks.spec, self.reach_mm(form))
+        return self._along.kept(form, self._widen_slopes(marks), marks.spec, self.reach_mm(form))
 
     def psnr_of(self, picture: Array, grain: float) -> float:
         """Of a smooth picture and its grain."""

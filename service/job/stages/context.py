@@ -31,7 +31,7 @@ THE_PICTURE = "{picture}"  # in a note: the picture's name, which only the last 
 
 
 @dataclass(frozen=True, kw_only=True)
-class Workshop:
+class StageContext:
     """One stage at work.
 
     number             : of the pass, for a stage that mills one

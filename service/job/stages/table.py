@@ -78,7 +78,7 @@ class Stage:
     number: int = 0
 
     def load(self) -> Callable[..., None]:
-        """The function, taking a Workshop."""
+        """The function, taking a StageContext."""
         module, _, name = self.function.partition(":")
         found: Callable[..., None] = getattr(import_module(module), name)
         return found
@@ -89,14 +89,14 @@ _LENS, _LIGHT = "service.job.stages.lens", "service.job.stages.light"
 _BEFORE = (
     Stage(
         name="image",
-        function=f"{_LENS}:image",
+        function=f"{_LENS}:run_image",
         picture=True,
         spec=(*_READING, "screen_mm"),
         parts=(("picture", 1.0),),
     ),
     Stage(
         name="irradiance",
-        function=f"{_LENS}:irradiance",
+        function=f"{_LENS}:run_irradiance",
         reads=(".picture.npz",),
         spec=("optics.viewed_from", "preparation"),
         parts=(("target", 1.0),),
@@ -110,21 +110,21 @@ _BEFORE = (
     ),
     Stage(
         name="map",
-        function=f"{_LENS}:transport_map",
+        function=f"{_LENS}:run_transport_map",
         reads=(".target.npz", ".original.npz"),
         spec=("optics", "finish", "stock.skim_mm", "light_path_mm", "block_for_branch_mm"),
         parts=(("lens", 1.0),),
     ),
     Stage(
         name="heightfield",
-        function=f"{_LENS}:heightfield",
+        function=f"{_LENS}:run_heightfield",
         reads=(".heights.npz",),
         spec=("stock.thickness_mm", "stock.margin_mm", "optics.outline"),
         parts=(("facts", 1.0),),
     ),
     Stage(
         name="caustic",
-        function=f"{_LIGHT}:caustic",
+        function=f"{_LIGHT}:run_caustic",
         reads=("heightfield.npz", "map.npz"),
         spec=(*_BENCH, "optics.viewed_from", "finish"),
         parts=(("caustic", 0.5), ("tolerances", 0.5)),
@@ -132,7 +132,7 @@ _BEFORE = (
 )
 _PASS = Stage(
     name="pass-*",
-    function="service.job.stages.programs:one_pass",
+    function="service.job.stages.programs:run_pass",
     reads=("heightfield.npz",),
     spec=(*_BLOCK, *_KINEMATICS, *_PROGRAMS),
     parts=(("fit", 0.03), ("write", 0.3), ("check", 0.67)),
@@ -140,13 +140,13 @@ _PASS = Stage(
 _AROUND = "service.job.stages.around"
 _FACE = Stage(
     name="pass-face",
-    function=f"{_AROUND}:face",
+    function=f"{_AROUND}:run_facing",
     spec=("stock.face", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP, "beginning"),
     parts=(("write", 0.2), ("check", 0.8)),
 )
 _CUT_OUT = Stage(
     name="pass-cut-out",
-    function=f"{_AROUND}:cut_out",
+    function=f"{_AROUND}:run_cut_out",
     reads=(".stock-last.npz",),
     spec=("stock.cut_out", "optics.outline", "passes_count", *_BLOCK, *_KINEMATICS, *_LIMITS, *_SETUP),
     parts=(("write", 0.2), ("check", 0.8)),
@@ -163,26 +163,26 @@ _MILLED = (
 _AFTER = (
     Stage(
         name="check",
-        function="service.job.stages.check:final_check",
+        function="service.job.stages.check:run_final_check",
         reads=_ALL_PROGRAMS,
         spec=("passes", "machine", "optics.outline", *_BLOCK),
         parts=(("pre-flight", 0.35), ("toolpath", 0.65)),
     ),
     Stage(
         name="as-milled",
-        function="service.job.stages.as_milled:as_milled",
+        function="service.job.stages.as_milled:run_as_milled",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=_MILLED,
         parts=(("as milled: surface", 0.15), ("as milled: light", 0.7), ("as milled: causes", 0.15)),
     ),
     Stage(
         name="as-finished",
-        function="service.job.stages.as_finished:as_finished",
+        function="service.job.stages.as_finished:run_as_finished",
         reads=("heightfield.npz", "map.npz", *_ALL_PROGRAMS),
         spec=_MILLED,
         parts=(("as finished: surface", 0.8), ("as finished: light", 0.2)),
     ),
-    Stage(name="report", function="service.job.stages.sheet:sheet", spec=("",), sheet=True),
+    Stage(name="report", function="service.job.stages.sheet:run_report", spec=("",), sheet=True),
 )
 _ROWS = {stage.name: stage for stage in (*_BEFORE, _FACE, _CUT_OUT, *_AFTER)}
 

@@ -37,7 +37,7 @@ from service.milling.agent.event_hub import Hub
 from service.milling.agent.idempotency import ClientKeys
 from service.milling.agent.mill_access import MillAccess
 from service.milling.agent.programs import ProgramStore
-from service.milling.agent.settings import AgentSettings, usable
+from service.milling.agent.settings import AgentSettings, report_disk_errors
 from service.milling.agent.snapshot_feed import SnapshotFeed
 from service.milling.connect import Connector
 from service.processes.priority import go_first
@@ -61,7 +61,7 @@ def run_agent(settings: AgentSettings, profile: MachineProfile, *, catch_stop: C
         listener = stack.enter_context(contextlib.closing(bound_socket(settings.host, settings.bind_port)))
         connector = Connector(profile, settings.port_url)
         reentry = Reentry(safe_z_mm=profile.safe_z_mm)
-        with usable(settings.folder):
+        with report_disk_errors(settings.folder):
             mill = Mill(name=settings.machine, connect=connector, folder=settings.folder, reentry=reentry)
         thread = MillThread(mill)
         stack.callback(thread.stop, detach=True)

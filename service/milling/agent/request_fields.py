@@ -69,7 +69,7 @@ class Fields:
             raise Problem(422, f"{name} is {_shorten(value)}; allowed: a list of {words}", field=name)
         return frozenset(value)
 
-    def done(self) -> None:
+    def refuse_unknown(self) -> None:
         if unknown := sorted(set(self._values) - self._taken):
             allowed = ", ".join(sorted(self._taken)) or "none"
             raise Problem(422, f"{unknown[0]} is not a key here; allowed: {allowed}", field=unknown[0])
@@ -81,7 +81,7 @@ class Fields:
         return self._values.get(name, default)
 
 
-async def fields_of(request: Request) -> Fields:
+async def read_fields(request: Request) -> Fields:
     """The JSON object of a request; an empty body is an empty object."""
     content = bytearray()
     try:

@@ -62,7 +62,7 @@ def port_slug(url: str) -> str:
 
 
 @contextlib.contextmanager
-def usable(folder: Path) -> Iterator[None]:
+def report_disk_errors(folder: Path) -> Iterator[None]:
     """What the disk refuses when the folder is taken into use, as one line that names the folder."""
     try:
         yield
@@ -81,7 +81,7 @@ def _refuse_foreign_bind(host: str, token_file: Path | None, *, behind_proxy: bo
         raise InputError(f"{where}, whose callers need the token; allowed: with --token-file FILE")
 
 
-def agent_settings(
+def make_agent_settings(
     *,
     machine: str,
     port_url: str,

@@ -91,21 +91,21 @@ class RunFollower:
     def follow(self, signals: Signals) -> Outcome:
         while True:
             snapshot = self._thread.snapshot
-            ended = self._ended(snapshot)
+            ended = self._find_end(snapshot)
             self._tell_news(snapshot)
-            self._screen.show(self._view(snapshot))
+            self._screen.show(self._make_view(snapshot))
             if ended is not None:
-                return self._outcome(ended)
+                return self._make_outcome(ended)
             self._end_if_nobody_can_resume(snapshot)
             sources = [signals.descriptor] if self._keyboard is None else [signals.descriptor, self._keyboard]
             ready, _, _ = select.select(sources, [], [], _LOOK_S)
-            for number in signals.came() if signals.descriptor in ready else ():
+            for number in signals.take() if signals.descriptor in ready else ():
                 if (over := self._obey_signal(number)) is not None:
-                    return self._outcome(over)
+                    return self._make_outcome(over)
             if self._keyboard is not None and self._keyboard in ready and (over := self._obey_key()) is not None:
-                return self._outcome(over)
+                return self._make_outcome(over)
 
-    def _outcome(self, ended: Ended) -> Outcome:
+    def _make_outcome(self, ended: Ended) -> Outcome:
         snapshot = self._thread.snapshot
         return Outcome(ended, snapshot, self._buffers.are_empty(snapshot), self._words)
 
@@ -137,9 +137,9 @@ class RunFollower:
         failures = [entry.words for entry in snapshot.events if entry.kind == "journal"]
         if failures:
             self._words = failures[-1]
-            self._do(Wish.ABORT)
+            self._carry_out(Wish.ABORT)
 
-    def _ended(self, snapshot: MillSnapshot) -> Ended | None:
+    def _find_end(self, snapshot: MillSnapshot) -> Ended | None:
         run = snapshot.run
         if not self._is_driven():
             return Ended.ABANDONED
@@ -159,12 +159,12 @@ class RunFollower:
 
     def _obey_signal(self, number: int) -> Ended | None:
         if self._keyboard is not None and number == signal.SIGINT:
-            return self._do(self._keys.interrupt())
+            return self._carry_out(self._keys.interrupt())
         if number == signal.SIGHUP:
             self._keyboard = None  # the terminal is gone
         if self._abort_by_s is None:
             self._screen.say(f"{signal.Signals(number).name}: feed hold, then abort")
-            return self._do(Wish.ABORT)
+            return self._carry_out(Wish.ABORT)
         return None
 
     def _obey_key(self) -> Ended | None:
@@ -175,22 +175,22 @@ class RunFollower:
             data = b""
         if not data:  # the terminal is gone: nobody watches the mill any more
             self._keyboard = None
-            return self._do(Wish.ABORT)
+            return self._carry_out(Wish.ABORT)
         for key in keys_in(data):
-            if (wish := self._keys.key(key)) is not None and (over := self._do(wish)) is not None:
+            if (wish := self._keys.key(key)) is not None and (over := self._carry_out(wish)) is not None:
                 return over
         return None
 
-    def _do(self, wish: Wish) -> Ended | None:
+    def _carry_out(self, wish: Wish) -> Ended | None:
         match wish:
             case Wish.HOLD:
                 stop_mill(self._thread, Stop.HOLD)
             case Wish.RESUME:
                 self._tell("resume", Mill.resume)
             case Wish.FASTER:
-                self._override(_STEP_PERCENT)
+                self._step_feed(_STEP_PERCENT)
             case Wish.SLOWER:
-                self._override(-_STEP_PERCENT)
+                self._step_feed(-_STEP_PERCENT)
             case Wish.ABORT:
                 self._keys.question = Question.ABORTING
                 self._abort_by_s = time.monotonic() + _ABORT_WAIT_S
@@ -209,7 +209,7 @@ class RunFollower:
             return None
         return Ended.LEFT
 
-    def _override(self, change: int) -> None:
+    def _step_feed(self, change: int) -> None:
         """Keys may come faster than the mill reports what the last one did."""
         now, asked = time.monotonic(), self._feed_asked
         base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
@@ -228,7 +228,7 @@ class RunFollower:
         self._protected = snapshot.protections or self._protected
         return self._protected
 
-    def _view(self, snapshot: MillSnapshot) -> StreamView:
+    def _make_view(self, snapshot: MillSnapshot) -> StreamView:
         status, progress, run = snapshot.status, snapshot.progress, snapshot.run
         capacity = "?" if status.buffer_bytes is None else str(status.buffer_bytes)
         over = run is not None and run.state in _FINAL
@@ -251,11 +251,11 @@ class RunFollower:
         )
 
 
-def at_once(thread: MillThread) -> Callable[[], None]:
+def make_immediate_hold(thread: MillThread) -> Callable[[], None]:
     """What a signal does before anything else: the hold."""
     return lambda: stop_mill(thread, Stop.HOLD)
 
 
-def keyboard() -> int | None:
+def find_keyboard() -> int | None:
     """The terminal's descriptor, None where there is no terminal on both sides."""
     return sys.stdin.fileno() if sys.stdin.isatty() and sys.stdout.isatty() else None

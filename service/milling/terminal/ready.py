@@ -40,7 +40,7 @@ _REMEDIES: dict[str, tuple[Remedy, ...]] = {
 _BY_OPTION: dict[str, Command] = {"unlock": Unlock(), "position": TrustPosition(), "stand still": Reset()}
 
 
-def ready_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
+def prepare_mill(thread: MillThread, buffers: Buffers, *, person: bool) -> None:
     """Bring the mill to where a new program can be started; FailedError or InputError say why it is not."""
     did = meet_needs(thread, buffers, lambda: tuple(needs_of_standing_mill(thread.snapshot.status)), person=person)
     if did:

@@ -25,7 +25,7 @@ def find_interrupted_run(thread: MillThread, facts: Preflight, program: Path) ->
     return max(runs, key=lambda run: run.created_s)
 
 
-def ready_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
+def prepare_plan(thread: MillThread, buffers: Buffers, run: RunView, *, person: bool, vouched: bool) -> RecoveryPlan:
     """The plan, once all that must come first is done; FailedError names what is not.
 
     person : somebody is at the terminal and can be asked     vouched : --confirm-position was given

@@ -20,11 +20,11 @@ _END = 0
 
 @dataclass(frozen=True, slots=True)
 class Signals:
-    """`descriptor` becomes readable when a signal has come; `came` returns the numbers and empties it."""
+    """`descriptor` becomes readable when a signal has come; `take` returns the numbers and empties it."""
 
     descriptor: int
 
-    def came(self) -> list[int]:
+    def take(self) -> list[int]:
         try:
             return list(os.read(self.descriptor, 64))
         except BlockingIOError:
@@ -46,7 +46,7 @@ def watch_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
     def watch() -> None:
         while (number := os.read(raw_in, 1)[0]) != _END:
             if number in WATCHED:
-                at_once()
+                make_immediate_hold()
                 os.write(main_out, bytes([number]))
 
     watcher = threading.Thread(target=watch, name="signals", daemon=True)

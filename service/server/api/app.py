@@ -15,8 +15,8 @@ from starlette.middleware import Middleware
 
 from service.server.api.access.guard import STOPS, Guard
 from service.server.api.errors import install_problems
-from service.server.api.intake.body import Patient, SmallBodies
-from service.server.api.metrics import Measured
+from service.server.api.intake.body import BodyTimeout, BodyLimit
+from service.server.api.metrics import MetricsMiddleware
 from service.server.api.openapi import with_problems
 from service.server.api.routes import (
     archive,
@@ -88,10 +88,10 @@ def make_app(services: Services) -> FastAPI:
         telemetry=_QUIET,
         lifespan=lambda _app: _life(services),
         middleware=[
-            Middleware(Measured, metrics=services.metrics),
+            Middleware(MetricsMiddleware, metrics=services.metrics),
             Middleware(Guard, services=services),
-            Middleware(Patient),
-            Middleware(SmallBodies, but=_WITH_PICTURES),
+            Middleware(BodyTimeout),
+            Middleware(BodyLimit, but=_WITH_PICTURES),
         ],
     )
     app.state.services = services

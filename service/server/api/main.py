@@ -23,7 +23,7 @@ import uvicorn
 from sqlalchemy.exc import SQLAlchemyError
 
 from service.errors import EXIT_FAILURE, ServiceError
-from service.http.listener import bound, url_of
+from service.http.listener import bind_address, url_of
 from service.http.uvicorn_protocol import HEADER_BYTES, VERSION_HEADER, ProblemProtocol, allow_open_files
 from service.logs import configure_logs
 from service.processes import lifeline
@@ -69,7 +69,7 @@ def main() -> int:
         for name in ("uvicorn.error", "python_multipart"):  # a warning for each malformed request could fill a disk
             logging.getLogger(name).setLevel(logging.ERROR)
         allow_open_files(_FILES)
-        listener = lifeline.inherit_socket() or bound(settings.host, settings.port)
+        listener = lifeline.inherit_socket() or bind_address(settings.host, settings.port)
         url = url_of(listener)
         with contextlib.closing(listener), open_services(settings, offer, url) as services:
             asyncio.run(_serve(services, listener))

@@ -115,7 +115,7 @@ def _single(name: str, words: str, value: float) -> GaugeMetricFamily:
     return GaugeMetricFamily(name, words, value=value)
 
 
-class Measured:
+class MetricsMiddleware:
     """ASGI middleware: time until an answer begins, by route; bytes sent."""
 
     def __init__(self, app: ASGIApp, *, metrics: Metrics) -> None:
@@ -128,14 +128,14 @@ class Measured:
             return
         began = time.perf_counter()
 
-        async def noted(message: Message) -> None:
+        async def send_noted(message: Message) -> None:
             if message["type"] == "http.response.start":
                 self._note(scope, message["status"], time.perf_counter() - began)
             else:
                 self._metrics.sent.inc(len(message.get("body", b"")))
             await send(message)
 
-        await self._app(scope, receive, noted)
+        await self._app(scope, receive, send_noted)
 
     def _note(self, scope: Scope, status: int, seconds: float) -> None:
         route = getattr(scope.get("route"), "path", "none")  # never the address itself: there is no end to those

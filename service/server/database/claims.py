@@ -94,7 +94,7 @@ class WorkBook:
     def begin_stage(self, claim: Claim, stage: str, key: str) -> StageTry:
         """A try of a stage begins."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             interrupt_tries(connection, job, at=at)
             begun = _add_try(connection, claim, stage, key, StageState.RUNNING, at=at)
             put_rows(connection, progress, [{"job_id": job.id, "stage": stage, "share": 0.0, "at": at}])
@@ -111,7 +111,7 @@ class WorkBook:
     def reuse_stage(self, claim: Claim, stage: str, key: str, *, whole: float) -> StageResult | None:
         """The result of equal work done before, taken over for this job; None where there is none."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             used = stage_results.update().where(stage_results.c.key == key).values(used_at=at)
             if connection.execute(used).rowcount == 0:
                 return None
@@ -135,7 +135,7 @@ class WorkBook:
     ) -> None:
         """The stage is done: its files belong to the job, and whoever has equal work takes its result."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):
                 return  # asked again, as the answer to the first time was lost
             state, peak = str(StageState.COMMITTED), result.peak_rss_mb
@@ -158,7 +158,7 @@ class WorkBook:
     def end_stage(self, claim: Claim, begun: StageTry, close: StageClose) -> None:
         """The try made nothing: interrupted (tried again), failed or cancelled."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             if _is_closed(connection, begun):
                 return
             words = printable(close.words)[:WORDS_CHARS]
@@ -183,7 +183,7 @@ class WorkBook:
     def finish(self, claim: Claim, state: JobState, *, error: Json | None = None, report: Json | None = None) -> None:
         """The job has ended. One that was cancelled in its last moment is cancelled, not finished."""
         with begin_writing(self._database) as connection:
-            job, at = _held(connection, claim), clock(connection)
+            job, at = _lock_held_job(connection, claim), clock(connection)
             values: Json = {"error": error, "report": report}
             if state == JobState.SUCCEEDED and job.cancel_requested:
                 state, values = JobState.CANCELLED, {}
@@ -191,7 +191,7 @@ class WorkBook:
                 values["progress"] = 1.0
             end_job(connection, job, state, at=at, **values)
 
-    def crashes(self, claim: Claim, stage: str) -> int:
+    def count_crashes(self, claim: Claim, stage: str) -> int:
         """How often a stage has crashed in this attempt while its worker lived."""
         table = stage_runs.c
         query = (
@@ -203,7 +203,7 @@ class WorkBook:
         with begin_reading(self._database) as connection:
             return int(connection.execute(query).scalar_one())
 
-    def wanted(self, claims: Iterable[Claim]) -> dict[str, str]:
+    def read_wishes(self, claims: Iterable[Claim]) -> dict[str, str]:
         """For each job: "go", "cancelled" (a person wants it to end) or "fenced" (it is no longer ours)."""
         held = {claim.job.id: claim.fence for claim in claims}
         query = sa.select(jobs.c.id, jobs.c.fence, jobs.c.state, jobs.c.cancel_requested).where(jobs.c.id.in_(held))
@@ -237,7 +237,7 @@ def drop_results(connection: sa.Connection, keys: Collection[str]) -> int:
     return dropped
 
 
-def _held(connection: sa.Connection, claim: Claim) -> Job:
+def _lock_held_job(connection: sa.Connection, claim: Claim) -> Job:
     """The locked job, still ours."""
     try:
         job = lock_job(connection, claim.job.id)

@@ -60,7 +60,7 @@ class JobBook:
         with begin_writing(self.database) as connection:
             at, job_id = clock(connection), str(uuid4())
             if new.key is not None and not _claim_key(connection, new, new.key, job_id, at):
-                return _made_before(connection, new, new.key), False
+                return _find_made_before(connection, new, new.key), False
             connection.execute(jobs.insert().values(**_first_row(new, job_id, at)))
             add_to_counters(connection, {state_counter(JobState.QUEUED): 1})
             write_event(connection, job_id, "queued", {"attempt": 1, "by": new.created_by}, at=at)
@@ -307,7 +307,7 @@ def _claim_key(connection: sa.Connection, new: NewJob, key: ClientKey, job_id: s
     return insert_new(connection, idempotency_keys, row | {"created_at": at})
 
 
-def _made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
+def _find_made_before(connection: sa.Connection, new: NewJob, key: ClientKey) -> Job:
     table = idempotency_keys.c
     mine = sa.and_(table.principal == key.token, table.kind == "job", table.key == key.text)
     query = sa.select(idempotency_keys).where(mine)

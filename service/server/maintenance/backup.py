@@ -38,7 +38,7 @@ def back_up(settings: ServerSettings, target: Path) -> list[str]:
     if settings.embedded and not (settings.data / DATABASES[-1]).is_file():
         raise InputError(f"--data {settings.data}: there is no {DATABASES[-1]}; allowed: the folder of a server")
     store = open_store(settings)
-    with _written(target) as file, tarfile.open(fileobj=file, mode="w|", format=tarfile.PAX_FORMAT) as tar:
+    with _create_whole(target) as file, tarfile.open(fileobj=file, mode="w|", format=tarfile.PAX_FORMAT) as tar:
         manifest: dict[str, object] = {
             "format": FORMAT,
             "version": metadata.version("causticmill"),
@@ -131,7 +131,7 @@ def _add(
 
 
 @contextlib.contextmanager
-def _written(target: Path) -> Iterator[IO[bytes]]:
+def _create_whole(target: Path) -> Iterator[IO[bytes]]:
     """A new file that appears whole or not at all; nobody else may read it."""
     if str(target) == "-":
         yield sys.stdout.buffer

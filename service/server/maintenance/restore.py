@@ -32,7 +32,7 @@ _WITHOUT_DATABASE = [
 _MANIFEST_BYTES = 1 << 30
 
 
-def restore(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
+def restore_backup(source: Path, settings: ServerSettings, *, keep_tokens: bool = False) -> list[str]:
     """The lines say what was restored, what the backup did not hold, and what became of the tokens.
 
     They are all revoked unless keep_tokens: the backup does not know which of them have been since it was made.

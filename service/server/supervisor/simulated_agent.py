@@ -13,7 +13,7 @@ from machines.errors import MachineError
 from machines.profiles import load_profile
 from service.errors import ServiceError
 from service.milling.agent.main import run_agent
-from service.milling.agent.settings import agent_settings
+from service.milling.agent.settings import make_agent_settings
 from service.server.fleet.registry import SIMULATED, folder_of_simulated
 from service.settings import ServerSettings
 
@@ -28,7 +28,7 @@ def main() -> int:
         profile = load_profile(SIMULATED, (folder,))
         port = profile.link.port or ""
         run_agent(
-            agent_settings(
+            make_agent_settings(
                 machine=SIMULATED,
                 port_url=port,
                 own_port=port,

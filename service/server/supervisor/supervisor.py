@@ -22,7 +22,7 @@ from types import FrameType
 from typing import TextIO
 
 from service.errors import EXIT_FAILURE, EXIT_INPUT, ServiceError, printable
-from service.http.listener import answers, bound, complaint, url_of
+from service.http.listener import is_answering, bind_address, read_complaint, url_of
 from service.processes import lifeline
 from service.processes.folder_lock import lock_folder
 from service.server.pairing_code import code_lines, code_of, new_offer
@@ -77,21 +77,21 @@ class Supervisor:
             for child in self._children:
                 child.start()
             while self._code is None or any(child.running for child in self._children):
-                patience_s, before = self._patience_s(), time.monotonic()
-                selector.select(patience_s)
+                timeout_s, before = self._select_timeout_s(), time.monotonic()
+                selector.select(timeout_s)
                 with contextlib.suppress(BlockingIOError):
                     wake.recv(4096)
-                if time.monotonic() - before > patience_s + _AWAY_S:  # stopped, or the computer slept
+                if time.monotonic() - before > timeout_s + _AWAY_S:  # stopped, or the computer slept
                     for child in self._children:
-                        child.forgive()
-                self._heed()
+                        child.restart_timeout()
+                self._handle_signal()
                 self._look()
             return self._code
 
     def _obey_signal(self, _number: int, _frame: FrameType | None) -> None:
         self._signals += 1
 
-    def _heed(self) -> None:
+    def _handle_signal(self) -> None:
         """The first signal asks the children to end well, the second ends them."""
         if self._signals > self._heeded:
             if self._code is None:
@@ -122,13 +122,13 @@ class Supervisor:
                 if not child.failed:
                     _say(f"error: the {child.name} ended {child.failures} times before it was ready; see above")
                 return self._stop(EXIT_FAILURE)
-        if answers(self._listener, self._probe, patience_s=_ANSWER_S):
+        if is_answering(self._listener, self._probe, timeout_s=_ANSWER_S):
             self._ready = True
             for child in self._children:
                 child.trusted = True
             self._announce(f"ready in {time.time() - self._began:.1f} s")
         elif not self._announced and time.time() - self._began > _LONG_S:
-            words = complaint(self._listener, self._probe, patience_s=_ANSWER_S)
+            words = read_complaint(self._listener, self._probe, timeout_s=_ANSWER_S)
             if words is not None:
                 self._announce(f"not ready: {words}")
         return None
@@ -161,7 +161,7 @@ class Supervisor:
             child.signal(signal.SIGTERM)
             child.signal(signal.SIGCONT)
 
-    def _patience_s(self) -> float:
+    def _select_timeout_s(self) -> float:
         """How long nothing needs to be looked at unless a signal comes."""
         if self._code is None and not self._ready:
             return _LONG_PROBE_S if self._announced else _PROBE_S
@@ -180,7 +180,7 @@ def main() -> int:
         with (
             lock_folder(Path(_read_setting("DATA", "causticmill-data"))),
             contextlib.closing(
-                bound(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
+                bind_address(_read_setting("HOST", "127.0.0.1"), int(_read_setting("PORT", "8000")))
             ) as listener,
         ):
             wanted = {name: module for name, module in modules.items() if module}

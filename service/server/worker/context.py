@@ -19,7 +19,7 @@ from service.server.worker.process.outcomes import StageEnd
 from service.settings import ServerSettings
 from service.store.base import Store
 
-INSIST_S = 600.0
+RETRY_S = 600.0
 PAUSE_S = 0.2
 AWAY = (sa.exc.OperationalError, sa.exc.InterfaceError, sa.exc.InternalError, sa.exc.TimeoutError)
 Result = TypeVar("Result")
@@ -36,7 +36,7 @@ class Processes(Protocol):
 
 
 @dataclass(frozen=True)
-class Bench:
+class WorkerContext:
     """All that a worker's jobs share."""
 
     settings: ServerSettings
@@ -54,7 +54,7 @@ class Bench:
 
 
 @contextmanager
-def database_may_be_away() -> Iterator[None]:
+def fence_outage() -> Iterator[None]:
     """A database that cannot be reached is no fault of the job: it is gone on with later."""
     try:
         yield
@@ -62,9 +62,9 @@ def database_may_be_away() -> Iterator[None]:
         raise Fenced(f"the database is away: {str(error).splitlines()[0]}") from error
 
 
-def insist(write: Callable[[], Result]) -> Result:
+def retry_while_away(write: Callable[[], Result]) -> Result:
     """Do it again and again while the database is away: work of hours is not thrown away over a restart of it."""
-    deadline = time.monotonic() + INSIST_S
+    deadline = time.monotonic() + RETRY_S
     while True:
         try:
             return write()

@@ -63,7 +63,7 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
     import sqlalchemy as sa
 
     from service.logs import configure_logs
-    from service.server.worker import warmup as preparing
+    from service.server.worker import warmup
     from service.server.worker.preconditions import executor_name
     from service.server.worker.worker import open_worker
 
@@ -71,8 +71,8 @@ def _work(settings: ServerSettings, processes: StageProcesses, end: socket.socke
     try:
         with open_worker(settings, processes) as worker:
             worker.start()
-            print(f"ready: worker {worker.bench.executor}", flush=True)
-            if prepare and (process := preparing.begin()):
+            print(f"ready: worker {worker.context.executor}", flush=True)
+            if prepare and (process := warmup.begin()):
                 threading.Thread(target=process.wait, daemon=True).start()  # or a zombie stays
             gc.freeze()  # what is here now stays: not worth looking at again and again
             end.recv(1)

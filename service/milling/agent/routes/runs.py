@@ -19,7 +19,7 @@ from service.http.problems import Problem
 from service.milling.agent.agent import Agent
 from service.milling.agent.callers import read_caller
 from service.milling.agent.mill_access import START_S
-from service.milling.agent.request_fields import Fields, fields_of
+from service.milling.agent.request_fields import Fields, read_fields
 
 
 class RunRoutes:
@@ -47,16 +47,16 @@ class RunRoutes:
         return JSONResponse(self._run(request).as_dict())
 
     async def park(self, request: Request) -> Response:
-        fields = await fields_of(request)
+        fields = await read_fields(request)
         program = fields.text("program")
         name = fields.text("name", program[:12], longest=200)
         key = fields.text("key", longest=100) if fields.has("key") else ""
-        fields.done()
+        fields.refuse_unknown()
         path = self._agent.store.path_of(program)
         async with self._parking:  # a client that asks again must not overtake itself
             if (known := self._find_parked(key, program)) is not None:
                 return _run_response(known, status=200)
-            facts: Preflight = await self._agent.access.work(lambda: self._agent.preflight(path))
+            facts: Preflight = await self._agent.access.work(lambda: self._agent.run_preflight(path))
             run: RunView = await self._agent.access.call(lambda mill: self._park(mill, facts, path, name))
             if key:
                 await self._agent.access.work(lambda: self._agent.keys.remember(key, run.id))
@@ -76,19 +76,19 @@ class RunRoutes:
         return run
 
     async def start(self, request: Request) -> Response:
-        run, fields = self._run(request), await fields_of(request)
+        run, fields = self._run(request), await read_fields(request)
         said = _read_confirmation(fields, START_CHECKS)
         setup = fields.text("setup", longest=100) if fields.has("setup") else None
-        fields.done()
+        fields.refuse_unknown()
         await self._agent.access.order(
             "start", lambda mill: mill.start(run.id, said, setup=setup), read_caller(request), within_s=START_S
         )
         return self._answer(request)
 
     async def recover(self, request: Request) -> Response:
-        run, fields = self._run(request), await fields_of(request)
+        run, fields = self._run(request), await read_fields(request)
         said, plan = _read_confirmation(fields, RECOVER_CHECKS), fields.text("plan", longest=100)
-        fields.done()
+        fields.refuse_unknown()
         await self._agent.access.order(
             "recover", lambda mill: mill.recover(run.id, said, plan_seen=plan), read_caller(request), within_s=START_S
         )

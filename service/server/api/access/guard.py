@@ -163,7 +163,7 @@ class Guard:
                 token = await ask(self._threads, self._tokens.find, secret := _secret(shown))
                 if token is not None:
                     self._stop_access.remember(secret, token)
-                return self._known(token) if token else None
+                return self._accept_token(token) if token else None
             if here and self._anonymous_jobs and not await ask(self._threads, self._tokens.any_ever):
                 return ANONYMOUS
         except SQLAlchemyError:
@@ -171,7 +171,7 @@ class Guard:
             raise Problem(503, words, headers={"Retry-After": "2"}) from None
         return None
 
-    def _known(self, token: Token) -> Principal:
+    def _accept_token(self, token: Token) -> Principal:
         """Its use is noted by another thread: a busy database must not hold a caller up who only reads."""
         self._notes.submit(self._note_use, token)
         return _principal(token)

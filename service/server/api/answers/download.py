@@ -59,10 +59,10 @@ async def download(
         await asyncio.to_thread(store.head, file.sha256)
         return Response(status_code=status, headers=headers, media_type=kind)
     pieces = await asyncio.to_thread(store.open_range, file.sha256, start, end)
-    return StreamingResponse(in_threads(pieces), status_code=status, headers=headers, media_type=kind)
+    return StreamingResponse(iterate_in_threads(pieces), status_code=status, headers=headers, media_type=kind)
 
 
-async def in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
+async def iterate_in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
     """Each piece is made in a thread, when the one before has been taken; one more is ready at any time."""
     ahead = asyncio.ensure_future(asyncio.to_thread(next, pieces, None))
     try:

@@ -88,7 +88,7 @@ class Feed:
             self._drop(follower)
         self._wake.set()
 
-    def gone(self, job_id: str) -> None:
+    def drop_job(self, job_id: str) -> None:
         """The job was deleted here."""
         for follower in [each for each in self._followers if each.job_id == job_id]:
             self._drop(follower)
@@ -97,7 +97,7 @@ class Feed:
         """Until nobody follows any more."""
         while self._followers:
             self._wake.clear()
-            asked = self._asked()
+            asked = self._list_wanted()
             wait_s = self._poll_s
             try:
                 found = await asyncio.to_thread(self._book.latest, asked)
@@ -111,7 +111,7 @@ class Feed:
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(self._wake.wait(), wait_s)
 
-    def _asked(self) -> dict[str, int]:
+    def _list_wanted(self) -> dict[str, int]:
         """For each job, the event after which somebody needs the rest."""
         asked: dict[str, int] = {}
         for follower in self._followers:

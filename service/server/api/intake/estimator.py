@@ -35,7 +35,7 @@ Answer = dict[str, Any]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class _Ask:
+class _Request:
     caller: str
     asked: dict[str, Any]
     is_long: bool
@@ -58,8 +58,8 @@ class Estimator:
         self._idle_s = idle_s
         self._module = module
         self._bell = threading.Condition()
-        self._waiting: list[_Ask] = []
-        self._running: _Ask | None = None
+        self._waiting: list[_Request] = []
+        self._running: _Request | None = None
         self._closed = self._killed = False
         self._keeper: threading.Thread | None = None
         self._child: LineChild | None = None
@@ -70,7 +70,7 @@ class Estimator:
 
         is_long : the answer may take LONG_S
         """
-        ask = _Ask(caller=caller, asked=asked, is_long=is_long)
+        ask = _Request(caller=caller, asked=asked, is_long=is_long)
         with self._bell:
             if self._closed:
                 raise Problem(503, "the server is ending", headers=_RETRY)
@@ -92,7 +92,7 @@ class Estimator:
         with self._bell:
             self._end_all_of(caller)
 
-    def _asks_of(self, caller: str) -> list[_Ask]:
+    def _asks_of(self, caller: str) -> list[_Request]:
         """With the bell held."""
         return [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
 
@@ -138,11 +138,11 @@ class Estimator:
             self._keeper.join()
 
     def _keep(self) -> None:
-        while (ask := self._next()) is not None:
+        while (ask := self._wait_for_next()) is not None:
             self._finish(ask)
         self._drop()
 
-    def _next(self) -> _Ask | None:
+    def _wait_for_next(self) -> _Request | None:
         """The next one to be answered; meanwhile an idle process is ended. None: closed."""
         with self._bell:
             self._running = None
@@ -158,7 +158,7 @@ class Estimator:
                     self._drop()
             return None
 
-    def _finish(self, ask: _Ask) -> None:
+    def _finish(self, ask: _Request) -> None:
         try:
             found = self._answer(ask)
         except (ChildLate, ChildDied, OSError) as error:
@@ -178,7 +178,7 @@ class Estimator:
         with suppress(InvalidStateError):
             ask.answer.set_result(found[self._what])
 
-    def _answer(self, ask: _Ask) -> dict[str, Any]:
+    def _answer(self, ask: _Request) -> dict[str, Any]:
         if self._child is None:
             self._child = LineChild(self._module, self._is_closed, start_s=_START_S)
         if ask.is_long and ask.answer.done():

@@ -67,7 +67,7 @@ async def receive_form(
     """
     body = RequestBody(request)
     try:
-        with _new_file(folder) as (path, file):
+        with _create_file(folder) as (path, file):
             yield await _read(request, body, _Reader(JobForm(path=path), file, max_image_bytes, space, picture, small))
     except Problem:
         await body.linger()
@@ -135,7 +135,7 @@ class _Reader:
             "on_end": self._end,
         }
 
-    def done(self) -> JobForm:
+    def finish(self) -> JobForm:
         """The form, if it is whole."""
         self._file.flush()
         if not self._ended:
@@ -231,7 +231,7 @@ def _too_large(most: int, picture: str) -> Problem:
 
 
 @contextlib.contextmanager
-def _new_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
+def _create_file(folder: Path) -> Iterator[tuple[Path, BinaryIO]]:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{secrets.token_hex(8)}.upload"
     try:

@@ -68,7 +68,7 @@ def _parse(text: bytes) -> dict[str, Any]:
     if text.count(b",") + text.count(b":") > _MOST_VALUES:
         raise _unusable(f"holds more than {_MOST_VALUES} values")
     try:
-        data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=_once, parse_constant=_no_constant)
+        data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=_refuse_duplicates, parse_constant=_refuse_constant)
     except UnicodeDecodeError:
         raise _unusable("is not UTF-8") from None
     except RecursionError:
@@ -82,7 +82,7 @@ def _parse(text: bytes) -> dict[str, Any]:
     return data
 
 
-def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _refuse_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     made: dict[str, Any] = {}
     for key, value in pairs:
         if key in made:
@@ -91,7 +91,7 @@ def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return made
 
 
-def _no_constant(word: str) -> float:
+def _refuse_constant(word: str) -> float:
     raise ValueError(f"{word} is no number")
 
 

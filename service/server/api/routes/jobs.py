@@ -121,7 +121,7 @@ async def delete(request: Request, _: Writer, job_id: JobId) -> Response:
         _tell_engine(services, services.book.delete(str(job_id)))
 
     await asyncio.to_thread(change)
-    services.feed.gone(str(job_id))
+    services.feed.drop_job(str(job_id))
     return Response(status_code=204)
 
 

@@ -1,4 +1,4 @@
-"""What the nursery imports before any fork, and what a child does with its order."""
+"""What the fork server imports before any fork, and what a child does with its order."""
 
 from __future__ import annotations
 

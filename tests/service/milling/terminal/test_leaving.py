@@ -125,7 +125,7 @@ def test_no_end_leaves_lines_in_the_controller_without_a_word(tmp_path: Path, wa
 
 
 BREAKS = {
-    "the display": "import service.milling.terminal.follow as module; name = 'RunFollower'; what = '_view'",
+    "the display": "import service.milling.terminal.follow as module; name = 'RunFollower'; what = '_make_view'",
     "the mill's thread": "import machines.mill.mill as module; name = 'Mill'; what = 'step'",
 }
 
