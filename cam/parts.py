@@ -47,7 +47,7 @@ class PartLimits:
         return not (math.isinf(self.most_bytes) and math.isinf(self.most_s))
 
     def points_at_once(self) -> int:
-        """So few that a program near its limit cannot outgrow it between two looks at it."""
+        """Return so few points that a program near its limit cannot outgrow it between two looks at it."""
         room = 0.01 * self.most_bytes / _BYTES_PER_POINT
         return int(min(max(room, _FEWEST_POINTS), _FEW_POINTS))
 
@@ -72,7 +72,7 @@ class PassFrame:
 def programs(
     paths: Iterable[Path], post: Dialect, frame: PassFrame, limits: PartLimits | None = None
 ) -> Iterator[Iterator[bytes]]:
-    """The text of each program, in pieces; one is to be read to its end before the next is asked for."""
+    """Yield the text of each program, in pieces; one must be read to its end before the next is asked for."""
     limits = limits or PartLimits()
     source = _Slices(paths, limits)
     part = 0
@@ -116,7 +116,7 @@ def _outside(place: Array, frame: PassFrame) -> bool:
 
 
 def _way_back(source: _Slices, frame: PassFrame) -> Iterator[Path]:
-    """To where the tool stood: aloft, or down onto the path that was cut last and along it to its end."""
+    """Yield paths to where the tool stood: aloft, or down onto the path cut last and along it to its end."""
     recent = source.recent()
     if recent is None:
         if not source.begins_aloft:
@@ -155,7 +155,7 @@ class _Meter:
         self._seconds += 60 * length_mm / (path.feed_mm_per_min or self._limits.rapid_mm_per_min)
 
     def points_at_once(self) -> int:
-        """A quarter of what still fits until the program may end, going by what it has taken so far."""
+        """Return a quarter of what still fits until the program may end, going by what it has taken so far."""
         fits = self._points * (AT_LIFT / max(self.share, 1e-9) - 1)
         return int(min(max(fits / 4, self._limits.points_at_once()), _MOST_POINTS))
 
@@ -194,7 +194,9 @@ class _Slices:
             yield path
 
     def recent(self) -> tuple[Array, float] | None:
-        """The last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in one."""
+        """Return the last millimetres of the cut that the tool is in (n, 3) and their feed; None where it is not in
+        one.
+        """
         feed = self._recent[-1][0].feed_mm_per_min if self._recent else None
         if feed is None:
             return None
@@ -213,7 +215,7 @@ class _Slices:
                 first = end
 
     def _record(self, path: Path) -> None:
-        """Moves on to the end of a path, and keeps of the cuts what an entry in their midst would need."""
+        """Move on to the end of a path, and keep of the cuts what an entry in their midst would need."""
         points = path.points_mm
         reach_mm = 0.0 if np.isnan(self.place[2]) else math.dist(self.place, points[0])
         self.length_mm = reach_mm + _length_mm(points)

@@ -48,7 +48,7 @@ class Bench:
         shift_mm: tuple[float, float] = (0.0, 0.0),
         **others: Any,
     ) -> Bench:
-        """Return A screen of that size (None: the aperture's) whose centre lies shift_mm aside of the aperture's."""
+        """Return a screen of that size (None: the aperture's) whose centre lies shift_mm aside of the aperture's."""
         wide, high = screen_mm or (width_mm, height_mm)
         screen = Screen(
             width_mm=wide,

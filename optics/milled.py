@@ -96,7 +96,7 @@ def _cut(corners, count, axis, sign, limit, out):  # type: ignore[no-untyped-def
 
 @njit(cache=True, nogil=True)
 def _within(corners, count, width, height, spare):  # type: ignore[no-untyped-def]
-    """Return A polygon cut to the aperture, in place; its number of corners."""
+    """Return a polygon cut to the aperture, in place; its number of corners."""
     inside = True
     for k in range(count):
         x, y = corners[k, 0], corners[k, 1]

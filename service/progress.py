@@ -92,7 +92,7 @@ class Stopwatch:
 
 @contextmanager
 def report_progress(quiet: bool) -> Iterator[Reporter]:
-    """What suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
+    """Yield what suits the standard output: a bar on a terminal, plain lines otherwise, nothing when quiet."""
     if quiet:
         yield QuietReporter()
     elif sys.stdout.isatty():

@@ -19,7 +19,7 @@ _AT_ONCE = 20_000  # moves between two looks at how high the stock still is
 
 
 def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
-    """What the balls of these tracks leave of the stock, exact at the centres of its cells.
+    """Return what the balls of these tracks leave of the stock, exact at the centres of its cells.
 
     before : best little above the surface: then the balls have little to go over
     """
@@ -39,7 +39,7 @@ def mill_heights(tracks: Sequence[Tracks], before: StockGrid) -> StockGrid:
 
 
 def _chains(tracks: Tracks) -> list[Array]:
-    """The tips of each unbroken way."""
+    """Return the tips of each unbroken way."""
     begins = np.flatnonzero(~tracks.joined)
     return [chain for chain in np.split(tracks.tips_mm, begins[begins > 0]) if len(chain) > 1]
 

@@ -115,7 +115,7 @@ class PassCheck:
         return not self.faults
 
     def as_report(self) -> dict[str, object]:
-        """Plain values for report.json; the file's name and hash are the caller's."""
+        """Return plain values for report.json; the file's name and hash are the caller's."""
         return {
             "ok": self.ok,
             "faults": list(self.faults),
@@ -305,7 +305,7 @@ class _Run:
         )
 
     def _gouge_um(self, left: StockLeft, fine: list[StockLeft]) -> float:
-        """Deepest cut below the lens: by contact, by the whole part's cells, and by the windows' cells."""
+        """Return the deepest cut below the lens: by contact, by the whole part's cells, and by the windows' cells."""
         deepest_mm = self.rules.gouge_mm
         for grid, result in [(self.whole, left), *zip(self.windows, fine, strict=True)]:
             touched = grid.cut_by_line > 0
@@ -321,7 +321,7 @@ class _Run:
         return 1000 * max(0.0, -lowest_mm)
 
     def _row_gap(self, left: StockLeft) -> float:
-        """Widest gap between rows where there was stock to take off; a fault when a row is missing."""
+        """Return the widest gap between rows where there was stock to take off; note a fault when a row is missing."""
         start = StockLeft.of(self.before, self.heightfield, self.spec)
         with np.errstate(invalid="ignore"):
             wanted = start.over_mm > 2 * left.cusp_mm + 0.001
@@ -332,7 +332,7 @@ class _Run:
         return gap_mm
 
     def _contour_gap(self, measures: PathMeasures) -> float:
-        """Widest gap between the tracks of a contour pass, on the whole aperture."""
+        """Return the widest gap between the tracks of a contour pass, on the whole aperture."""
         gap = measures.gap
         allowed_mm = CONTOUR_GAP_PITCHES * self.spec.pitch_mm + max(ROUNDING_MM, 1.5 * self.digit_mm)
         self._judge_gap(gap.width_mm, gap.x_mm, gap.y_mm, allowed_mm=allowed_mm)

@@ -42,7 +42,7 @@ class Roughing:
         self._known: dict[tuple[float, float], Before | None] = {}
 
     def plan_before(self, finish: PassSpec) -> Before | None:
-        """Rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
+        """Plan a rough, and a second rough where that is quicker than layers of the finish; None: no tool can."""
         key = (finish.radius_mm, finish.step_down_mm)
         if key not in self._known:
             self._known[key] = self._choose_quickest(finish)
@@ -59,7 +59,7 @@ class Roughing:
         )
 
     def _plan_rough(self, finish: PassSpec) -> Before | None:
-        """By the ball that is quickest; beside its walls the shank of the finish must have room."""
+        """Plan the rough by the quickest ball; beside its walls the shank of the finish must have room."""
         if finish.radius_mm not in self._rough:
             room_mm = finish.radius_mm + max(finish.shank_radius_mm or 0.0, finish.radius_mm)
             ways = [
@@ -80,7 +80,7 @@ class Roughing:
         return self._firsts[tool]
 
     def _plan_leaving_less(self, rough: Before, finish: PassSpec) -> Iterator[Before]:
-        """The same first pass, where the finish needs no layers if a little less is left. It takes as long."""
+        """Yield the same first pass, leaving a little less, where the finish then needs no layers. It takes as long."""
         spec = rough.passes[0]
         left_mm = _LAYER_SHARE * finish.layer_mm * self._steep - _cusp_mm(spec)
         left_mm = floor(left_mm * 100 + 1e-9) / 100
@@ -115,7 +115,7 @@ class Roughing:
         )
 
     def _depth_mm(self, spec: PassSpec) -> float:
-        """The deepest stock after a pass, along Z."""
+        """Return the deepest stock after a pass, along Z."""
         return (spec.stock_to_leave_mm + _cusp_mm(spec)) / self._steep
 
 

@@ -74,12 +74,13 @@ class MoveBatch:
 
 
 def read_program(chunks: Iterable[bytes], language: Language = GRBL) -> Iterator[MoveBatch]:
-    """Moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
+    """Yield moves of a program given as pieces of its text. Raises ProgramError at the first line it may not run."""
     yield from read_parts([chunks], language)
 
 
 def read_parts(parts: Iterable[Iterable[bytes]], language: Language = GRBL) -> Iterator[MoveBatch]:
-    """Moves of a pass that is written as several programs, run one after the other, each given in pieces of its text.
+    """Yield moves of a pass that is written as several programs, run one after the other, each given in pieces of its
+    text.
 
     Each begins with nothing known but where the one before has left the tool; lines and bytes are counted through.
     """
@@ -119,7 +120,7 @@ def _batches(chunks: Iterable[bytes], language: Language, state: Array) -> Itera
 
 
 def _large_pieces(chunks: Iterable[bytes]) -> Iterator[tuple[bytes, bool]]:
-    """Chunks gathered to BATCH_BYTES or more, each with "is the last one" (possibly empty)."""
+    """Yield chunks gathered to BATCH_BYTES or more, each with "is the last one" (possibly empty)."""
     held: list[bytes] = []
     size = 0
     for chunk in chunks:

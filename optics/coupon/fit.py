@@ -122,7 +122,7 @@ class _Model:
         self.finished = [(of_strip[fold.strip], fold) for fold in fit if fold.half == finished]
 
     def harmonics(self, profile: Profile, setting: _Setting, *, finished: bool) -> Callable[[float], Complex]:
-        """Return A strip's light c_0 ... c_m when all its heights are that many times higher."""
+        """Return a strip's light c_0 ... c_m when all its heights are that many times higher."""
         if not finished:
             return lambda scale: fringe_coefficients(profile, scale * setting.lever)
         strip = Finished.of(profile, setting.finish.transfer)

@@ -155,7 +155,7 @@ class Coupon:
         return _SPOT_RADIUS_MM**2 / (2 * self.throw_mm * (self.refractive_index - 1)) + 2e-3
 
     def _spot_mm(self, away_mm: Array) -> Array:
-        """Return A cap that focuses on the wall, blended into the flat."""
+        """Return a cap that focuses on the wall, blended into the flat."""
         cap = self._spot_height_mm - away_mm**2 / (2 * self.throw_mm * (self.refractive_index - 1))
         soft = 3e-3  # a smooth maximum of the cap and 0
         return np.asarray(soft * np.logaddexp(0.0, np.minimum(cap / soft, 500.0)))

@@ -67,7 +67,7 @@ def _find_lit(small: Array) -> tuple[Mask, float]:
 
 
 def _moments(weight: Array) -> tuple[Array, Array]:
-    """Return centre (2,) and root of the covariance (2, 2) of a weighted grid [pixels]."""
+    """Return the centre (2,) and root of the covariance (2, 2) of a weighted grid [pixels]."""
     total = max(float(weight.sum()), 1e-12)
     y, x = (np.arange(n) + 0.5 for n in weight.shape)
     across, down = weight.sum(axis=0) / total, weight.sum(axis=1) / total

@@ -124,8 +124,9 @@ def _judge_unreadable(path: Path, error: CamError) -> Verdict:
 
 
 def _read_job_tasks(programs: Sequence[Path], folder: Path, job: ResolvedJob) -> tuple[list[Task], Stock, MachineProfile]:
-    """Passes by file name from the job's report and spec; passes before the last one asked for are run as well, and all
-    parts of a pass."""
+    """Return passes by file name from the job's report and spec; passes before the last one asked for are run, too, and
+    all parts of a pass.
+    """
     spec, rows = job.spec, job_files.programs_in_order(job_files.read_report(folder))
     files = [job_files.names_of_pass(row) for row in rows]
     of_file = {name: number for number, names in enumerate(files) for name in names}
@@ -144,7 +145,7 @@ def _read_job_tasks(programs: Sequence[Path], folder: Path, job: ResolvedJob) ->
 def _make_option_tasks(
     programs: Sequence[Path], heightfield: Heightfield, settings: CheckSettings
 ) -> tuple[list[Task], Stock, MachineProfile]:
-    """Passes from options, what is left out from the job spec's defaults."""
+    """Return passes from options, what is left out from the job spec's defaults."""
     count = len(programs)
     radii = _repeat_value("--radius-mm", settings.radius_mm, count)
     pitches = _repeat_value("--pitch-mm", settings.pitch_mm, count)

@@ -31,7 +31,7 @@ def run_machines(name: str | None = None, *, check: bool = False) -> int:
 
 
 def list_machines(*, check: bool = False, name: str | None = None) -> tuple[list[str], list[str]]:
-    """(lines to show, problems found). A file that cannot be used is a problem even without `check`."""
+    """Return (lines to show, problems found). A file that cannot be used is a problem even without `check`."""
     sources = profile_sources()
     if name is not None and name not in sources:
         raise InputError(str(UnknownProfileError(name, tuple(sources))))
@@ -116,7 +116,7 @@ def _triple(values: tuple[float, float, float], unit: str) -> str:
 
 
 def _find_port_problems(profile: MachineProfile) -> list[str]:
-    """Is the port of the profile there? Ports behind a URL are not tried."""
+    """Return a sentence where the port of the profile is not there. Ports behind a URL are not tried."""
     port = profile.link.port
     if port is None or "://" in port or profile.link.driver in _NOT_SERIAL or Path(port).exists():
         return []

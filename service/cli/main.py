@@ -23,7 +23,7 @@ _SOON_S = 0.01
 
 
 def main() -> None:
-    """What the installed command calls."""
+    """Run what the installed command calls."""
     gc.set_threshold(100_000, 20, 20)  # nearly all that is made is made by imports and stays: no use in looking often
     code = run(sys.argv[1:])
     for kind in (*STOPPING_SIGNALS, signal.SIGHUP):  # all is done; what comes now ends the process without a traceback
@@ -66,7 +66,9 @@ def _run_command(arguments: Sequence[str]) -> int:
 
 
 def _report_error(error: Exception) -> int:
-    """What ended a command as a line on stderr, and its exit code. An error of the program itself is raised again."""
+    """Return what ended a command as a line on stderr, and its exit code. An error of the program itself is raised
+    again.
+    """
     match error:
         case ServiceError():
             return _fail(str(error), error.exit_code)
@@ -98,7 +100,7 @@ class _Signals:
 
 @contextlib.contextmanager
 def _raise_interrupts() -> Iterator[_Signals]:
-    """SIGTERM and a lost terminal end a command as Ctrl-C does. A signal that is ignored (nohup) stays so.
+    """End a command on SIGTERM and a lost terminal as Ctrl-C does. A signal that is ignored (nohup) stays so.
 
     More of them change nothing, so that the cleaning is not cut short. An import or a callback may swallow the
     interrupt, so an alarm raises it again until the command has ended. The compiler is let finish first: its callbacks
@@ -137,7 +139,7 @@ def _raise_interrupts() -> Iterator[_Signals]:
 
 
 def _is_compiling(frame: FrameType | None) -> bool:
-    """Whether this frame was called by the compiler, or is part of it."""
+    """Return whether this frame was called by the compiler, or is part of it."""
     while frame is not None:
         if frame.f_globals.get("__name__", "").startswith("llvmlite."):
             return True

@@ -151,7 +151,7 @@ def machines(
 
 @contextlib.contextmanager
 def _translate_errors() -> Iterator[None]:
-    """Errors of the machine layer as errors of the service: what the person gave, or what failed."""
+    """Translate errors of the machine layer into errors of the service: what the person gave, or what failed."""
     from machines.errors import JournalError, MachineError, PortLostError
     from machines.profiles import UnknownProfileError
 

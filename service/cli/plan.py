@@ -104,7 +104,7 @@ def _make_plan(request: PlanRequest) -> tuple[Planned, ResolvedJob]:
 
 
 def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob:
-    """The job that is planned: what was given, its passes left open."""
+    """Resolve the job that is planned: what was given, its passes left open."""
     given = read_spec_file(request.spec) if request.spec is not None else {}
     given.pop("passes", None)
     goal = {key: value for key, value in request.goal.items() if value is not None}
@@ -121,7 +121,7 @@ def _resolve_plan_job(request: PlanRequest, base: dict[str, Any]) -> ResolvedJob
 
 
 def table(planned: Planned) -> Iterator[str]:
-    """The best plans by time; the chosen one is marked."""
+    """Yield the best plans by time; the chosen one is marked."""
     head = ("", "TIME", "PSNR dB", "SSIM", "BLUR mm", "px", "FINISH", "REST", "BEFORE")
     rows = [head, *(_row(planned, one) for one in planned.plan.front)]
     if all(one.rest is None for one in planned.plan.front):
@@ -154,7 +154,7 @@ def _balls(passes: Sequence[PassSpec]) -> str:
 
 
 def spec_fragment(planned: Planned, spec: JobSpec) -> str:
-    """TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
+    """Return TOML that `make --spec` takes: what was given for the lens, and the passes that were chosen."""
     usual = JobSpec(passes=(), preset="recommended").model_dump(mode="json", exclude_none=True)
     data = spec.plain()
     lines = [

@@ -164,7 +164,7 @@ def _send_confirmed(
 
 
 def _print_plan(plan: dict[str, Any]) -> None:
-    """The way back; what stands in its way ends the command."""
+    """Print the way back; what stands in its way ends the command."""
     from service.client.server import clean
     from service.errors import InputError
 
@@ -175,7 +175,7 @@ def _print_plan(plan: dict[str, Any]) -> None:
 
 
 def _stop(run: str, verb: str, server: str | None, token_file: Path | None) -> None:
-    """As `_send_command`; where the order may not have reached the mill, the person is sent to its own stop."""
+    """Send a stop as `_send_command`; where it may not have arrived, the person is sent to the mill's own stop."""
     from service.client.server import GoneError, RefusedError
     from service.errors import FailedError
 

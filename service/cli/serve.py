@@ -187,7 +187,7 @@ def _settings(**given: object) -> ServerSettings:
 
 
 def _log_level(verbose: bool) -> str | None:
-    """On a terminal only what a person should know, unless they say otherwise."""
+    """Return the level for a terminal: only what a person should know, unless they say otherwise."""
     if verbose:
         return "info"
     return "warning" if sys.stderr.isatty() and "CAUSTICMILL_LOG_LEVEL" not in os.environ else None

@@ -24,7 +24,7 @@ class LeftError(ServiceError):
 
 
 def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, Any]:
-    """The job as it is at its end."""
+    """Follow the job; return it as it is at its end."""
     with explain_interrupt(f"the job goes on; `causticmill jobs follow {job_id}` shows it, `jobs cancel` ends it"):
         events = stream_events(
             server,
@@ -45,7 +45,7 @@ def follow(server: ServerClient, job_id: str, screen: JobScreen) -> dict[str, An
 
 
 def require_success(job: dict[str, Any]) -> None:
-    """FailedError, in the words of the server, unless the job has succeeded."""
+    """Raise FailedError, in the words of the server, unless the job has succeeded."""
     job_id = clean(job["id"])
     if job["state"] == "failed":
         error = job.get("error") or {}
@@ -58,7 +58,7 @@ def require_success(job: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def explain_interrupt(words: str) -> Iterator[None]:
-    """Ctrl-C inside says what becomes of the thing watched."""
+    """Say on Ctrl-C what becomes of the thing watched."""
     try:
         yield
     except KeyboardInterrupt:

@@ -11,7 +11,7 @@ _PAGE = 100
 
 
 def list_jobs(server: ServerClient, *, states: Sequence[str] = (), limit: int = 20) -> Iterator[dict[str, Any]]:
-    """Jobs, newest first, page by page."""
+    """Yield jobs, newest first, page by page."""
     asked: dict[str, Any] = {"limit": min(limit, _PAGE)} | ({"state": list(states)} if states else {})
     address, left = "/v1/jobs", limit
     while left > 0:
@@ -39,7 +39,7 @@ def job_table(jobs: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def state_words(job: dict[str, Any]) -> str:
-    """running (pass-1), queued (3 before it), cancelling, ..."""
+    """Return the state in words: running (pass-1), queued (3 before it), cancelling, ..."""
     state = clean(job["state"])
     if job.get("cancel_requested") and state == "running":
         return "cancelling"
@@ -51,7 +51,7 @@ def state_words(job: dict[str, Any]) -> str:
 
 
 def job_lines(job: dict[str, Any]) -> list[str]:
-    """One job, in full."""
+    """Return one job, in full."""
     lines = [f"{clean(job['id'])}  {clean(job['name'])}", f"state:    {state_words(job)}"]
     lines += [f"{name + ':':9} {when(job[key])}" for name, key in _TIMES if job.get(key)]
     if job.get("attempt", 1) > 1:
@@ -71,7 +71,7 @@ def program_lines(job: dict[str, Any]) -> list[str]:
 
 
 def when(text: object) -> str:
-    """2026-11-21T08:00:00.123Z without what nobody reads."""
+    """Return 2026-11-21T08:00:00.123Z without what nobody reads."""
     return clean(text).partition(".")[0].removesuffix("Z").replace("T", " ") + " UTC" if text else ""
 
 
@@ -84,6 +84,6 @@ _TIMES = (("created", "created_at"), ("started", "started_at"), ("ended", "ended
 
 
 def table(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Rows of one length as lines, each column as wide as its widest cell."""
+    """Return rows of one length as lines, each column as wide as its widest cell."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return ["  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows]

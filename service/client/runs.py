@@ -40,7 +40,7 @@ def run_table(runs: Sequence[dict[str, Any]]) -> list[str]:
 
 
 def run_lines(run: dict[str, Any]) -> list[str]:
-    """One run, with what a person sets up for it."""
+    """Return one run, with what a person sets up for it."""
     program = run["program"]
     lines = [
         f"{clean(run['id'])}  {clean(program['name'])} (program {program['number']} of job {clean(run['job'])})",
@@ -63,7 +63,7 @@ def state_line(run: dict[str, Any]) -> str:
 
 
 def setup_lines(run: dict[str, Any]) -> list[str]:
-    """Tool, block and zero of a run that waits; and what comes after one that is done."""
+    """Return tool, block and zero of a run that waits; and what comes after one that is done."""
     setup = run.get("setup") or {}
     lines = []
     if run["state"] in ("preparing", "parked"):
@@ -83,7 +83,7 @@ def setup_lines(run: dict[str, Any]) -> list[str]:
 
 
 def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
-    """The checks that the run needs: those given on the command line, else a person is asked for each."""
+    """Return the checks that the run needs: those given on the command line, else a person is asked for each."""
     needed = [str(check) for check in run.get("required_checks") or ()]
     if not needed:
         raise InputError(f"run {clean(run['id'])} is {state_line(run)}; there is nothing to confirm")
@@ -103,7 +103,7 @@ def confirm_checks(run: dict[str, Any], given: Sequence[str]) -> list[str]:
 
 
 def follow_run(server: ServerClient, run_id: str) -> dict[str, Any]:
-    """The run at its end, a line for each change on the way."""
+    """Return the run at its end, a line for each change on the way."""
     told, state, reached = "", "", 0.0
     with explain_interrupt(f"the run goes on; `causticmill runs follow {run_id}` shows it, `runs hold` stops the mill"):
         for event in stream_events(

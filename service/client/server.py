@@ -67,15 +67,15 @@ class ServerClient:
         self.http.close()
 
     def get(self, path: str, **parameters: Any) -> Any:
-        """The JSON of an answer. A server that is just being restarted is waited for a little."""
+        """Get the JSON of an answer. A server that is just being restarted is waited for a little."""
         return self.retry(lambda: self._json("GET", path, params=parameters))
 
     def post(self, path: str, body: Mapping[str, Any] | None = None) -> Any:
-        """One order, sent once."""
+        """Send one order, once."""
         return self._json("POST", path, json=body)
 
     def order(self, machine: str, path: str, body: Mapping[str, Any] | None = None) -> Any:
-        """An order to a mill, now or never: under a grant that is asked for at this moment. FailedError."""
+        """Send an order to a mill, now or never: under a grant that is asked for at this moment. FailedError."""
         begun_s = suspend_aware_clock_s()
         granted = self._json("POST", f"/v1/machines/{quote(machine, safe='')}/grants")
         if suspend_aware_clock_s() - begun_s > _GRANT_WAIT_S:
@@ -84,7 +84,7 @@ class ServerClient:
         return self._json("POST", path, json=dict(body or {}), headers=headers)
 
     def post_idempotent(self, path: str, body: Mapping[str, Any]) -> Any:
-        """An order that may be sent again: its key tells the server that it is the same one."""
+        """Send an order that may be sent again: its key tells the server that it is the same one."""
         headers = {"Idempotency-Key": str(uuid.uuid4())}
         return self.retry(lambda: self._json("POST", path, json=dict(body), headers=headers), timeout_s=60.0)
 
@@ -92,7 +92,7 @@ class ServerClient:
         self._json("DELETE", path)
 
     def send(self, method: str, path: str, **options: Any) -> httpx.Response:
-        """One request, answered well; else GoneError or RefusedError."""
+        """Send one request and return a good answer; else GoneError or RefusedError."""
         with self._translate_errors():
             answer = self.http.request(method, path, **options)
         self.raise_for_status(answer)
@@ -100,7 +100,7 @@ class ServerClient:
 
     @contextlib.contextmanager
     def stream_answer(self, url: str, *, headers: Mapping[str, str], read_s: float) -> Iterator[httpx.Response]:
-        """An answer read piece by piece. Inside, a lost connection is a GoneError, too.
+        """Open an answer that is read piece by piece. Inside, a lost connection is a GoneError, too.
 
         Another server than ours (an artifact store) is not shown the token.
         """
@@ -113,7 +113,7 @@ class ServerClient:
             yield answer
 
     def retry(self, ask: Callable[[], Any], *, timeout_s: float = 10.0) -> Any:
-        """`ask`, safe to repeat, until it is answered. A server that was never there is not waited for."""
+        """Call `ask`, safe to repeat, until it is answered. A server that was never there is not waited for."""
         give_up_s, tries = time.monotonic() + timeout_s, 0
         while True:
             try:
@@ -131,7 +131,7 @@ class ServerClient:
             tries += 1
 
     def raise_for_status(self, answer: httpx.Response) -> None:
-        """RefusedError for an answer that is a refusal, or that no job server gives."""
+        """Raise RefusedError for an answer that is a refusal, or that no job server gives."""
         if answer.status_code < 400:
             return
         problem = _problem(answer)
@@ -157,7 +157,7 @@ class ServerClient:
 
     @contextlib.contextmanager
     def _translate_errors(self) -> Iterator[None]:
-        """httpx's errors as ours."""
+        """Translate httpx's errors into ours."""
         try:
             yield
         except (httpx.ConnectError, httpx.ConnectTimeout):
@@ -170,7 +170,7 @@ class ServerClient:
             raise GoneError(f"the connection to {self.url} was lost: {words}", begun=True) from None
 
     def _problem_lines(self, status: int, problem: Mapping[str, Any]) -> list[str]:
-        """A problem of the server as lines; each names the key it is about."""
+        """Return a problem of the server as lines; each names the key it is about."""
         parts = [part for part in problem.get("problems") or () if isinstance(part, dict)] or [dict(problem)]
         lines = []
         for part in parts:
@@ -182,7 +182,7 @@ class ServerClient:
         return lines
 
     def _explain_mismatch(self, answer: httpx.Response) -> str:
-        """Who is it that answers like this?"""
+        """Explain who it is that answers like this."""
         version = answer.headers.get(VERSION_HEADER)
         if version is None:
             return f"{self.url} answers (HTTP {answer.status_code}), but is no causticmill job server"
@@ -197,7 +197,7 @@ def own_version() -> str:
 
 
 def make_mismatch_error(server: ServerClient, answer: httpx.Response) -> RefusedError:
-    """The error for an answer that lacks what this version needs."""
+    """Return the error for an answer that lacks what this version needs."""
     return RefusedError(500, server._explain_mismatch(answer))
 
 
@@ -216,5 +216,5 @@ def _seconds(text: str | None) -> float | None:
 
 
 def clean(value: object) -> str:
-    """What a server sent, fit for a line on a terminal."""
+    """Return what a server sent, fit for a line on a terminal."""
     return printable(str(value))

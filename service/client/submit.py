@@ -29,7 +29,7 @@ class Submission:
 
 
 def submit_job(server: ServerClient, order: Submission) -> dict[str, Any]:
-    """The new job. The same key goes with every try, so that the server makes one job of them."""
+    """Submit a job. The same key goes with every try, so that the server makes one job of them."""
     if order.priority not in PRIORITIES:
         raise InputError(f"--priority: '{order.priority}' is not allowed; allowed: {', '.join(PRIORITIES)}")
     key = str(uuid.uuid4())
@@ -66,7 +66,7 @@ def _post_form(server: ServerClient, order: Submission, key: str) -> dict[str, A
 def spec_text(
     *, file: Path | None, preset: str | None, overrides: Sequence[str], light_picture: Path | None = None
 ) -> str | None:
-    """JSON of file, preset, overrides and the picture of the light together; None where nothing was given.
+    """Return JSON of file, preset, overrides and the picture of the light; None where nothing was given.
 
     Not checked against this computer's profiles and versions: the mill may be one that only the server knows.
     """
@@ -77,7 +77,7 @@ def spec_text(
 
 
 def _plain(value: Any) -> Any:
-    """TOML has numbers that JSON has not: they go as words, and the server names the key that holds them."""
+    """Return values as JSON allows: numbers that only TOML has go as words, and the server names the key."""
     match value:
         case dict():
             return {str(key): _plain(below) for key, below in value.items()}

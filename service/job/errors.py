@@ -34,7 +34,7 @@ class ReliefTooDeep(SolidError):
 
 @contextmanager
 def translate_errors() -> Iterator[None]:
-    """InputError or FailedError, one line, in place of a package's own error."""
+    """Raise InputError or FailedError, one line, in place of a package's own error."""
     try:
         yield
     except (OpticsError, CamError, ValueError) as error:  # SolidError is a ValueError

@@ -70,7 +70,7 @@ class FolderJob:
 
 
 def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """The whole chain. Returns what report.json holds."""
+    """Return the whole chain. Returns what report.json holds."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
@@ -81,7 +81,7 @@ def make(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, f
 
 
 def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter, force: bool = False) -> dict[str, Any]:
-    """The lens and its light, no programs; programs of an earlier lens disappear with it."""
+    """Return the lens and its light, no programs; programs of an earlier lens disappear with it."""
     job_files.require_usable_output(output, force=force)
     with _job(output, job, reporter, picture=picture) as folder_job:
         for stage in folder_job.so_far.stages():
@@ -91,7 +91,7 @@ def design(picture: Path, output: Path, job: ResolvedJob, *, reporter: Reporter,
 
 
 def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
-    """Programs for the lens in a job's folder."""
+    """Write programs for the lens in a job's folder."""
     kept = [*job_files.LENS_FILES, *job_files.LIGHT_FILES]
     with _job(output, job, reporter, keep=kept) as folder_job:
         lens = folder_job.desk[job_files.HEIGHTFIELD] = load_heightfield(output / job_files.HEIGHTFIELD)
@@ -111,7 +111,7 @@ def cam(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]
 
 
 def caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, Any]:
-    """The light behind the lens in a job's folder, simulated again."""
+    """Return the light behind the lens in a job's folder, simulated again."""
     kept = [path.name for path in output.iterdir()] if output.is_dir() else []
     kept = [name for name in kept if name != job_files.REPORT and job_files.is_known(name)]
     with _job(output, job, reporter, keep=kept) as folder_job:
@@ -134,7 +134,7 @@ def _note_shortage(context: StageContext) -> None:
 def _job(
     output: Path, job: ResolvedJob, reporter: Reporter, *, picture: Path = Path(), keep: Iterable[str] = ()
 ) -> Iterator[FolderJob]:
-    """A job in a staging folder."""
+    """Open a job in a staging folder."""
     kept = tuple(keep)
     earlier = job_files.read_report(output) if kept else {}
     with job_files.stage_folder(output, keep=kept) as folder, PictureQueue() as picture_queue:
@@ -145,7 +145,7 @@ def _job(
 
 
 def _take_over(so_far: JobSoFar, earlier: dict[str, Any], *, programs: bool) -> None:
-    """What an earlier report says of the parts that this command does not make anew."""
+    """Take over what an earlier report says of the parts that this command does not make anew."""
     keys = ("source", "image", "optics", "timings_s", *(("passes", "around", "as_milled") if programs else ()))
     so_far.report = {key: earlier[key] for key in keys if key in earlier}
     notes = earlier.get("warnings_by_part", {})

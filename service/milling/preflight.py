@@ -38,7 +38,7 @@ class PreflightError(MachineError):
 
 
 def default_cache() -> Path:
-    """$XDG_CACHE_HOME/causticmill/preflight."""
+    """Return $XDG_CACHE_HOME/causticmill/preflight."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "causticmill" / "preflight"
 
 
@@ -50,7 +50,7 @@ def run_preflight(
     cache: Path | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Preflight:
-    """What is known of the program at `path` before it may run on this mill.
+    """Return what is known of the program at `path` before it may run on this mill.
 
     settings : the controller's own figures take the place of the profile's; where it tells its offsets, warnings say
                what the program would leave of the travel at the present work zero (never kept: a zero moves)
@@ -134,7 +134,7 @@ def _exchange(
 
 
 def _load_kept(folder: Path, held_against: str, content: str | None) -> Preflight | None:
-    """The kept result for this content, if it is there and whole."""
+    """Load the kept result for this content, if it is there and whole."""
     if content is None:
         return None
     kept = folder / f"{held_against}-{content}.json"
@@ -183,7 +183,7 @@ def _digest(values: list[Any]) -> str:
 
 @functools.cache
 def _sources() -> str:
-    """State of the code that judges: a new version judges anew."""
+    """Return the state of the code that judges: a new version judges anew."""
     machines = _ROOT / "machines"
     files = [file for pattern in ("gcode/*.py", "preflight/*.py", "roland/rml*.py") for file in machines.glob(pattern)]
     own = (_ROOT / "cam" / "duration.py", _ROOT / "service" / "milling" / "preflight_child.py")

@@ -74,7 +74,7 @@ def _cache_folder() -> str:
 
 
 def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
-    """Hash of what a module's top-level `name` is made of, along all names of modules under `root`."""
+    """Return hash of what a module's top-level `name` is made of, along all names of modules under `root`."""
     found: dict[tuple[str, str], str] = {}
     waiting = [(module, name)]
     while waiting:
@@ -89,8 +89,8 @@ def kernel_hash(module: str, name: str, root: Path = _ROOT) -> str:
 
 @cache
 def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[str, str], ...]]:
-    """The statements that bind a module's top-level name, as text without docstrings, and the names of modules of ours
-    that they use. A whole module where the name is "".
+    """Return the statements that bind a module's top-level name, as text without docstrings, and the names of modules
+    of ours that they use. A whole module where the name is "".
     """
     names, text, uses = _names(root, module), [], []
     for bound in [name] if name else names:
@@ -111,14 +111,14 @@ def _definition(root: Path, module: str, name: str) -> tuple[str, tuple[tuple[st
 
 
 def _resolve_import(root: Path, imported: str) -> list[tuple[str, str]]:
-    """What an import is: something of a module of ours, or a module, which counts as a whole."""
+    """Return what an import is: something of a module of ours, or a module, which counts as a whole."""
     module, _, name = imported.rpartition(".")
     return [at for at in ((imported, ""), (module, name)) if _file(root, at[0]).is_file()]
 
 
 @cache
 def _names(root: Path, module: str) -> dict[str, list[ast.stmt]]:
-    """The statements at a module's top by the names that they bind."""
+    """Return the statements at a module's top by the names that they bind."""
     names: dict[str, list[ast.stmt]] = {}
     for statement in parse(_file(root, module)).body:
         for one in statement.body if isinstance(statement, ast.If) else [statement]:  # if TYPE_CHECKING

@@ -36,13 +36,13 @@ def begin() -> None:
 
 
 def inherit_socket() -> socket.socket | None:
-    """The address the supervisor has bound; None: this process was not started by it, or is not to serve."""
+    """Return the address the supervisor has bound; None: not started by it, or not to serve."""
     descriptor = _take_descriptor(LISTEN_FD)
     return None if descriptor is None else socket.socket(fileno=descriptor)
 
 
 def _take_descriptor(name: str) -> int | None:
-    """A descriptor named by the environment, from now on this process's alone."""
+    """Take a descriptor named by the environment, from now on this process's alone."""
     text = os.environ.pop(name, None)
     if text is None:
         return None

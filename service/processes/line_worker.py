@@ -23,7 +23,7 @@ def answer_lines(
     bytes_per_pixel: int,
     barred: Iterable[int] = (resource.RLIMIT_CORE,),
 ) -> None:
-    """Until the input ends. argv: the process to die with.
+    """Answer until the input ends. argv: the process to die with.
 
     beside_bytes, bytes_per_pixel : address space beyond what it starts with: always, and by `max_pixels` of the ask
     barred                        : resources of which it gets nothing
@@ -46,7 +46,7 @@ def answer_lines(
 
 
 def answer_or_refuse(answer: Callable[[], dict[str, Any]]) -> dict[str, Any]:
-    """What `answer` gives; in its place {"refused", "kind"} for what people can mend, {"fault"} for all else."""
+    """Return what `answer` gives; in its place {"refused", "kind"} for what people can mend, {"fault"} for all else."""
     try:
         return answer()
     except PictureError as error:

@@ -132,7 +132,7 @@ class LocalStore:
         return facts.st_dev == self.root.stat().st_dev and facts.st_uid == os.geteuid()
 
     def _link(self, path: Path, sha256: str, size: int) -> bool:
-        """False where this file system does not link."""
+        """Link; False where this file system does not link."""
         target = self._prepare_place(sha256)
         with self._lock(fcntl.LOCK_SH):
             if not _renew(target, size):
@@ -170,7 +170,7 @@ class LocalStore:
 
     @contextlib.contextmanager
     def _begin_arrival(self) -> Iterator[tuple[Path, IO[bytes]]]:
-        """A new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
+        """Open a new file in `incoming`, locked while it is there; removed at the end unless it was renamed."""
         while True:
             part = self._incoming / f"{secrets.token_hex(8)}.part"
             with part.open("xb", buffering=0) as file:
@@ -224,7 +224,9 @@ def _pieces(file: IO[bytes], start: int, end: int | None) -> Iterator[bytes]:
 
 
 def _renew(target: Path, size: int) -> bool:
-    """True where the object is there already; its time is now. One of another size (a damaged disk) is taken away."""
+    """Renew its time if the object is there already, and return True. One of another size (a damaged disk) is taken
+    away.
+    """
     with contextlib.suppress(FileNotFoundError):
         if target.stat().st_size == size:
             os.utime(target)

@@ -96,7 +96,9 @@ class S3Store:
             raise FailedError(f"cannot fetch an artifact to {target}: {(error.strerror or '').lower()}") from None
 
     def url(self, sha256: str, *, file_name: str, media_type: str) -> str | None:
-        """Signed for ten minutes. The bucket serves bytes named by their hash: obstore signs no other headers."""
+        """Sign an address for ten minutes. The bucket serves bytes named by their hash: obstore signs no other
+        headers.
+        """
         import obstore
 
         with self._translate_errors("sign an address for", sha256):
@@ -136,7 +138,9 @@ class S3Store:
             raise FailedError(f"{self._name} does not return what is written to it")
 
     def _find_recent(self, sha256: str, size: int) -> StoredObject | None:
-        """What is there, whole, and far from being swept; everything else is sent again, which renews its time."""
+        """Return what is there, whole, and far from being swept; everything else is sent again, which renews its
+        time.
+        """
         with contextlib.suppress(MissingObjectError):
             there = self.head(sha256)
             if there.bytes == size and there.stored_at > time.time() - _YOUNG_S:
@@ -190,7 +194,7 @@ def _open_bucket(bucket: str, prefix: str) -> Bucket:
 
 
 def _first_words(error: Exception) -> str:
-    """Without what only the library's authors can use."""
+    """Return the words without what only the library's authors can use."""
     text = str(error).split("\n")[0]
     if _NOBODY.search(text):
         return "no credentials: set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"

@@ -46,7 +46,7 @@ class Look:
     foretold: Array
 
     def png(self, *, with_words: bool = True) -> bytes:
-        """Photograph, foretold, difference, and what was found in words."""
+        """Draw photograph, prediction, difference, and what was found in words."""
         from service.job.photo.drawing import look_png  # what it stands on is slow to import
 
         sentences = [one.sentence() for one in self.findings] if with_words else []
@@ -113,7 +113,7 @@ def _register(photo: WallPhoto, foretold: ForetoldLight, name: str) -> Registrat
 
 
 def _peak(photo: WallPhoto) -> float:
-    """How much brighter than the dark the brightest thousandth is, without its noise."""
+    """Return how much brighter than the dark the brightest thousandth is, without its noise."""
     share = min(1.0, 200 / max(photo.light.shape))
     shape = max(1, round(photo.light.shape[0] * share)), max(1, round(photo.light.shape[1] * share))
     dark, bright = np.quantile(area_average(photo.light, shape), (0.05, 0.999))
@@ -152,7 +152,7 @@ def _distance(foretold: ForetoldLight, throw: Estimate) -> PhotoFinding:
 
 
 def _find_tilt(code: str, angles: tuple[Estimate, Estimate], foretold: ForetoldLight) -> list[PhotoFinding]:
-    """One finding for both directions together, where one of them is sure and large enough to act on."""
+    """Return one finding for both directions, where one of them is sure and large enough to act on."""
     sure = [one.exceeds(_SURER) and abs(math.degrees(one.value)) > _LEANT_DEG for one in angles]
     if not any(sure):
         return []
@@ -165,7 +165,7 @@ def _find_tilt(code: str, angles: tuple[Estimate, Estimate], foretold: ForetoldL
 
 
 def _turn_deg(place: Registration) -> float:
-    """Beyond the nearest quarter turn, which is how the camera was held."""
+    """Return the turn beyond the nearest quarter, which is how the camera was held."""
     deg = math.degrees(place.rotation_rad)
     return deg - 90.0 * round(deg / 90.0)
 
@@ -260,7 +260,7 @@ def _figures(
 def look_at_photo(
     path: Path, job: Path, *, picture_width_mm: float | None = None, reporter: Reporter | None = None
 ) -> Look:
-    """The photograph in one file, of the lens of the job in one folder."""
+    """Return the photograph in one file, of the lens of the job in one folder."""
     watch = Stopwatch(reporter or QuietReporter())
     with watch.stage("reading"):
         photo, foretold = read_wall_photo(path), foretold_of(job)

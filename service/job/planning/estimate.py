@@ -95,7 +95,9 @@ class QuickLens:
 def estimate(
     job: ResolvedJob, path: Path, *, limits: PictureLimits, name: str, exactly: bool = False
 ) -> dict[str, Any]:
-    """The answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at once."""
+    """Return the answer of POST /v1/estimates, but for the spec. InputError, PictureError where a job would fail at
+    once.
+    """
     spec, fine, coarse = job.spec, _with_pixels(job.spec, MOST_PIXELS), coarse_spec(job.spec)
     exactly = exactly or coarse == fine
     with translate_errors():
@@ -131,7 +133,9 @@ def estimate(
 
 
 def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> Iterator[tuple[Change, dict[str, Any]]]:
-    """Single changes of a job that show plainly more of its picture, each with its estimate; none that is refused."""
+    """Yield single changes of a job that show plainly more of its picture, with their estimates; none that is
+    refused.
+    """
     own = estimate(job, path, limits=limits, name=path.name)
     for change in changes_of(job, own["smallest_detail_mm"]):
         try:
@@ -143,7 +147,7 @@ def suggest_changes(job: ResolvedJob, path: Path, *, limits: PictureLimits) -> I
 
 
 def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> tuple[list[Array], tuple[int, int]]:
-    """What a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
+    """Return what a lens of each spec aims at, and the picture's own size; decoded once, and not kept."""
     image = decode_picture(path, limits, name)
     found = []
     for spec in specs:
@@ -154,19 +158,19 @@ def _targets(path: Path, *specs: JobSpec, limits: PictureLimits, name: str) -> t
 
 
 def coarse_spec(spec: JobSpec) -> JobSpec:
-    """The same job with a coarser picture."""
+    """Return the same job with a coarser picture."""
     return _with_pixels(spec, PIXELS)
 
 
 def _with_pixels(spec: JobSpec, most: int) -> JobSpec:
-    """With at most so many pixels along the longer side."""
+    """Return the spec with at most so many pixels along the longer side."""
     scale = min(1.0, most / max(spec.image.pixels, spec.pixel_rows))
     pixels = max(16, round(scale * spec.image.pixels))
     return spec.model_copy(update={"image": spec.image.model_copy(update={"pixels": pixels})})
 
 
 def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLens:
-    """The lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
+    """Return the lens for a target (ny, nx), work frame, mean 1; of the usual method, whatever the job says.
 
     whole : the same with more pixels, by which finishes are compared
     """
@@ -193,7 +197,7 @@ def quick_lens(job: ResolvedJob, target: Array, whole: Array | None) -> QuickLen
 
 
 def _make_plan(planned: Planned) -> dict[str, Any]:
-    """What `with_plan` takes of a plan, without its pictures and scores."""
+    """Return what `with_plan` takes of a plan, without its pictures and scores."""
     return {
         "passes": planned.rows(),
         "foreseen_blur_mm": planned.foreseen_blur_mm(),
@@ -204,7 +208,7 @@ def _make_plan(planned: Planned) -> dict[str, Any]:
 
 
 def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
-    """Of each pass, from the stock that the one before leaves."""
+    """Yield the hours of each pass, from the stock that the one before leaves."""
     form, mill = quick.form, kinematics_of(quick.job.machine)
     stock_mm: Array | None = None
     for spec in cam_passes_of(quick.spec):
@@ -220,7 +224,7 @@ def _hours(quick: QuickLens) -> Iterator[dict[str, Any]]:
 
 
 def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The same with what is milled around the passes, before and after them."""
+    """Return the same with what is milled around the passes, before and after them."""
     rates = job.machine.max_rate_mm_per_min
     around = {
         name: {"name": name, "tool": f"cutter {ball(radius_mm)}", "hours": seconds_of(paths, min(rates)) / 3600}
@@ -231,7 +235,7 @@ def _with_around(job: ResolvedJob, passes: list[dict[str, Any]]) -> list[dict[st
 
 
 def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
-    """Of a pass that others went before; depth_mm (ny, nx): what it takes off."""
+    """Return the seconds of a pass that others went before; depth_mm (ny, nx): what it takes off."""
     form, mill = quick.form, kinematics_of(quick.job.machine)
     if spec.where == "rest":
         return RestExtent.of(Filled(lens=quick.lens, over_mm=depth_mm), form, spec, mill).seconds
@@ -239,7 +243,9 @@ def _seconds_after(quick: QuickLens, spec: PassSpec, depth_mm: Array) -> float:
 
 
 def _left_by(lens: Heightfield, spec: PassSpec) -> Array:
-    """Heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to leave."""
+    """Return heights (ny, nx) that a pass leaves: what its ball reaches of the lens, its cusps and what it is to
+    leave.
+    """
     spline_z = lens.z_mm
     filled = close_to_radius(spline_z, radius_mm=spec.radius_mm, dx_mm=lens.dx_mm, dy_mm=lens.dy_mm)
     slope = np.hypot(*np.gradient(spline_z, lens.dy_mm, lens.dx_mm))
@@ -275,7 +281,7 @@ def _blur(quick: QuickLens, seen: ForetoldPicture | None) -> Blur:
 
 
 def _blur_of_milling_mm(quick: QuickLens) -> float:
-    """Of what the tool, or the work by hand after it, leaves."""
+    """Return the blur of what the tool, or the work by hand after it, leaves."""
     if (finish := finish_of(quick.spec)) is not None:
         return blur_of(finish)
     if (slopes := _slopes(quick)) is None:
@@ -286,7 +292,7 @@ def _blur_of_milling_mm(quick: QuickLens) -> float:
 
 
 def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> ForetoldPicture | None:
-    """What the milled lens will show of a target (ny, nx); None where no pass finishes it."""
+    """Return what the milled lens will show of a target (ny, nx); None where no pass finishes it."""
     planned, finish, slopes = quick.planned, _find_finish(quick), _slopes(quick)
     if finish is None or slopes is None:
         return None
@@ -309,13 +315,13 @@ def _foretell_picture(quick: QuickLens, target: Array, *, exactly: bool) -> Fore
 
 
 def _find_finish(quick: QuickLens) -> PassSpec | None:
-    """The last pass that finishes the whole lens."""
+    """Return the last pass that finishes the whole lens."""
     finishes = [spec for spec in cam_passes_of(quick.spec) if spec.finishes and spec.where == "everywhere"]
     return finishes[-1] if finishes else None
 
 
 def _slopes(quick: QuickLens) -> RowSlopes | None:
-    """What the last finishing pass leaves; None where none finishes."""
+    """Return what the last finishing pass leaves; None where none finishes."""
     machine, finish = quick.job.machine, _find_finish(quick)
     if finish is None:
         return None
@@ -335,7 +341,7 @@ def _floor_mm(quick: QuickLens) -> float:
 
 
 def _refusals(quick: QuickLens) -> Iterator[str]:
-    """Why the job would fail before it has a program."""
+    """Yield reasons why the job would fail before it has a program."""
     spec, passes = quick.spec, cam_passes_of(quick.spec)
     if (floor_mm := _floor_mm(quick)) < MIN_FLOOR_MM:
         need_mm = ceil(quick.form.deepest_mm + MIN_FLOOR_MM)

@@ -40,7 +40,7 @@ def foretell(
     by_hand: Finish | None = None,
     design: Design | None = None,
 ) -> ForetoldPicture:
-    """What the milled lens shows of a target (ny, nx), mean 1.
+    """Return what the milled lens shows of a target (ny, nx), mean 1.
 
     missed  : light of the lens, at any size, less what it aims at. aims : the lens is made sharper for those rows
     by_hand : what is done after milling
@@ -57,7 +57,7 @@ def foretell(
 
 
 def describe_light(light: PictureLight, marks: Marks, psnr_db: float) -> ForetoldPicture:
-    """What a plan's light tells of its marks."""
+    """Return what a plan's light tells of its marks."""
     seen = light.smooth_picture(marks)
     detail_mm = smallest_detail_mm(seen, light.target, light.pixel_mm[1])
     only_kept = isinstance(light, FinishedLight) and not light.is_lit(marks)

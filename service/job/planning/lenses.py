@@ -48,7 +48,8 @@ def predict_designs(
     aims: bool = True,
     on_progress: Progress | None = None,
 ) -> PictureLight:
-    """A lens designed for each ball, largest first: where nothing is to be filled, smaller balls have the same one.
+    """Design a lens for each ball, largest first: where nothing is to be filled, smaller balls have the same
+    one.
 
     as_given : the settings alone shape the lens, and each ball leaves of it what it can
     aims     : each lens is to be made sharper by what milling will blur
@@ -62,7 +63,7 @@ def predict_designs(
         return solve_transport(coarse, settings.bench, skim_mm=settings.skim_mm)
 
     def first() -> OpticalPath:
-        """Of the picture itself: lenses for all balls begin with it."""
+        """Solve for the picture itself: lenses for all balls begin with it."""
         with solving:
             return solve_first()
 
@@ -113,12 +114,14 @@ class _Shaped:
 
 
 def simplify(settings: LensSettings) -> LensSettings:
-    """For a lens that is only looked at: by transport, corrected once at most, not polished, for no finish."""
+    """Return settings for a quick lens: by transport, corrected once at most, not polished, for no finish."""
     return replace(settings, method="transport", polish_steps=0, corrections=min(1, settings.corrections), finish=None)
 
 
 def design_for_finishes(target: Array, settings: LensSettings) -> Design:
-    """Lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the job's."""
+    """Return a maker of lenses for finishes: coarse ones, corrected once, or as fine as the target, corrected as the
+    job's.
+    """
     quick = simplify(settings)
     whole = replace(quick, corrections=settings.corrections)
 
@@ -133,7 +136,8 @@ def design_for_finishes(target: Array, settings: LensSettings) -> Design:
 def compute_passes(
     target: Array, settings: LensSettings, first: Callable[[], OpticalPath | None] = lambda: None
 ) -> Corrected:
-    """The passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones again.
+    """Return the passes for a target (ny, nx). A small lens is remembered: whoever tries values asks for the same ones
+    again.
 
     first : the target's own solution, or one like it, where there is one
     """
@@ -162,7 +166,7 @@ def predict_lens(
     *,
     on_progress: Progress | None = None,
 ) -> PictureLight:
-    """An existing lens as each ball leaves it: valleys that are tighter stay filled."""
+    """Return an existing lens as each ball leaves it: valleys that are tighter stay filled."""
     light = PictureLight(target, bench)
     _add_as_left(light, lens, target, radii_mm, on_progress)
     return light
@@ -195,7 +199,7 @@ def _add_as_left(
 
 
 def _valleys(lens: Heightfield, left: Heightfield, bench: Bench, target: Array) -> Valleys | None:
-    """What a ball leaves filled of a lens; None where it is too little for a rest pass."""
+    """Return what a ball leaves filled of a lens; None where it is too little for a rest pass."""
     filled = Filled(lens=lens, over_mm=left.z_mm - lens.z_mm)
     if filled.share == 0:
         return None

@@ -38,7 +38,7 @@ _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends
 
 
 def run_facing(context: StageContext) -> None:
-    """The program that faces the stock; its row of report `around`, and the stock that it leaves."""
+    """Write the program that faces the stock; its row of report `around`, and the stock that it leaves."""
     facing, stock, machine = facing_task_of(context.spec), cam_stock_of(context.spec), context.machine
     assert facing is not None and context.spec.stock.face is not None  # by the plan of stages
     paths = make_facing_paths(facing, stock, safe_z_mm=machine.safe_z_mm)
@@ -49,7 +49,7 @@ def run_facing(context: StageContext) -> None:
 
 
 def run_cut_out(context: StageContext) -> None:
-    """The program that cuts the lens out; its row of report `around`."""
+    """Write the program that cuts the lens out; its row of report `around`."""
     task, stock, machine = cut_out_of(context.spec), cam_stock_of(context.spec), context.machine
     assert task is not None and context.spec.stock.cut_out is not None  # by the plan of stages
     top = context.receive(LAST_STOCK, arrays.load_stock)
@@ -89,7 +89,7 @@ def simulate(paths: Sequence[Path], task: Facing | CutOut, job: ResolvedJob, sto
 
 
 def raw_stock(spec: JobSpec) -> StockGrid:
-    """The block before the first program, with what is to be faced on its top."""
+    """Return the block before the first program, with what is to be faced on its top."""
     block = first_stock(cam_stock_of(spec))
     if spec.stock.face is None:
         return block

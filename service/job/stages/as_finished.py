@@ -27,7 +27,7 @@ _TUBES_PER_PIXEL = 8  # along its side; but two a cell at least
 
 
 def run_as_finished(context: StageContext) -> None:
-    """Light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
+    """Simulate light through the surface that programs and finish leave: report `as_finished`, caustic-as-finished.png,
     comparison-as-finished.png. Nothing where nothing is finished by hand, or no pass finishes.
     """
     finish, passes = finish_of(context.spec), list_finish_passes(context)
@@ -57,7 +57,7 @@ def run_as_finished(context: StageContext) -> None:
 
 
 def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> str | None:
-    """A warning where what is milled around the lens is narrower than the finish reaches."""
+    """Warn where what is milled around the lens is narrower than the finish reaches."""
     if (narrower_mm := finish.reach_mm - milled_mm) < _SEEN_MM:
         return None
     return (
@@ -68,13 +68,13 @@ def warn_of_rounded_rim(finish: Finish, milled_mm: float) -> str | None:
 
 
 def cells_per_vertex(lens: Heightfield, finish: Finish) -> int:
-    """How many times as fine as the lens's vertices the surface must be known for that finish."""
+    """Return how many times as fine as the lens's vertices the surface must be known for that finish."""
     cell_mm = min(_COARSEST_MM, 2.0 * math.pi / finish.k0_rad_per_mm / _CELLS_PER_WAVE)
     return math.ceil(max(lens.dx_mm, lens.dy_mm) / cell_mm)
 
 
 def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap) -> Heightfield:
-    """The lens as milled and finished."""
+    """Return the lens as milled and finished."""
     return finish_surface(
         lens,
         finish,
@@ -85,7 +85,7 @@ def finish_departure(lens: Heightfield, finish: Finish, departure: DepartureMap)
 
 
 def light_through(finished: Heightfield, bench: Bench, shape: tuple[int, int]) -> Caustic:
-    """Light (ny, nx) by way of a surface that is known more finely than the picture."""
+    """Simulate light (ny, nx) by way of a surface that is known more finely than the picture."""
     pixel_mm = min(bench.screen.width_mm / shape[1], bench.screen.height_mm / shape[0])
     tubes = max(2, math.ceil(_TUBES_PER_PIXEL * finished.dx_mm / pixel_mm))
     return simulate_caustic(finished, bench, pixels=shape, tubes_per_cell=tubes)

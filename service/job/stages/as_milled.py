@@ -38,7 +38,7 @@ _FINER = 4.0  # a quarter of the pitch: as good as no grooves
 
 
 def run_as_milled(context: StageContext) -> None:
-    """Light through the surface that the finishing programs leave: report `as_milled`, caustic-as-milled.png, and
+    """Simulate light through the surface that finishing programs leave: report `as_milled`, caustic-as-milled.png, and
     as-milled.png, which shows it beside target and design. Nothing where no pass finishes.
     """
     heightfield = context.receive(HEIGHTFIELD, arrays.load_heightfield)
@@ -68,7 +68,7 @@ def run_as_milled(context: StageContext) -> None:
 
 
 def list_finish_passes(context: StageContext) -> list[tuple[int, PassSpec]]:
-    """Those that make the optical surface, with their numbers from 0."""
+    """List the passes that make the optical surface, with their numbers from 0."""
     return [(number, spec) for number, spec in enumerate(cam_passes_of(context.spec)) if spec.finishes]
 
 
@@ -79,7 +79,7 @@ def read_tracks(
     *,
     longest_mm: float = math.inf,
 ) -> list[Tracks]:
-    """The written programs of these passes as the mill runs them, with its steps and errors.
+    """Return the written programs of these passes as the mill runs them, with its steps and errors.
 
     longest_mm : an axis stands on a step at least so often, within moves, too
     """
@@ -97,7 +97,7 @@ def read_tracks(
 
 
 def error_of_tips_mm(machine: MachineProfile) -> float:
-    """Standard deviation of the tips' heights on a mill: its steps, its noise, the decimals of its dialect."""
+    """Return the standard deviation of the tips' heights on a mill: its steps, its noise, its dialect's decimals."""
     return tip_error_mm(step_mm=machine.step_mm, z_noise_mm=machine.z_noise_mm, decimals=_decimals(machine))
 
 
@@ -119,7 +119,7 @@ def _gains(
     designed: Caustic,
     on_progress: Callable[[float], None],
 ) -> dict[str, float]:
-    """dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
+    """Return dB that the picture would gain without each cause alone, by samples of rows: what is worth improving."""
     machine, bench = context.machine, bench_of(context.spec)
     now: dict[str, Any] = {
         "pitch_mm": spec.pitch_mm,

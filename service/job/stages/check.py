@@ -22,7 +22,9 @@ from service.milling.preflight_child import examine
 
 
 def run_final_check(context: StageContext) -> None:
-    """FailedError unless the job's mill may run every program, and each is the one that was simulated; toolpath.png."""
+    """Raise FailedError unless the job's mill may run every program, and each is the one simulated; draw
+    toolpath.png.
+    """
     rows = context.so_far["passes"]
     limits = limits_of(context.machine)
     with context.watch.stage("pre-flight") as on_progress:
@@ -44,7 +46,7 @@ def _warnings(path: Path, sha256: str, limits: MillLimits, on_share: Callable[[f
 
 
 def _draw(context: StageContext, programs: list[list[Path]]) -> None:
-    """toolpath.png and, for the operator page, pass-N.path: drawn from the text of the programs."""
+    """Draw toolpath.png and, for the operator page, pass-N.path, from the text of the programs."""
     from service.job.report.figures.paths import toolpath_png  # what it stands on is slow to import
 
     stock = cam_stock_of(context.spec)
@@ -93,7 +95,7 @@ def _follow(context: StageContext, paths: list[Path], number: int, sample: PathS
 
 
 def _facts(context: StageContext, number: int) -> dict[str, Any]:
-    """What stands at the beginning of pass-N.path."""
+    """Return what stands at the beginning of pass-N.path."""
     settings, row = context.spec.passes[number - 1], context.so_far["passes"][number - 1]
     keys = {"name", "strategy", "direction", "pitch_mm", "radius_mm", "feed_mm_per_min", "stock_to_leave_mm"}
     programs = [{"file": part["file"], "lines": part["lines"]} for part in row.get("parts") or [row]]

@@ -32,7 +32,7 @@ PICTURE, TARGET, ORIGINAL, HEIGHTS = ".picture.npz", ".target.npz", ".original.n
 
 
 def run_image(context: StageContext) -> None:
-    """Picture file -> linear light (ny, nx) at the job's pixel count, row 0 on top."""
+    """Convert the picture file to linear light (ny, nx) at the job's pixel count, row 0 on top."""
     width_mm, height_mm = context.spec.optics.screen_size_mm
     with context.watch.stage("picture"):
         picture = read_picture(
@@ -50,8 +50,8 @@ def run_image(context: StageContext) -> None:
 
 
 def run_irradiance(context: StageContext) -> None:
-    """Linear light -> target irradiance (ny, nx) in the work frame, prepared for the wall where that is asked for;
-    target.png, and small for the operator page; prepared.png, report `image`.
+    """Convert linear light to target irradiance (ny, nx) in the work frame, prepared for the wall where that is asked
+    for; target.png, and small for the operator page; prepared.png, report `image`.
     """
     linear = context.receive(PICTURE, arrays.load_picture)
     viewed_from = context.spec.optics.viewed_from
@@ -90,8 +90,8 @@ def _thumbnail_png(seen: Array, white: float) -> bytes:
 
 
 def run_transport_map(context: StageContext) -> None:
-    """Target -> map.npz, with the picture as given where a prepared one is aimed at, and the lens's heights; what the
-    design says of itself in report `optics`; flow.png.
+    """Design the lens of the target: map.npz, with the picture as given where a prepared one is aimed at, and heights;
+    what the design says of itself in report `optics`; flow.png.
     """
     target = context.receive(TARGET, arrays.load_target)
     with context.watch.stage("lens") as on_progress:
@@ -111,14 +111,14 @@ def run_transport_map(context: StageContext) -> None:
 
 
 def aim_of(spec: JobSpec, target: Array) -> Array:
-    """The target, sharper by the blur that milling will add."""
+    """Return the target, sharper by the blur that milling will add."""
     (width_mm, height_mm), (ny, nx) = spec.optics.screen_size_mm, target.shape
     blur_x_mm, blur_y_mm = spec.optics.foreseen_blur_mm
     return sharpen(target, (blur_y_mm * ny / height_mm, blur_x_mm * nx / width_mm))
 
 
 def run_heightfield(context: StageContext) -> None:
-    """Heights -> heightfield.npz, what can be measured on it (report `optics`), the solid block it lies in, and
+    """Write heightfield.npz, what can be measured on it (report `optics`), the solid block it lies in, and
     surface.bin for the operator page.
     """
     lens = context.receive(HEIGHTS, arrays.load_heightfield)
@@ -138,7 +138,9 @@ def _surface(spec: JobSpec, lens: Heightfield) -> bytes:
 
 
 def write_solid_block(context: StageContext, lens: Heightfield) -> None:
-    """lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is left."""
+    """Write lens.stl and lens.png: for looking at, never for CAM. ReliefTooDeep where too little of the block is
+    left.
+    """
     require_fit_in_stock(context, lens)
     context.draw(SOLID, lambda: _stl(context.spec, lens))
     context.draw("lens.png", lambda: _lens_png(context.spec, lens))
@@ -165,14 +167,14 @@ def _lens_png(spec: JobSpec, lens: Heightfield) -> bytes:
 
 
 def require_fit_in_stock(context: StageContext, lens: Heightfield) -> None:
-    """ReliefTooDeep unless enough of the block is left under the deepest point."""
+    """Raise ReliefTooDeep unless enough of the block is left under the deepest point."""
     from service.job.report import solid
 
     solid.require_floor(lens, thickness_mm=context.spec.stock.thickness_mm, min_floor_mm=MIN_FLOOR_MM)
 
 
 def _way(spec: JobSpec, on_progress: Callable[[float], None]) -> Callable[[str, float], None]:
-    """The phases of a design, each of which goes from 0 to 1, as one way from 0 to 1: by the time they take."""
+    """Join the phases of a design, each of which goes from 0 to 1, into one way from 0 to 1: by the time they take."""
     lengths = {"transport map": 1.0, "corrections": 0.8 * spec.optics.corrections, "polish": POLISH_SHARE}
     if spec.optics.method == "paper":
         lengths = {"flow": 0.9, "surface": 0.1}
@@ -208,12 +210,12 @@ def _tell_of_design(context: StageContext, design: LensDesign, target: Array, se
 
 
 def _without_clock(record: dict[str, Any]) -> dict[str, Any]:
-    """What a stage says must be the same whenever it runs; `timings_s` tells how long it took."""
+    """Return what a stage says must be the same whenever it runs; `timings_s` tells how long it took."""
     return plain({key: value for key, value in record.items() if key != "seconds"})
 
 
 def _facts(facts: LensFacts) -> dict[str, Any]:
-    """Facts for report.json; null stands for 'nothing is concave, every ball fits'."""
+    """Return facts for report.json; null stands for 'nothing is concave, every ball fits'."""
     return plain(
         {
             "relief_mm": facts.relief_mm,

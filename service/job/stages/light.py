@@ -33,7 +33,7 @@ THROUGH_FOCUS = (0.5, 1.0, 1.5, 2.0)  # of the throw, as the paper's Fig. 8
 
 
 def run_caustic(context: StageContext) -> None:
-    """Simulated light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
+    """Simulate light of the perfect lens, finished where it will be: scores and tolerances into report `optics`;
     caustic.png, comparison.png, through-focus.png, and focus.bin for the operator page.
     """
     heightfield = surface_in_light(context.receive(HEIGHTFIELD, arrays.load_heightfield), finish_of(context.spec))
@@ -62,7 +62,7 @@ def run_caustic(context: StageContext) -> None:
 
 
 def _at(factor: float, heightfield: Heightfield, bench: Bench, target: Array) -> Caustic:
-    """The light on a screen far out of focus, at that factor of the throw."""
+    """Return the light on a screen far out of focus, at that factor of the throw."""
     moved = replace(bench, throw_mm=factor * bench.throw_mm)
     return simulate_caustic(heightfield, moved, pixels=_shape(target), tubes_per_cell=1, beams=_BEAMS_OUT_OF_FOCUS)
 
@@ -116,7 +116,7 @@ def _draw_tolerances(context: StageContext, target: Array, found: Tolerances) ->
 
 
 def _figures(found: Tolerances) -> dict[str, Any]:
-    """The tolerances without their pictures."""
+    """Return the tolerances without their pictures."""
     return plain(
         {
             "psnr_db": found.psnr_db,
@@ -152,7 +152,7 @@ def _tell(context: StageContext, in_focus: Caustic, score: CausticScore) -> None
 
 
 def _tell_without_size(context: StageContext, score: CausticScore) -> None:
-    """What the lens itself is worth, where the size of the source is most of what is missing."""
+    """Report what the lens itself is worth, where the size of the source is most of what is missing."""
     context.report["optics"]["from_a_point_source"] = plain(asdict(score))
 
 

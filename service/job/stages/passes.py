@@ -16,7 +16,7 @@ from service.job.stages.lens import TARGET
 
 
 def choose_passes(context: StageContext) -> None:
-    """Passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
+    """Plan passes for the picture; report `plan`, plan.png. Nothing where the passes stand in the spec already."""
     if not context.spec.to_be_planned:
         return
     target = context.receive(TARGET, arrays.load_target)
@@ -27,7 +27,7 @@ def choose_passes(context: StageContext) -> None:
 
 
 def passes_for_lens(context: StageContext) -> None:
-    """Passes for a lens that exists; report `plan`, plan.png."""
+    """Plan passes for a lens that exists; report `plan`, plan.png."""
     lens, target = context.receive(HEIGHTFIELD, arrays.load_heightfield), context.receive(MAP, arrays.load_target)
     with context.watch.stage("plan") as on_progress:
         _tell(context, plan_for_lens(context.job, lens, target, on_progress=on_progress))

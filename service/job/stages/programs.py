@@ -45,7 +45,7 @@ _CELLS_ACROSS = 2200  # of the whole-part removal grid: 0.05 mm cells on 110 mm
 
 
 def run_pass(context: StageContext) -> None:
-    """One program, written and then checked from its text; its row of report `passes`, and the stock it leaves.
+    """Write one program, then check it from its text; its row of report `passes`, and the stock it leaves.
 
     FailedError with the faults where it does not pass; the folder, and the program with it, are then removed.
     """
@@ -77,7 +77,7 @@ def run_pass(context: StageContext) -> None:
 
 
 def require_millable(context: StageContext, heightfield: Heightfield) -> None:
-    """Everything about the balls of all passes and the travel that can be known before the first block."""
+    """Check everything about the balls of all passes and the travel that can be known before the first block."""
     passes, stock = cam_passes_of(context.spec), cam_stock_of(context.spec)
     with context.watch.stage("fit"):
         require_travel(heightfield, stock, passes, context.machine)
@@ -91,7 +91,7 @@ def require_millable(context: StageContext, heightfield: Heightfield) -> None:
 
 
 def first_stock(stock: Stock) -> StockGrid:
-    """The uncut block at the resolution of the whole-part simulation."""
+    """Return the uncut block at the resolution of the whole-part simulation."""
     longest_mm = max(stock.width_mm, stock.height_mm) + 2 * stock.margin_mm
     return StockGrid.block(stock, max(0.005, longest_mm / _CELLS_ACROSS))
 
@@ -124,7 +124,7 @@ def simulate(
 
 
 def _digits(machine: MachineProfile) -> Digits:
-    """The raster on which programs for this mill state positions."""
+    """Return the raster on which programs for this mill state positions."""
     return POSTS[machine.dialect].digits.coarsen(_step_mm(machine))
 
 
@@ -141,7 +141,7 @@ def _of_parts(written: Sequence[WrittenProgram]) -> Iterator[str]:
 
 
 def _of_coarse_steps(job: ResolvedJob, spec: PassSpec) -> Iterator[str]:
-    """What the raster of heights does to the light, where it can be seen.
+    """Yield what the raster of heights does to the light, where it can be seen.
 
     Neighbouring rows are off by 0.1 to 0.2 of a step rms, and where rows lie closer than a groove of that depth is wide
     the deepest ones make the surface: slopes of 0.4 sqrt(2 sigma / R), as the milled surface of such programs has them.
@@ -167,7 +167,7 @@ def part_limits_of(machine: MachineProfile) -> PartLimits:
 
 
 def _write(context: StageContext, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> list[WrittenProgram]:
-    """The programs of the pass: one, or its parts."""
+    """Return the programs of the pass: one, or its parts."""
     machine = context.machine
     post = POSTS[machine.dialect]
     setup, is_first = setup_of(machine), context.number == 1 and context.spec.stock.face is None
@@ -193,7 +193,9 @@ def _write(context: StageContext, spec: PassSpec, heightfield: Heightfield, stoc
 def write_parts(
     folder: Path, name_of: Callable[[int | None], str], parts: Iterable[Iterable[bytes]]
 ) -> list[WrittenProgram]:
-    """The programs of a pass; name_of: their files, by the number of the part, or None where there is but one."""
+    """Return the programs of a pass; name_of: their files, by the number of the part, or None where there is but
+    one.
+    """
     names = map(name_of, count(1))
     written = [write_program(folder / name, chunks) for name, chunks in zip(names, parts, strict=False)]
     if len(written) == 1:
@@ -203,7 +205,9 @@ def write_parts(
 
 
 def trace_of(job: ResolvedJob) -> tuple[ToolPath, ...]:
-    """Around block and lens at the safe height, for the first program of a job; nothing where it is not asked for."""
+    """Return the way around block and lens at the safe height, for a job's first program; nothing where not asked
+    for.
+    """
     spec, machine = job.spec, job.machine
     if not machine.trace_outline:
         return ()

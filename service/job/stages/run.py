@@ -72,7 +72,7 @@ def _make_context(
 
 
 def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[str]:
-    """The files that the stage reads, put into the scratch folder; their names there."""
+    """Return the files that the stage reads, put into the scratch folder; their names there."""
     wanted = {name: order.inputs[name].sha256 for name in reads(order.stage, order.inputs)}
     if stage.picture:
         wanted[_PICTURE] = order.image_sha256
@@ -86,7 +86,7 @@ def _fetch(order: StageOrder, stage: Stage, store: Store, scratch: Path) -> set[
 
 
 def _put(scratch: Path, fetched: set[str], store: Store) -> dict[str, FileRef]:
-    """Every file that the stage has made, into the store."""
+    """Put every file that the stage has made into the store."""
     outputs = {}
     for path in sorted(scratch.iterdir()):
         if path.name not in fetched:
@@ -102,7 +102,7 @@ def _require_space(context: StageContext) -> None:
 
 @contextmanager
 def _scratch_folder(scratch: Path) -> Iterator[None]:
-    """Empty at first, gone in the end."""
+    """Open a folder that is empty at first and gone in the end."""
     try:
         shutil.rmtree(scratch, ignore_errors=True)
         try:
@@ -117,7 +117,7 @@ def _scratch_folder(scratch: Path) -> Iterator[None]:
 
 @contextmanager
 def _hide_paths(scratch: Path) -> Iterator[None]:
-    """Errors name files, not the folder they lay in; what is damaged in the store is no fault of the person."""
+    """Replace paths in errors, which name files, not their folder; damage in the store is no fault of the person."""
     try:
         yield
     except SpecError:

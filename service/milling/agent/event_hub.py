@@ -62,7 +62,7 @@ class Hub:
         self._send(message)
 
     def join(self, last_id: str) -> tuple[Reader, list[HubMessage]]:
-        """A new reader, and what it is to be sent first."""
+        """Add a reader, and return it with what it is to be sent first."""
         if self._closed or len(self._readers) >= self._most:
             raise Problem(503, f"{len(self._readers)} readers already; allowed: {self._most}. Close one and try again")
         reader = Reader()

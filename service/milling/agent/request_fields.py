@@ -47,7 +47,7 @@ class Fields:
         return value
 
     def triple(self, name: str, limit: float) -> tuple[float, float, float]:
-        """Three numbers between -limit and limit."""
+        """Return three numbers between -limit and limit."""
         value = self._take(name, None)
         good = isinstance(value, list) and len(value) == 3
         numbers = value if good and isinstance(value, list) else []
@@ -62,7 +62,7 @@ class Fields:
         return (x, y, z)
 
     def texts(self, name: str, allowed: Collection[str]) -> frozenset[str]:
-        """A list of words out of `allowed`."""
+        """Return a list of words out of `allowed`."""
         value = self._take(name, None)
         if not isinstance(value, list) or not all(isinstance(word, str) and word in allowed for word in value):
             words = ", ".join(sorted(allowed))
@@ -82,7 +82,7 @@ class Fields:
 
 
 async def read_fields(request: Request) -> Fields:
-    """The JSON object of a request; an empty body is an empty object."""
+    """Read the JSON object of a request; an empty body is an empty object."""
     content = bytearray()
     try:
         async for chunk in request.stream():

@@ -46,7 +46,7 @@ class SnapshotFeed:
             self._ended.wait(_LEAST_GAP_S)
 
     def _tell(self, snapshot: MillSnapshot) -> None:
-        """On the event loop: first what has happened since, then how things stand."""
+        """Publish on the event loop: first what has happened since, then how things stand."""
         for entry in snapshot.events:
             if entry.number > self._last_event:
                 self._last_event = entry.number
@@ -56,5 +56,5 @@ class SnapshotFeed:
 
 
 def status_of(snapshot: MillSnapshot) -> dict[str, object]:
-    """The snapshot without its events, which go out one by one."""
+    """Return the snapshot without its events, which go out one by one."""
     return {key: value for key, value in snapshot.as_dict().items() if key != "events"}

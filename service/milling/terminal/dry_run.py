@@ -55,7 +55,7 @@ def _set_check_mode(driver: Driver, url: str, *, on: bool) -> None:
 
 
 def _leave(driver: Driver, url: str) -> None:
-    """Out of check mode again, whatever state the stream is in; a controller that cannot be told is named."""
+    """Leave check mode, whatever state the stream is in; a controller that cannot be told is named."""
     try:
         if driver.progress.streaming:
             driver.abort()

@@ -110,14 +110,14 @@ class RunFollower:
         return Outcome(ended, snapshot, self._buffers.are_empty(snapshot), self._words)
 
     def _tell_news(self, snapshot: MillSnapshot) -> None:
-        """What a person should read and would miss in the panel, each once, above it."""
+        """Print what a person should read and would miss in the panel, each once, above it."""
         for entry in snapshot.events:
             if entry.number > self._told and entry.kind in _NEWS:
                 self._screen.say(f"{entry.kind}: {entry.words}")
             self._told = max(self._told, entry.number)
 
     def _is_driven(self) -> bool:
-        """The mill's thread still answers."""
+        """Return the mill's thread still answers."""
         now = time.monotonic()
         if now < self._asked_s + _ASK_EVERY_S:
             return True
@@ -130,7 +130,7 @@ class RunFollower:
         return True
 
     def _end_if_nobody_can_resume(self, snapshot: MillSnapshot) -> None:
-        """Held for want of a journal and without a person at the keys: abort from hold, and say why."""
+        """Abort from hold a run held for want of a journal without a person at the keys, and say why."""
         run = snapshot.run
         if self._keyboard is not None or self._abort_by_s is not None or run is None or run.state is not RunState.HELD:
             return
@@ -150,7 +150,7 @@ class RunFollower:
         return None
 
     def _is_settled(self, snapshot: MillSnapshot) -> bool:
-        """The controller holds nothing any more, or waiting for that is of no use, or there was time enough for it."""
+        """Return whether the controller holds nothing, or waiting for that is of no use or has lasted long enough."""
         if self._over_s is None:
             self._over_s = time.monotonic()
         if self._buffers.are_empty(snapshot) or not self._buffers.will_be_empty(snapshot):
@@ -210,7 +210,7 @@ class RunFollower:
         return Ended.LEFT
 
     def _step_feed(self, change: int) -> None:
-        """Keys may come faster than the mill reports what the last one did."""
+        """Step the feed override; keys may come faster than the mill reports what the last one did."""
         now, asked = time.monotonic(), self._feed_asked
         base = asked[1] if now < asked[0] + _REPORTED_S else self._thread.snapshot.status.overrides[0]
         percent = min(200, max(10, base + change))
@@ -224,7 +224,7 @@ class RunFollower:
             self._screen.say(f"not done: {error}")
 
     def _protections(self, snapshot: MillSnapshot) -> tuple[str, ...]:
-        """Those of this run; a link that is away for the moment tells none."""
+        """Return the protections of this run; a link that is away for the moment has none."""
         self._protected = snapshot.protections or self._protected
         return self._protected
 
@@ -252,10 +252,10 @@ class RunFollower:
 
 
 def make_immediate_hold(thread: MillThread) -> Callable[[], None]:
-    """What a signal does before anything else: the hold."""
+    """Return what a signal does before anything else: the hold."""
     return lambda: stop_mill(thread, Stop.HOLD)
 
 
 def find_keyboard() -> int | None:
-    """The terminal's descriptor, None where there is no terminal on both sides."""
+    """Return the terminal's descriptor, None where there is no terminal on both sides."""
     return sys.stdin.fileno() if sys.stdin.isatty() and sys.stdout.isatty() else None

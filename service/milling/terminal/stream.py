@@ -164,7 +164,7 @@ def _open_reporter() -> Iterator[Reporter]:
 
 @contextlib.contextmanager
 def _open_mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, Connector]]:
-    """The mill, with its thread running; let go of at the end."""
+    """Open the mill, with its thread running; let go of at the end."""
     connector = Connector(order.profile, order.port_url)
     reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
     with usable(folder):
@@ -204,7 +204,7 @@ def _await_mill(thread: MillThread, buffers: Buffers, url: str) -> MillSnapshot:
 def _prepare_new_run(
     thread: MillThread, _buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """A parked run, and how it begins once the person has said that all is as it should be."""
+    """Park a run, and return how it begins once the person has said that all is as it should be."""
     run: RunView = thread.call(lambda mill: mill.park(facts, order.program.resolve(), order.program.name))
     checks, setup = START_CHECKS, None
     if find_keyboard() is not None and not order.confirmed:
@@ -217,7 +217,7 @@ def _prepare_new_run(
 def _prepare_recovery(
     thread: MillThread, buffers: Buffers, order: StreamOrder, facts: Preflight
 ) -> tuple[str, Callable[[Mill], None]]:
-    """The interrupted run of this program, and a person's word for each check, every time."""
+    """Return the interrupted run of this program, and a person's word for each check, every time."""
     run = find_interrupted_run(thread, facts, order.program)
     person = find_keyboard() is not None
     plan = prepare_plan(thread, buffers, run, person=person, vouched=order.position_confirmed)
@@ -249,7 +249,9 @@ def _run(
 
 
 def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
-    """With what is true at the end: GRBL tells its spindle only now and then, and after a reset itself anew."""
+    """Return the outcome with what is true at the end: GRBL tells its spindle only now and then, and after a reset
+    itself.
+    """
     give_up_s = time.monotonic() + _SETTLE_S
     snapshot = thread.snapshot
 
@@ -266,7 +268,7 @@ def _settle(thread: MillThread, outcome: Outcome) -> Outcome:
 
 
 def _conclude(outcome: Outcome, order: StreamOrder, facts: Preflight) -> None:
-    """The last words, and the exit code by way of an error."""
+    """Print the last words, and raise the exit code as an error."""
     status, run = outcome.snapshot.status, outcome.snapshot.run
     held = () if outcome.cleared else (STILL_HELD,)
     left = (*held, left_words(status), f"to go on: {order.next_command}")

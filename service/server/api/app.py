@@ -104,7 +104,7 @@ def make_app(services: Services) -> FastAPI:
 
 @asynccontextmanager
 async def _life(services: Services) -> AsyncIterator[None]:
-    """Runs are looked at as long as the server serves; then streams and links to the mills' agents end."""
+    """Look at runs as long as the server serves; then end streams and links to the mills' agents."""
     behind = (services.fleet.watch(), services.stop_access.keep_fresh())
     tasks = [asyncio.create_task(work) for work in behind]
     yield

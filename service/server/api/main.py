@@ -85,7 +85,7 @@ def main() -> int:
 
 @contextlib.contextmanager
 def open_services(settings: ServerSettings, offer: str = "", url: str = "") -> Iterator[Services]:
-    """Everything the routes need, closed at the end. InputError where it would not be safe to serve.
+    """Open everything the routes need, closed at the end. InputError where it would not be safe to serve.
 
     offer : of a code with which pages can be paired. url : where the page is
     """
@@ -148,7 +148,7 @@ async def _serve(services: Services, listener: socket.socket) -> None:
 
 
 async def _turn() -> None:
-    """While the loop turns, the supervisor hears of us; one that hangs is started again."""
+    """Tell the supervisor of us while the loop turns; one that hangs is started again."""
     turned_at = time.monotonic()
     lifeline.healthy = lambda: time.monotonic() - turned_at < _STUCK_S
     while True:
@@ -157,7 +157,7 @@ async def _turn() -> None:
 
 
 def server_of(services: Services, on_ready: Callable[[], None] = lambda: None) -> Server:
-    """uvicorn as we want it; `on_ready` is called once it serves."""
+    """Make uvicorn as we want it; `on_ready` is called once it serves."""
     config = uvicorn.Config(
         make_app(services),
         http=ProblemProtocol,

@@ -45,7 +45,7 @@ class Metrics:
         self._text = SharedCall(lambda: generate_latest(self.registry))
 
     async def text(self) -> bytes:
-        """The figures as text; those who ask at the same time get the same. TimeoutError."""
+        """Return the figures as text; those who ask at the same time get the same. TimeoutError."""
         return await self._text.result(_WAIT_S)
 
 
@@ -81,7 +81,7 @@ def _jobs(connection: sa.Connection, counted: Mapping[Counter, float]) -> Iterat
 
 
 def _stages(counted: Mapping[Counter, float]) -> Iterator[GaugeMetricFamily]:
-    """Of all jobs there ever were. A retried stage counts as often as it was tried."""
+    """Yield stages of all jobs there ever were. A retried stage counts as often as it was tried."""
     count = GaugeMetricFamily("causticmill_stage_runs", "Tries of stages that have ended", labels=["stage", "state"])
     spent = GaugeMetricFamily("causticmill_stage_seconds", "Time in committed stages", labels=["stage"])
     interrupted = 0.0

@@ -117,7 +117,7 @@ class DbosEngine:
             self._client = None
 
     def owns(self, ticket: Ticket, executor: str) -> bool:
-        """Is this executor the one that the engine lets run the ticket?"""
+        """Return whether the engine lets this executor run the ticket."""
         return any(s.status == "PENDING" and s.executor_id == executor for s in self._statuses([ticket]))
 
     def _statuses(self, tickets: list[Ticket]) -> list[WorkflowStatus]:
@@ -127,7 +127,7 @@ class DbosEngine:
         return self._clients().list_workflows(workflow_ids=ids, load_input=False, load_output=False)
 
     def _clients(self) -> DBOSClient:
-        """Made at the first use; an operation that finds no database fails instead of waiting for it."""
+        """Return the client, made at the first use; an operation without a database fails instead of waiting for it."""
         with self._lock:
             if self._client is None:
                 self._client = DBOSClient(
@@ -175,7 +175,7 @@ class _Runner:
             self._running[ticket] -= 1
 
     def list_strays(self, owners: dict[Ticket, str]) -> list[Ticket]:
-        """Tickets that have been ours for a while, and are not in hand: DBOS may just be about to call us."""
+        """List tickets that have been ours for a while, and are not running: DBOS may just be about to call us."""
         now = time.monotonic()
         mine = {t for t, owner in owners.items() if owner == self._executor and not self._running[t]}
         self._strays = {ticket: self._strays.get(ticket, now) for ticket in mine}
@@ -206,13 +206,13 @@ class _Runner:
 
 
 def _first_line(record: logging.LogRecord) -> bool:
-    """It puts whole tracebacks into messages about a database that is away for a moment."""
+    """Cut a message to its first line: whole tracebacks come when the database is away for a moment."""
     record.msg, record.args = record.getMessage().partition("\n")[0], None
     return True
 
 
 def _redirect_logs() -> None:
-    """DBOS's words go where all of the program's go, warnings and worse; it would write to stderr itself."""
+    """Send DBOS's words where all of the program's go, warnings and worse; it would write to stderr itself."""
     logger = logging.getLogger("dbos")
     logger.handlers[:] = [logging.NullHandler()]
     logger.filters[:] = [_first_line]

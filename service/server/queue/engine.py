@@ -45,19 +45,21 @@ class JobEngine(Protocol):
         """Make what the engine needs in the database, or bring it up to date. Workers only."""
 
     def submit(self, ticket: Ticket, *, priority: int) -> None:
-        """Durable when it returns. A ticket that is known already is left as it is. Smaller priority runs earlier."""
+        """Queue durably. A ticket that is known already is left as it is. Smaller priority runs earlier."""
 
     def cancel(self, ticket: Ticket) -> None:
-        """It is not started (again). A running attempt is not stopped: it sees the job's own cancel_requested."""
+        """Keep it from being started (again). A running attempt is not stopped: it sees the job's own
+        cancel_requested.
+        """
 
     def list_known(self, tickets: list[Ticket]) -> set[Ticket]:
-        """Those of the tickets that the engine will run, runs, or has run."""
+        """List those of the tickets that the engine will run, runs, or has run."""
 
     def find_owners(self) -> dict[Ticket, str]:
-        """Executor of each ticket that has begun and not ended."""
+        """Find the executor of each ticket that has begun and not ended."""
 
     def list_ended(self, tickets: list[Ticket]) -> set[Ticket]:
-        """Those of the tickets that the engine will not run (again)."""
+        """List those of the tickets that the engine will not run (again)."""
 
     def forget(self, tickets: list[Ticket]) -> None:
         """Drop the history of tickets that have ended."""

@@ -104,7 +104,7 @@ class SupervisedChild:
                 self._heard_at = time.monotonic()
 
     def restart_timeout(self) -> None:
-        """The supervisor itself was away: patience starts anew."""
+        """Start the timeout anew: the supervisor itself was away."""
         self._heard_at = time.monotonic()
 
     def look(self, *, wanted: bool) -> None:

@@ -21,7 +21,7 @@ _PATIENCE_S = 20.0
 
 
 def main() -> int:
-    """Until SIGTERM."""
+    """Run until SIGTERM."""
     try:
         folder = folder_of_simulated(ServerSettings.load())
         _await(folder / "port")
@@ -46,7 +46,7 @@ def main() -> int:
 
 
 def _await(port: Path) -> None:
-    """The mill is started at the same time."""
+    """Wait for the mill, which is started at the same time."""
     until = time.monotonic() + _PATIENCE_S
     while not port.exists() and time.monotonic() < until:
         time.sleep(0.05)

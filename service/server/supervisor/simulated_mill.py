@@ -33,7 +33,7 @@ port = "{port}"
 
 
 def main() -> int:
-    """Until SIGTERM."""
+    """Run until SIGTERM."""
     for kind in lifeline.STOPPING:
         signal.signal(kind, _leave)
     try:
@@ -61,7 +61,7 @@ def _leave(*_: object) -> NoReturn:
 
 
 def make_mill() -> SimulatedMill:
-    """The mill itself; it keeps no record of what it cuts."""
+    """Return the mill itself; it keeps no record of what it cuts."""
     from_here_mm = GRBL_11.power_up_machine_mm[2]  # where Z of the recording is zero
     traits = replace(GRBL_11, homing=True, probe_surface_mm=_TOUCHED_AT_MM - from_here_mm)
     return SimulatedMill(traits, recording=Recording(keep=False))

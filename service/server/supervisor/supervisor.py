@@ -71,7 +71,7 @@ class Supervisor:
         self._children = [_watch(name, modules[name], listener, offer) for name in names]
 
     def run(self) -> int:
-        """Until told to stop, or until a child refuses its configuration; returns the exit code."""
+        """Run until told to stop, or until a child refuses its configuration; return the exit code."""
         with _wakeups(self._obey_signal) as wake, selectors.DefaultSelector() as selector:
             selector.register(wake, selectors.EVENT_READ)
             for child in self._children:
@@ -92,7 +92,7 @@ class Supervisor:
         self._signals += 1
 
     def _handle_signal(self) -> None:
-        """The first signal asks the children to end well, the second ends them."""
+        """Ask the children to end well at the first signal, end them at the second."""
         if self._signals > self._heeded:
             if self._code is None:
                 self._stop(0)
@@ -112,7 +112,7 @@ class Supervisor:
                 child.signal(signal.SIGKILL)
 
     def _judge(self) -> None:
-        """Is all well, or is there no point in going on?"""
+        """Return whether all is well, or there is no point in going on."""
         if any(child.refused for child in self._children):
             return self._stop(EXIT_INPUT)  # it said why itself
         if self._ready:
@@ -134,7 +134,7 @@ class Supervisor:
         return None
 
     def _announce(self, words: str) -> None:
-        """Where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
+        """Announce where it is, and how it stands. A mill needs its agent whether or not jobs can be taken."""
         where, folder = url_of(self._listener), _read_setting("DATA", "")
         with contextlib.suppress(OSError):
             print(f"causticmill on {where} (data: {folder}), {words}", flush=True)
@@ -146,7 +146,9 @@ class Supervisor:
         self._announced = True
 
     def _show_code(self, where: str) -> None:
-        """On a terminal only: a code opens a mill, and what goes into files and pipes is stored and shipped."""
+        """Show the code on a terminal only: it opens a mill, and what goes into files and pipes is stored and
+        shipped.
+        """
         if (terminal := _terminal()) is not None and self._offer:
             terminal.write(code_lines(terminal, where, code_of(self._offer)))
             terminal.flush()
@@ -162,7 +164,7 @@ class Supervisor:
             child.signal(signal.SIGCONT)
 
     def _select_timeout_s(self) -> float:
-        """How long nothing needs to be looked at unless a signal comes."""
+        """Return how long nothing needs to be looked at unless a signal comes."""
         if self._code is None and not self._ready:
             return _LONG_PROBE_S if self._announced else _PROBE_S
         due = [child.due_at for child in self._children if child.due_at is not None]
@@ -172,7 +174,9 @@ class Supervisor:
 
 
 def main() -> int:
-    """What `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=: nothing."""
+    """Return what `causticmill serve` becomes. Arguments name=module say what runs as worker, API, agents; name=:
+    nothing.
+    """
     began = float(os.environ.pop(f"{_PREFIX}BEGAN", time.time()))
     modules = _MODULES | (_SIMULATED if _read_setting("SIMULATED_MILL", "false") == "true" else {})
     modules |= {name: module for name, _, module in (word.partition("=") for word in sys.argv[1:])}
@@ -195,7 +199,7 @@ def _terminal() -> TextIO | None:
 
 
 def _read_setting(name: str, default: str) -> str:
-    """The command has checked them all and put them into the environment."""
+    """Read a setting; the command has checked them all and put them into the environment."""
     return os.environ.get(f"{_PREFIX}{name}", default)
 
 
@@ -212,7 +216,7 @@ def _watch(name: str, module: str, listener: socket.socket, offer: str) -> Super
 
 @contextlib.contextmanager
 def _wakeups(stop: Callable[[int, FrameType | None], None]) -> Iterator[socket.socket]:
-    """A socket that becomes readable with every signal: children's ends, and those that stop us."""
+    """Yield a socket that becomes readable with every signal: children's ends, and those that stop us."""
     ours, its = socket.socketpair()
     with ours, its:
         ours.setblocking(False)

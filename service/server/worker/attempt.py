@@ -43,7 +43,7 @@ class Attempt:
                 self._run(claim)
 
     def list_active(self) -> set[str]:
-        """Ids of the jobs that this worker is about: those it may be claiming just now included."""
+        """List ids of the jobs that this worker is about: those it may be claiming just now included."""
         with self._lock:
             return set(self._active)
 
@@ -77,7 +77,7 @@ class Attempt:
 
     @contextmanager
     def _hold_slot(self) -> Iterator[None]:
-        """The engine counts, too, but may hand out one more while a ticket is on its way to a thread."""
+        """Hold a slot. The engine counts, too, but may hand out one more while a ticket is on its way to a thread."""
         if not self._slots.acquire(blocking=False):
             raise Busy("all slots are taken")
         try:
@@ -87,7 +87,7 @@ class Attempt:
 
     @contextmanager
     def _hold_job(self, ticket: Ticket) -> Iterator[None]:
-        """One call per job at a time in this process, whatever the engine believes."""
+        """Hold the job: one call per job at a time in this process, whatever the engine believes."""
         with self._lock:
             if ticket.job_id in self._active:
                 raise Fenced("it runs here already")

@@ -55,7 +55,7 @@ class WorkerContext:
 
 @contextmanager
 def fence_outage() -> Iterator[None]:
-    """A database that cannot be reached is no fault of the job: it is gone on with later."""
+    """Fence an attempt whose database cannot be reached: no fault of the job, which is gone on with later."""
     try:
         yield
     except AWAY as error:
@@ -63,7 +63,7 @@ def fence_outage() -> Iterator[None]:
 
 
 def retry_while_away(write: Callable[[], Result]) -> Result:
-    """Do it again and again while the database is away: work of hours is not thrown away over a restart of it."""
+    """Retry while the database is away: work of hours is not thrown away over a restart of it."""
     deadline = time.monotonic() + RETRY_S
     while True:
         try:

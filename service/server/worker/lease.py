@@ -67,14 +67,14 @@ class Lease:
         self._good_at = begun
 
     def give_back(self) -> None:
-        """Others need not wait for the lease to run out."""
+        """Give the lease back: others need not wait for it to run out."""
         with begin_writing(self.database) as connection:
             mine = sa.and_(executors.c.id == self.executor, executors.c.boot == self.boot)
             connection.execute(executors.delete().where(mine))
         self._good_at = float("-inf")
 
     def is_safe(self) -> bool:
-        """May this worker still work? Costs nothing."""
+        """Return whether this worker may still work. Costs nothing."""
         age_s = self.monotonic() - self._good_at
         return age_s < (float("inf") if self.alone else SAFE_SHARE * self.lease_s)
 
@@ -97,7 +97,7 @@ class LeaseRenewer:
         self._thread.join(timeout=self._lease.lease_s)
 
     def is_turning(self) -> bool:
-        """False where the thread has hung for a lease: the process had better be started again."""
+        """Return False where the thread has hung for a lease: the process had better be started again."""
         return time.monotonic() - self._turn_at < max(self._lease.lease_s, 10.0)
 
     def _run(self) -> None:
@@ -114,6 +114,6 @@ class LeaseRenewer:
 
 
 def live_executors(connection: sa.Connection, lease_s: float) -> set[str]:
-    """Workers that were heard of within a lease."""
+    """Return the workers that were heard of within a lease."""
     query = sa.select(executors.c.id).where(executors.c.seen_at > clock(connection) - lease_s)
     return set(connection.execute(query).scalars())

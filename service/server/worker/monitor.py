@@ -33,7 +33,7 @@ class Watched:
         self._stopping = stopping
 
     def reason(self) -> str | None:
-        """Why its stage has to end now: "cancelled", "fenced", "stopping"; None: go on. Never waits."""
+        """Return why its stage has to end now: "cancelled", "fenced", "stopping"; None: go on. Never waits."""
         if self.wish != "go":
             return self.wish
         if self._stopping.is_set():

@@ -60,7 +60,7 @@ class Reconciler:
         self._end_given_up(queued, live)
 
     def release_claims(self) -> None:
-        """Jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
+        """Release jobs under this worker's name although it is not about them: whoever has the ticket may claim them.
 
         They are those of its former life, and those it was fenced out of while the engine gave the ticket to another.
         """
@@ -77,7 +77,9 @@ class Reconciler:
                     change_job(connection, job, owner=None, fence=job.fence + 1)
 
     def _next_queued(self) -> Queued:
-        """The jobs of the queue after those of the turn before, with their priorities; from its head after its end."""
+        """Return the jobs of the queue after those of the turn before, with their priorities; from its head after its
+        end.
+        """
         place = sa.tuple_(jobs.c.priority, jobs.c.queued_at, jobs.c.id)
         query = (
             sa.select(jobs.c.id, jobs.c.attempt, jobs.c.priority, jobs.c.queued_at)
@@ -94,14 +96,14 @@ class Reconciler:
         return {Ticket(row.id, row.attempt): row.priority for row in rows if row.queued_at < at - GRACE_S}
 
     def _submit_unknown(self, queued: Queued) -> None:
-        """Queued jobs that the engine has not heard of: the API died, or could not reach it."""
+        """Submit queued jobs that the engine has not heard of: the API died, or could not reach it."""
         known = self._engine.list_known(list(queued))
         for ticket in [ticket for ticket in queued if ticket not in known]:
             log.info("submitted late", job=ticket.job_id, attempt=ticket.attempt)
             self._engine.submit(ticket, priority=queued[ticket])
 
     def _take_over_dead(self) -> set[str]:
-        """Tickets begun by workers that are not heard of any more run elsewhere. Returns the live workers."""
+        """Run elsewhere the tickets begun by workers that are not heard of any more; return the live workers."""
         owners = set(self._engine.find_owners().values())
         with begin_reading(self._database) as connection:
             live = live_executors(connection, self._lease_s) | {self._executor}
@@ -111,7 +113,7 @@ class Reconciler:
         return live
 
     def _end_cancelled(self, live: set[str]) -> None:
-        """Running jobs that were to be cancelled when their worker died."""
+        """End running jobs that were to be cancelled when their worker died."""
         query = sa.select(jobs.c.id).where(jobs.c.state == "running", jobs.c.cancel_requested)
         with begin_reading(self._database) as connection:
             found = list(connection.execute(query).scalars())
@@ -119,7 +121,7 @@ class Reconciler:
             self._end(job_id, live, JobState.CANCELLED, None)
 
     def _end_given_up(self, queued: Queued, live: set[str]) -> None:
-        """Jobs that wait or run although the engine is done with their ticket.
+        """End jobs that wait or run although the engine is done with their ticket.
 
         The engine is asked first and the job read afterwards: a body ends the job before its ticket ends.
         """

@@ -38,7 +38,7 @@ class StageRunner:
         self._files: dict[str, FileRef] = {}
 
     def run(self) -> None:
-        """Every stage, then the job's end; or its end on the way."""
+        """Run every stage, then end the job; or end it on the way."""
         for stage in self._so_far.stages():
             with structlog.contextvars.bound_contextvars(stage=stage):
                 result = self._run_or_reuse(stage)
@@ -51,7 +51,7 @@ class StageRunner:
         self._finish(JobState.SUCCEEDED, report=self._so_far.report)
 
     def _run_or_reuse(self, stage: str) -> StageResult | None:
-        """Equal work done before, or its own; None where the job has ended here."""
+        """Reuse equal work done before, or run the stage; None where the job has ended here."""
         key = stage_key(
             stage,
             self._so_far.job,
@@ -130,7 +130,9 @@ class StageRunner:
         return result
 
     def _end_stopped(self, reason: str, begun: StageTry | None, record: FileRef | None) -> None:
-        """Cancelled: the job ends. Otherwise it goes on elsewhere, or here at another time."""
+        """End a stopped stage. Cancelled: the job ends, too. Otherwise it goes on elsewhere, or here at another
+        time.
+        """
         if reason == "cancelled":
             if begun is not None:
                 self._close(begun, StageState.CANCELLED, "cancelled", record)
@@ -168,7 +170,7 @@ class StageRunner:
         return retry_while_away(lambda: self._context.work.count_crashes(self._claim, stage))
 
     def _store_log(self, path: Path) -> FileRef | None:
-        """What the stage's process said, put into the store; None where it said nothing."""
+        """Return what the stage's process said, put into the store; None where it said nothing."""
         try:
             if path.stat().st_size == 0:
                 return None
@@ -180,7 +182,7 @@ class StageRunner:
             path.unlink(missing_ok=True)
 
     def _job_share(self, stage: str, share: float) -> float:
-        """How far the job is, where this stage is at `share`."""
+        """Return how far the job is, where this stage is at `share`."""
         return min(1.0, self._done_share + share * self._shares[stage])
 
     def _scratch(self, begun: StageTry, kind: str) -> Path:

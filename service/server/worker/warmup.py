@@ -38,7 +38,7 @@ _PROGRAM = "G21 G90 G94 G17\nM3 S10000\nG0 X0 Y0 Z5\nG1 Z-1 F100\nX1 Y1\nM5\nM2\
 
 
 def begin(task: str = JOBS) -> subprocess.Popen[bytes] | None:
-    """The process, or None where nothing of the task is left to compile. Somebody has to wait for its end."""
+    """Start the process; None where nothing of the task is left to compile. Somebody has to wait for its end."""
     return None if any(ready_mark(done).exists() for done in {task, JOBS}) else _start_process(task)
 
 
@@ -123,7 +123,7 @@ def _warm_programs(folder: Path) -> None:
 
 
 def _put_dome(folder: Path) -> None:
-    """A lens that nobody had to compute, and an even picture."""
+    """Write a lens that nobody had to compute, and an even picture."""
     import numpy as np
 
     from optics.heightfield import Heightfield

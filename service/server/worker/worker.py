@@ -38,7 +38,7 @@ log = structlog.get_logger()
 
 @contextmanager
 def open_worker(settings: ServerSettings, processes: StageProcesses) -> Iterator[Worker]:
-    """A worker that is the only one of its name. InputError where it would not be safe to work."""
+    """Open a worker that is the only one of its name. InputError where it would not be safe to work."""
     refuse_network_disk(settings)
     executor = executor_name(settings)
     with ExitStack() as stack:
@@ -91,7 +91,7 @@ class Worker:
             self._threads.append(PeriodicThread("name", self.name.keep, every_s=settings.lease_s / 6))
 
     def start(self) -> None:
-        """Beat first, then run jobs: no job is begun without a lease."""
+        """Renew the lease first, then run jobs: no job is begun without a lease."""
         shutil.rmtree(self.context.scratch, ignore_errors=True)
         self.context.lease.take()
         self._renewer.start()
@@ -104,7 +104,7 @@ class Worker:
         log.info("worker ready")
 
     def stop(self) -> None:
-        """Running stages are stopped and noted as interrupted; their jobs go on at the next start, or elsewhere."""
+        """Stop running stages and note them as interrupted; their jobs go on at the next start, or elsewhere."""
         log.info("worker stops")
         self.context.watch.stopping.set()
         for rounds in self._threads:
@@ -120,6 +120,6 @@ class Worker:
             log.warning("the lease was not given back", error=str(error).splitlines()[0])
 
     def _leave(self) -> None:
-        """Another process works under our name: end, with everything that runs, before it is in its way."""
+        """End, with everything that runs, as another process works under our name and must not be hindered."""
         self.context.processes.close()
         os._exit(EXIT_NAME_TAKEN)

@@ -30,7 +30,7 @@ class OrderRoutes:
         ]
 
     async def grant(self, request: Request) -> Response:
-        """One order may be carried out under it, for a moment from now on."""
+        """Grant one order, which may be carried out under it for a moment from now on."""
         fields = await read_fields(request)
         stops = int(fields.number("stops", 0, 1 << 53)) if fields.has("stops") else None
         fields.refuse_unknown()
@@ -48,12 +48,12 @@ class OrderRoutes:
         return JSONResponse(told, status_code=201 if new else 200)
 
     async def check(self, request: Request) -> Response:
-        """OrderRefusedError where somebody else than the caller has control."""
+        """Raise OrderRefusedError where somebody else than the caller has control."""
         self._orders.require_free(read_control(request))
         return Response(status_code=204)
 
     async def release(self, request: Request) -> Response:
-        """Nobody has control, if it was the caller's. OrderRefusedError where it is somebody else's."""
+        """Release control, if it was the caller's. OrderRefusedError where it is somebody else's."""
         control = read_control(request)
         if not self._orders.release_lease(control):
             self._orders.require_free(control)
@@ -61,7 +61,7 @@ class OrderRoutes:
         return Response(status_code=204)
 
     async def list_orders(self, request: Request) -> Response:
-        """Newest first: orders, stops, and what came of them."""
+        """List orders, stops, and what came of them, newest first."""
         before, limit = _number(request, "before", 1 << 53), _number(request, "limit", 50)
         limit = max(1, min(limit, _MOST_ORDERS))
         entries = await self._agent.access.work(lambda: self._agent.audit.read(before, limit))

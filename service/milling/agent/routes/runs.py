@@ -63,12 +63,12 @@ class RunRoutes:
         return _run_response(run, status=201)
 
     def _park(self, mill: Mill, facts: Preflight, path: Path, name: str) -> RunView:
-        """On the mill's thread, as is a removal: the program is still there once the run is known."""
+        """Park on the mill's thread, where removals run as well: the program is still there once the run is known."""
         self._agent.store.entry(path.stem)
         return mill.park(facts, path, name)
 
     def _find_parked(self, key: str, program: str) -> RunView | None:
-        """The run that this key has parked; a Problem where it was for another program."""
+        """Find the run that this key has parked; a Problem where it was for another program."""
         run_id = self._agent.keys.run_of(key) if key else None
         run = next((run for run in self._runs() if run.id == run_id), None)
         if run is not None and run.program != program:
@@ -105,8 +105,8 @@ class RunRoutes:
         return self._answer(request)
 
     def halt(self, stop: Stop) -> Callable[..., object]:
-        """A stop of the live run. For another run it is refused, but it is counted all the same: no order that was
-        given before it, such as this run's start, is carried out any more.
+        """Make the endpoint of a stop of the live run. For another run it is refused, but it is counted all the same: no order that
+        was given before it, such as this run's start, is carried out any more.
         """
 
         async def endpoint(request: Request) -> Response:
@@ -122,7 +122,7 @@ class RunRoutes:
         return endpoint
 
     def _require_present(self, run: RunView) -> None:
-        """Problem 409 where the mill is about another run: this would be an order to the wrong one."""
+        """Raise Problem 409 where the mill is about another run: this would be an order to the wrong one."""
         present = self._agent.access.snapshot.run
         if present is None or present.id != run.id:
             raise Problem(
@@ -139,7 +139,7 @@ class RunRoutes:
         return self._agent.access.snapshot.runs
 
     def _run(self, request: Request) -> RunView:
-        """By our own id, or by the key that the job server gave it."""
+        """Find a run by our own id, or by the key that the job server gave it."""
         wanted = request.path_params["run"]
         own = self._agent.keys.run_of(wanted) or wanted
         for run in self._runs():

@@ -33,7 +33,8 @@ class Conditions:
 async def download(
     store: Store, file: Artifact, conditions: Conditions, *, with_body: bool, elsewhere: bool = True
 ) -> Response:
-    """MissingObjectError where the store has lost the file. `elsewhere`: the caller may be sent to the store itself.
+    """Send the file; MissingObjectError where the store lost it. `elsewhere`: the caller may be sent to the store
+    itself.
 
     A bucket knows the file by its hash only: pages, and the pictures in them, always come from here.
     """
@@ -63,7 +64,7 @@ async def download(
 
 
 async def iterate_in_threads(pieces: Iterator[bytes]) -> AsyncIterator[bytes]:
-    """Each piece is made in a thread, when the one before has been taken; one more is ready at any time."""
+    """Make each piece in a thread, when the one before has been taken; one more is ready at any time."""
     ahead = asyncio.ensure_future(asyncio.to_thread(next, pieces, None))
     try:
         while (piece := await ahead) is not None:
@@ -90,7 +91,7 @@ def _headers(file: Artifact, kind: str, tag: str) -> dict[str, str]:
 
 
 def matches(if_none_match: str | None, etag: str) -> bool:
-    """True where the client has this version already (weak comparison)."""
+    """Return whether the client has this version already (weak comparison)."""
     if if_none_match is None:
         return False
     given = {tag.strip().removeprefix("W/") for tag in if_none_match.split(",")}

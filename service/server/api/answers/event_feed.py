@@ -68,7 +68,7 @@ class Feed:
 
     @contextlib.asynccontextmanager
     async def follow(self, job_id: str, after: int) -> AsyncIterator[Follower]:
-        """A follower that gets every event after `after`, and the end."""
+        """Yield a follower that gets every event after `after`, and the end."""
         follower = Follower(job_id, after)
         self._followers.add(follower)
         if self._closed:
@@ -89,12 +89,12 @@ class Feed:
         self._wake.set()
 
     def drop_job(self, job_id: str) -> None:
-        """The job was deleted here."""
+        """Drop the followers of a job that was deleted here."""
         for follower in [each for each in self._followers if each.job_id == job_id]:
             self._drop(follower)
 
     async def _poll(self) -> None:
-        """Until nobody follows any more."""
+        """Poll until nobody follows any more."""
         while self._followers:
             self._wake.clear()
             asked = self._list_wanted()
@@ -112,14 +112,14 @@ class Feed:
                 await asyncio.wait_for(self._wake.wait(), wait_s)
 
     def _list_wanted(self) -> dict[str, int]:
-        """For each job, the event after which somebody needs the rest."""
+        """Return for each job the event after which somebody needs the rest."""
         asked: dict[str, int] = {}
         for follower in self._followers:
             asked[follower.job_id] = min(follower.seen, asked.get(follower.job_id, follower.seen))
         return asked
 
     def _hand_out(self, asked: Mapping[str, int], news: News, *, whole: bool) -> None:
-        """To each follower what it has not seen. `whole`: nothing was left behind in the database."""
+        """Hand each follower what it has not seen. `whole`: nothing was left behind in the database."""
         events: dict[str, list[JobEvent]] = {}
         for event in news.events:
             events.setdefault(event.job_id, []).append(event)

@@ -32,7 +32,7 @@ class RequestBody:
         self._more = True
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
+        """Yield the body; Problem 408 for a client that stops sending, or drips; ClientDisconnect for one that goes."""
         began, taken = time.monotonic(), 0
         while self._more:
             try:

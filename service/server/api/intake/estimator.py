@@ -66,7 +66,8 @@ class Estimator:
         self._warm = False
 
     def ask(self, caller: str, asked: dict[str, Any], *, is_long: bool = False) -> Future[Answer]:
-        """What the process answers. Ends the caller's earlier asks, or joins the same one; Problem where too many wait.
+        """Return what the process answers. Ends the caller's earlier asks, or joins the same one; Problem where too
+        many wait.
 
         is_long : the answer may take LONG_S
         """
@@ -88,16 +89,16 @@ class Estimator:
         return ask.answer
 
     def leave(self, caller: str) -> None:
-        """A caller's asks are ended: it has gone, or asked for something else."""
+        """End a caller's asks: it has gone, or asked for something else."""
         with self._bell:
             self._end_all_of(caller)
 
     def _asks_of(self, caller: str) -> list[_Request]:
-        """With the bell held."""
+        """Return a caller's asks, with the bell held."""
         return [one for one in (self._running, *self._waiting) if one is not None and one.caller == caller]
 
     def _end_all_of(self, caller: str) -> None:
-        """With the bell held."""
+        """End a caller's asks, with the bell held."""
         older = self._asks_of(caller)
         for one in older:
             one.end(Problem(409, f"a newer {self._what} was asked for"))
@@ -107,7 +108,7 @@ class Estimator:
             self._child.kill()  # the keeper buries it
 
     def prepare(self) -> None:
-        """What estimates need is compiled now, where it was not yet, so that the first person need not wait for it."""
+        """Compile what estimates need, where it was not yet, so that the first person need not wait for it."""
         if not ready_mark(ESTIMATES).exists():
             with suppress(Problem):  # as good as busy with it
                 self.ask(_NOBODY, {"prepare": True, "max_pixels": _WEDGE_PIXELS})
@@ -143,7 +144,7 @@ class Estimator:
         self._drop()
 
     def _wait_for_next(self) -> _Request | None:
-        """The next one to be answered; meanwhile an idle process is ended. None: closed."""
+        """Return the next one to be answered; meanwhile an idle process is ended. None: closed."""
         with self._bell:
             self._running = None
             if self._killed:

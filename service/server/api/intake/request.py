@@ -31,7 +31,7 @@ class JobRequest:
 
 
 def job_request(form: JobForm) -> JobRequest:
-    """SpecError or Problem for what cannot be used."""
+    """Parse a request; SpecError or Problem for what cannot be used."""
     job = _resolve(bytes(form.texts.get("spec", b"")))
     spec = job.spec.model_dump(mode="json")
     priority = _priority(form.texts.get("priority"))
@@ -41,7 +41,7 @@ def job_request(form: JobForm) -> JobRequest:
 
 
 def idempotency_key(header: str | None, principal: Principal) -> ClientKey | None:
-    """The header's value as this caller's key, if it is one of 1 to 200 printable ASCII characters."""
+    """Return the header's value as this caller's key, if it is one of 1 to 200 printable ASCII characters."""
     if header is None:
         return None
     key = header.strip()
@@ -61,7 +61,7 @@ def _resolve(text: bytes) -> ResolvedJob:
 
 
 def _parse(text: bytes) -> dict[str, Any]:
-    """The JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
+    """Parse the JSON object of a text; what JSON allows and no person means is refused: a key twice, NaN, depth.
 
     The values are counted before they are parsed: what each of them costs from here on is paid by this process.
     """

@@ -49,14 +49,14 @@ class ChildOrder:
 
 
 def find_entry(name: str) -> Entry:
-    """The function `module:function` that does a stage's work."""
+    """Return the function `module:function` that does a stage's work."""
     module, _, function = name.partition(":")
     found: Entry = getattr(importlib.import_module(module), function)
     return found
 
 
 def run_child(given: ChildOrder) -> NoReturn:
-    """The whole life of the process after the fork; it never returns to the fork server's code."""
+    """Live the whole life of the process after the fork; never return to the fork server's code."""
     code = 70
     try:
         _set_up_stage_process(given)
@@ -89,7 +89,7 @@ def _set_up_stage_process(given: ChildOrder) -> None:
 
 
 def _close_all_but(kept: set[int]) -> None:
-    """Other children's pipes are open here, too: their ends would never be seen."""
+    """Close other children's pipes, which are open here, too: their ends would never be seen."""
     first = 3
     for number in (*sorted(kept), os.sysconf("SC_OPEN_MAX")):
         os.closerange(first, number)

@@ -67,7 +67,7 @@ class _Loop:
         self._wakers = socket.socketpair()  # held as long as signals may come
 
     def serve(self) -> None:
-        """Until the worker closes its end, is gone, or a SIGTERM has come."""
+        """Serve until the worker closes its end, is gone, or a SIGTERM has come."""
         wake, woken = self._wakers
         for end in self._wakers:
             end.setblocking(False)
@@ -91,7 +91,7 @@ class _Loop:
             self._reap()
 
     def _on_sigterm(self, *_: object) -> None:
-        """Only note it: whatever was interrupted, an import or the end itself, is not entered a second time."""
+        """Note the signal only: whatever was interrupted, an import or the end itself, is not entered a second time."""
         if os.getpid() != self._pid:  # a child that was told to end before it had made itself at home
             os._exit(128 + signal.SIGTERM)
         self._is_ending = True
@@ -129,7 +129,7 @@ class _Loop:
         )
 
     def _listen(self) -> bool:
-        """One message; False: the worker is gone."""
+        """Take one message; False: the worker is gone."""
         try:
             data, files, _, _ = socket.recv_fds(self._line, MESSAGE_BYTES, FILES)
         except InterruptedError:
@@ -199,7 +199,7 @@ class _Loop:
                 self._report(stage)
 
     def _kill_strays(self) -> bool:
-        """Adopted processes that belong to the group of no stage."""
+        """Kill adopted processes that belong to the group of no stage; return whether there were any."""
         strays = [pid for pid in own_children() if pid not in self._stages and _group(pid) not in self._stages]
         for pid in strays:
             with contextlib.suppress(OSError):
@@ -217,7 +217,7 @@ class _Loop:
 
 
 def _find_dead() -> int | None:
-    """A child that has ended and was not waited for; it is left so."""
+    """Find a child that has ended and was not waited for; it is left so."""
     try:
         found = os.waitid(os.P_ALL, 0, os.WEXITED | os.WNOHANG | os.WNOWAIT)
     except ChildProcessError:
@@ -233,7 +233,7 @@ def _group(pid: int) -> int:
 
 
 def main() -> None:
-    """Arguments: the socket, the worker's process id, the function that does a stage's work."""
+    """Run. Arguments: the socket, the worker's process id, the function that does a stage's work."""
     line, worker, entry = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
     name_process("cm-forkserver")
     die_with_parent(worker)  # whatever an import may be waiting for

@@ -83,7 +83,7 @@ class _ForkServer:
             return  # it is full or gone: both show elsewhere
 
     def close(self) -> None:
-        """No more children; those there are die, and it ends."""
+        """Take no more children; those there are die, and it ends."""
         with self.lock:
             self.closing = True
         try:
@@ -92,7 +92,7 @@ class _ForkServer:
             return
 
     def kill(self) -> None:
-        """It does not answer: the kernel ends its children with it."""
+        """Kill it, as it does not answer: the kernel ends its children with it."""
         with self.lock:
             if self._process is not None:
                 self._process.kill()
@@ -175,7 +175,7 @@ class _ForkServer:
             return self._children.pop(number)
 
     def _end(self) -> None:
-        """Whatever ended it: no process of it is left, and who waits for a child hears that it is orphaned."""
+        """End, whatever ended it: no process of it is left, and who waits for a child learns that it is orphaned."""
         self._line.close()
         self._its_line.close()
         if self._process is not None:
@@ -219,7 +219,7 @@ class ForkServerLink:
             return self._server
 
     def start_child(self, server: _ForkServer, files: list[int], *, silence_s: float) -> Child:
-        """A child that works on the files' order; ForkServerError where it could not be started."""
+        """Start a child that works on the files' order; ForkServerError where it could not be started."""
         with self._lock:
             self._number += 1
             child = Child(self._number, server)
@@ -233,11 +233,11 @@ class ForkServerLink:
         return child
 
     def send_beat(self, child: Child) -> None:
-        """The worker is well, and still owns the child's job."""
+        """Tell that the worker is well, and still owns the child's job."""
         child.server.send_beat(child)
 
     def give_up(self, child: Child) -> None:
-        """The fork server does not tell of this child any more: end the fork server."""
+        """End the fork server, which does not tell of this child any more."""
         child.server.kill()
 
     def close(self) -> None:

@@ -72,7 +72,7 @@ class StageProcesses:
             return Supervision(self._link, child, files.words, task).follow()
 
     def _start_child(self, files: _Files, stop: Callable[[], str | None]) -> Child | StageEnd:
-        """A started child; a fork server that is not there yet is waited for."""
+        """Start a child; a fork server that is not there yet is waited for."""
         words = ""
         for _ in range(_STARTS):
             try:
@@ -110,7 +110,7 @@ class _Files:
             raise
 
     def hand_over(self) -> None:
-        """The child has its own: the pipe's end shall show when the child has closed it."""
+        """Close what the child has of its own: the pipe's end shall show when the child has closed it."""
         while self.given:
             os.close(self.given.pop())
 

@@ -61,7 +61,7 @@ class Supervision:
         return self._verdict or self._parse_last() or self._explain_unexpected()
 
     def _wait(self) -> None:
-        """For a word, the end of the words, the child's end, or the next beat."""
+        """Wait for a message, the end of the messages, the child's end, or the next beat."""
         tick_s = min(_TICK_S, self._task.settings.lease_s / 20)
         if self._words.open:
             self._words.read(tick_s)
@@ -93,7 +93,9 @@ class Supervision:
         signal_stage(self._child.pid, signal.SIGTERM)
 
     def _leave_nobody(self) -> None:
-        """Also after an error of the worker's own; the fork server has buried the group, or is dead itself."""
+        """Leave no process, also after an error of the worker's own; the fork server has reaped the group, or is
+        dead.
+        """
         if not self._child.gone.is_set():
             signal_stage(self._child.pid, signal.SIGKILL)
             if not self._child.gone.wait(_REAP_S):
@@ -148,7 +150,7 @@ class _MessageReader:
             self._take()
 
     def drain(self) -> None:
-        """All that the dead child had still written."""
+        """Read all that the dead child had still written."""
         while self.open and self._poll.poll(0):
             self._take()
 
