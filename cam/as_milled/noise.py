@@ -53,8 +53,8 @@ class Noise:
 
 
 def _row_numbers(across_mm: Array, joined: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Return row numbers (n,) of tips: each stretch of equal `across_mm` is a row; what lies between two goes with the one
-    before.
+    """Return row numbers (n,) of tips: each stretch of equal `across_mm` is a row; what lies between two goes with the
+    one before.
     """
     along = np.zeros(across_mm.size, dtype=np.bool_)
     along[1:] = joined[1:] & (np.diff(across_mm) == 0.0)

@@ -216,7 +216,7 @@ def entry_s(spec: PassSpec) -> float:
 
 
 def layers_s(form: LensForm, spec: PassSpec, mill: Kinematics) -> float:
-    """Return the seconds of the first pass, which cuts planes one step-down apart out of the whole block, down to the lens.
+    """Return the seconds of the first pass, which cuts planes one step-down apart out of the block, down to the lens.
 
     Beside what stands above the lens each plane costs rows at its border, a way along both end walls, and entries.
     """

@@ -18,7 +18,7 @@ from cam.planning.pass_time import LensForm, finish_layers_s, rows_s
 from cam.planning.rest import Filled, RestPass, RestWork
 from cam.planning.rough import Roughing
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, pitches_mm, find_exclusion
+from cam.planning.shop import Shop, find_exclusion, pitches_mm
 from cam.tools import Tool, tool_pass
 
 TOLERATED_DB = 0.2

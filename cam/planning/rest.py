@@ -19,7 +19,7 @@ from cam.duration import Kinematics
 from cam.passes import Direction, PassSpec
 from cam.planning.pass_time import LensForm, entry_s, layers_where_s, slowness_s_per_mm, turn_s
 from cam.planning.row_slopes import RowSlopes
-from cam.planning.shop import Shop, pitches_mm, find_exclusion
+from cam.planning.shop import Shop, find_exclusion, pitches_mm
 from cam.rows.rest import BLEND_MM, CUSPS, LEAST_MM
 from cam.tools import Tool, tool_pass
 from optics.heightfield import Array, Heightfield
@@ -139,7 +139,9 @@ class RestWork:
         )
 
 
-def _choose_smaller(big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]) -> Tool | None:
+def _choose_smaller(
+    big: Tool, left: Filled, form: LensForm, shop: Shop, fillings: Mapping[float, Filled]
+) -> Tool | None:
     """Return the largest ball that reaches what the big one leaves, or the one that reaches most; None: none is of
     use.
     """

@@ -12,8 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cam.reading import gcode_parse
-from cam.reading import rml_parse
+from cam.reading import gcode_parse, rml_parse
 from cam.reading.gcode_errors import ALLOWED, LONG, REFUSALS, ProgramError
 from cam.reading.gcode_languages import GRBL, LANGUAGES, Language
 from optics.heightfield import Array

@@ -37,7 +37,7 @@ class FittingRadius:
 
 
 def concave_curvature(heightfield: Heightfield) -> Array:
-    """Return the greatest principal curvature [1/mm], positive in a hollow, on a lattice twice as fine as the vertices."""
+    """Return the greatest principal curvature [1/mm], positive in a hollow, on a lattice twice as fine as vertices."""
     x, y = (np.linspace(a[0], a[-1], 2 * a.size - 1) for a in (heightfield.x_mm, heightfield.y_mm))
     return heightfield.spline().concave_curvature(x, y)
 

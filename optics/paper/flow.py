@@ -38,7 +38,14 @@ from optics.paper.flow_record import (
     Remeshing,
     pixel_vertices,
 )
-from optics.paper.flow_rules import check_target, face_intensities, floor_note, project_to_frame, rms_over, judge_convergence
+from optics.paper.flow_rules import (
+    check_target,
+    face_intensities,
+    floor_note,
+    judge_convergence,
+    project_to_frame,
+    rms_over,
+)
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.poisson import NeumannPoisson
 from optics.spline import Array
@@ -49,8 +56,8 @@ __all__ = [
     "FlowStep",
     "PaperFlow",
     "Remeshing",
-    "project_to_frame",
     "pixel_vertices",
+    "project_to_frame",
     "solve_paper_map",
 ]
 

@@ -15,7 +15,7 @@ from optics.paper.flow_record import (
     Progress,
     pixel_vertices,
 )
-from optics.paper.flow_rules import excess_on_faces, floor_note, raise_to_floor, rms_over, judge_convergence
+from optics.paper.flow_rules import excess_on_faces, floor_note, judge_convergence, raise_to_floor, rms_over
 from optics.paper.mesh import MeshPair, TriangleMesh
 from optics.paper.mesh_surgery import neighbours_of
 from optics.paper.poisson import NeumannPoisson

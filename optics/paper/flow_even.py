@@ -155,9 +155,7 @@ class _Run:
             all_rms.append(rms)
             if since == 0 and rms < best_rms:
                 best, best_rms = state, rms
-            self.settled = rms <= self._settings.converged_rms or _is_stalled(
-                all_rms, _GAIN if last else _COARSE_GAIN
-            )
+            self.settled = rms <= self._settings.converged_rms or _is_stalled(all_rms, _GAIN if last else _COARSE_GAIN)
             if since == 0 and (self.settled or len(self.steps) >= self._settings.max_steps):
                 self.rms = best_rms
                 return best

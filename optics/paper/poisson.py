@@ -14,9 +14,9 @@ from math import sqrt
 
 import numpy as np
 import pyamg
-from scipy import sparse
 from numba import njit
 from numpy.typing import NDArray
+from scipy import sparse
 
 from optics.paper.mesh import TriangleMesh, Triangles
 from optics.spline import Array

@@ -123,7 +123,9 @@ def _judge_unreadable(path: Path, error: CamError) -> Verdict:
     return Verdict(program=path, ok=False, faults=(sentence,), gouge_um=0.0, max_engagement_mm=0.0, time_s=0.0)
 
 
-def _read_job_tasks(programs: Sequence[Path], folder: Path, job: ResolvedJob) -> tuple[list[Task], Stock, MachineProfile]:
+def _read_job_tasks(
+    programs: Sequence[Path], folder: Path, job: ResolvedJob
+) -> tuple[list[Task], Stock, MachineProfile]:
     """Return passes by file name from the job's report and spec; passes before the last one asked for are run, too, and
     all parts of a pass.
     """

@@ -43,7 +43,9 @@ def list_machines(*, check: bool = False, name: str | None = None) -> tuple[list
             problems.append(str(error))
     if check:
         problems += [problem for profile in profiles for problem in _find_port_problems(profile)]
-    lines = _describe_profile(profiles[0], sources[profiles[0].name]) if name and profiles else _table(profiles, sources)
+    lines = (
+        _describe_profile(profiles[0], sources[profiles[0].name]) if name and profiles else _table(profiles, sources)
+    )
     if name is None:
         lines += ["", *_explain_own_machines()]
     if check and not problems:

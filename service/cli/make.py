@@ -1,7 +1,7 @@
 """The commands `make`, `design`, `cam`, `caustic`, `check` and `version`: their arguments, and what each one calls.
 
-Those that drive mills are in `service.cli.mill`. Everything heavy is imported inside the commands, so that --help answers
-at once.
+Those that drive mills are in `service.cli.mill`. Everything heavy is imported inside the commands, so that --help
+answers at once.
 """
 
 from __future__ import annotations

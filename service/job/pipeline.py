@@ -123,7 +123,9 @@ def caustic(output: Path, job: ResolvedJob, *, reporter: Reporter) -> dict[str, 
 
 
 def _note_shortage(context: StageContext) -> None:
-    from service.job.planning.fit import check_disk_space  # what it stands on is slow to import: a lens alone does without
+    from service.job.planning.fit import (
+        check_disk_space,  # what it stands on is slow to import: a lens alone does without
+    )
 
     disk = f"the disk of {context.folder.parent}"
     if sentence := check_disk_space(context.folder, disk, cam_stock_of(context.spec), cam_passes_of(context.spec)):

@@ -8,6 +8,7 @@ has not been touched. That key proves nothing: while streaming, each piece is ha
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import os
@@ -15,7 +16,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-import functools
 from pathlib import Path
 from typing import Any
 

@@ -109,7 +109,9 @@ def run(folder: Path) -> dict[str, Any]:
     rows = [{"file": PROGRAM} for _ in job.spec.passes]
     started, cpu = time.perf_counter(), time.process_time()
     with PictureQueue() as picture_queue:
-        context = StageContext(job=job, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows})
+        context = StageContext(
+            job=job, folder=folder, watch=watch, picture_queue=picture_queue, so_far={"passes": rows}
+        )
         run_as_milled(context)
         picture_queue.finish()
     return {

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from optics.bench import Bench
-from optics.black import find_advice, choose_branch, dark_leak_estimate, fine_detail
+from optics.black import choose_branch, dark_leak_estimate, find_advice, fine_detail
 from optics.caustic import simulate_caustic
 from optics.design import design_lens
 from optics.heightfield import Heightfield

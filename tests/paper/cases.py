@@ -16,7 +16,7 @@ from optics.design import design_lens
 from optics.heightfield import Heightfield
 from optics.irradiance import picture_from_irradiance, target_irradiance
 from optics.metrics import CausticScore, score_caustic
-from optics.paper.flow import FlowSettings, PaperFlow, project_to_frame, pixel_vertices
+from optics.paper.flow import FlowSettings, PaperFlow, pixel_vertices, project_to_frame
 from optics.paper.flow_rules import face_intensities
 from optics.paper.mesh import TriangleMesh
 from optics.paper.poisson import NeumannPoisson

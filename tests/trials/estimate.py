@@ -24,9 +24,7 @@ def compared(width_mm: float) -> Iterator[tuple[str, float, float]]:
     with tempfile.TemporaryDirectory() as folder:
         job = Path(folder) / "job"
         sizes = (f"optics.width_mm={width_mm}", f"optics.height_mm={width_mm}", "image.pixels=64", "optics.throw_mm=30")
-        pipeline.make(
-            PICTURE, job, resolve_job(file=None, preset="paper", overrides=sizes), reporter=QuietReporter()
-        )
+        pipeline.make(PICTURE, job, resolve_job(file=None, preset="paper", overrides=sizes), reporter=QuietReporter())
         for program in sorted(job.glob("*.nc")):
             mill = SimulatedMill(GRBL_11, recording=Recording(keep=False))
             driver = GrblDriver(MemoryPort(mill, baud=115200))

@@ -247,7 +247,13 @@ def _figures(
             "surface": {
                 "peak_to_valley_um": _peak_to_valley(foretold, fit, 0.0),
                 "terms": [
-                    {"order_x": a, "order_y": b, "um": one.value, "deviation_um": one.deviation, "told": one.is_determined}
+                    {
+                        "order_x": a,
+                        "order_y": b,
+                        "um": one.value,
+                        "deviation_um": one.deviation,
+                        "told": one.is_determined,
+                    }
                     for (a, b), one in zip(ORDERS, fit.surface_um, strict=True)
                 ],
             },

@@ -36,13 +36,13 @@ from service.job.picture.limits import PictureLimits
 from service.job.picture.reading import picture_of
 from service.job.planning.around import paths_around, seconds_of
 from service.job.planning.changes import Change, changes_of
-from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, foretell, describe_light
+from service.job.planning.estimate_light import MOST_PIXELS, ForetoldPicture, describe_light, foretell
 from service.job.planning.finished_light import blur_of
+from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.lens_facts import LensFacts, measure_lens
 from service.job.planning.lenses import compute_passes, design_for_finishes, simplify
 from service.job.planning.plan import Planned
 from service.job.planning.planner import plan_for_picture
-from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.preparation import aim_at_picture
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.lens_task import branch_of, explain_blocked_light, finish_of, lens_settings

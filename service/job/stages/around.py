@@ -31,8 +31,8 @@ from service.job.spec.kinematics import kinematics_of
 from service.job.spec.model import JobSpec
 from service.job.spec.resolve import cam_stock_of, cut_out_of, facing_task_of
 from service.job.spec.resolved import ResolvedJob, setup_of
-from service.job.stages.programs import first_stock, part_limits_of, trace_of, write_parts
 from service.job.stages.context import StageContext
+from service.job.stages.programs import first_stock, part_limits_of, trace_of, write_parts
 
 _SLENDER = 6.0  # depth over diameter from which a flat end mill in a slot bends too far
 

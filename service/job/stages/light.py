@@ -85,7 +85,11 @@ def _shape(target: Array) -> tuple[int, int]:
 
 
 def _draw(context: StageContext, target: Array, seen: list[Caustic]) -> None:
-    from service.job.report.figures.base import comparison_png, picture_png, through_focus_png  # what it stands on is slow to import
+    from service.job.report.figures.base import (  # what it stands on is slow to import
+        comparison_png,
+        picture_png,
+        through_focus_png,
+    )
 
     white = float(target.max())
     pictures = [_as_seen(context, one.irradiance) for one in seen]

@@ -33,7 +33,7 @@ from service.job.files import (
     stock_name,
     write_program,
 )
-from service.job.planning.fit import require_flutes, require_travel, check_ball_fit
+from service.job.planning.fit import check_ball_fit, require_flutes, require_travel
 from service.job.planning.lens_facts import measure_lens
 from service.job.spec.kinematics import kinematics_of
 from service.job.spec.resolve import cam_passes_of, cam_stock_of
@@ -53,7 +53,9 @@ def run_pass(context: StageContext) -> None:
     spec, stock = cam_passes_of(context.spec)[context.number - 1], cam_stock_of(context.spec)
     if context.number == 1:
         require_millable(context, heightfield)
-        stock_top = first_stock(stock) if context.spec.stock.face is None else context.receive(FACED_STOCK, arrays.load_stock)
+        stock_top = (
+            first_stock(stock) if context.spec.stock.face is None else context.receive(FACED_STOCK, arrays.load_stock)
+        )
     else:
         stock_top = context.receive(stock_name(context.number - 1), arrays.load_stock)
     written = _write(context, spec, heightfield, stock_top)
@@ -166,7 +168,9 @@ def part_limits_of(machine: MachineProfile) -> PartLimits:
     )
 
 
-def _write(context: StageContext, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid) -> list[WrittenProgram]:
+def _write(
+    context: StageContext, spec: PassSpec, heightfield: Heightfield, stock_top: StockGrid
+) -> list[WrittenProgram]:
     """Return the programs of the pass: one, or its parts."""
     machine = context.machine
     post = POSTS[machine.dialect]

@@ -50,9 +50,9 @@ class SnapshotFeed:
         for entry in snapshot.events:
             if entry.number > self._last_event:
                 self._last_event = entry.number
-                self._hub.event(entry.as_dict())
+                self._hub.publish_event(entry.as_dict())
                 self._audit.note(entry)
-        self._hub.status(status_of(snapshot))
+        self._hub.publish_status(status_of(snapshot))
 
 
 def status_of(snapshot: MillSnapshot) -> dict[str, object]:

@@ -17,10 +17,14 @@ _MODE_S = 10.0
 _POLL_S = 0.2
 
 
-def run_check_mode(driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Callable[[int], None]) -> tuple[str, ...]:
+def run_check_mode(
+    driver: Driver, url: str, lines: Iterator[ProgramLine], on_line: Callable[[int], None]
+) -> tuple[str, ...]:
     """Send all lines in check mode; returns the protections that were active. FailedError names what was refused."""
     driver.connect()
-    _poll_until(driver, url, _CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED))
+    _poll_until(
+        driver, url, _CONNECT_S, lambda _: driver.status.state not in (MillState.CONNECTING, MillState.DISCONNECTED)
+    )
     if driver.status.state is not MillState.IDLE:
         raise FailedError(f"dry run: the mill is {driver.status.state.value}; allowed when it is idle")
     _set_check_mode(driver, url, on=True)

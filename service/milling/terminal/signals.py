@@ -46,7 +46,7 @@ def watch_signals(at_once: Callable[[], None]) -> Iterator[Signals]:
     def watch() -> None:
         while (number := os.read(raw_in, 1)[0]) != _END:
             if number in WATCHED:
-                make_immediate_hold()
+                at_once()
                 os.write(main_out, bytes([number]))
 
     watcher = threading.Thread(target=watch, name="signals", daemon=True)

@@ -29,12 +29,12 @@ from machines.profiles import MachineProfile
 from machines.recovery.planning import Reentry
 from machines.runs import RECOVER_CHECKS, START_CHECKS, Confirmation, RunView
 from service.errors import EXIT_INTERRUPTED, FailedError, InputError, ServiceError, sentence_of_os_error
-from service.milling.agent.settings import mill_folder, usable
+from service.milling.agent.settings import mill_folder, report_disk_errors
 from service.milling.connect import Connector, demand_blocks
 from service.milling.preflight import run_preflight
 from service.milling.terminal.confirm import RECOVER_QUESTIONS, START_QUESTIONS, ask_person, operator_name
 from service.milling.terminal.dry_run import run_check_mode
-from service.milling.terminal.follow import Ended, Outcome, RunFollower, make_immediate_hold, find_keyboard
+from service.milling.terminal.follow import Ended, Outcome, RunFollower, find_keyboard, make_immediate_hold
 from service.milling.terminal.keys import single_keys
 from service.milling.terminal.leaving import STILL_HELD, Buffers, clear_at_the_end, ignore_signals
 from service.milling.terminal.orders import give_order
@@ -99,7 +99,7 @@ def stream_program(order: StreamOrder) -> None:
             prepare_mill(thread, buffers, person=find_keyboard() is not None)
         facts = _preflight(order, connector.settings)
         print_lines(program_lines(order.program, facts))
-        prepare = _recovery if order.recover else _prepare_new_run
+        prepare = _prepare_recovery if order.recover else _prepare_new_run
         run_id, begin = prepare(thread, buffers, order, facts)
         outcome = _run(thread, buffers, order, facts, run_id, begin)
         outcome = _settle(thread, outcome)
@@ -132,7 +132,10 @@ def _preflight(order: StreamOrder, settings: ControllerSettings | None) -> Prefl
         begun = time.monotonic()
         reporter.start_stage(stage)
         facts = run_preflight(
-            order.program, order.profile, settings=settings, on_progress=lambda share: reporter.report_share(stage, share)
+            order.program,
+            order.profile,
+            settings=settings,
+            on_progress=lambda share: reporter.report_share(stage, share),
         )
         reporter.end_stage(stage, time.monotonic() - begun)
     demand_blocks(facts, order.program.name)
@@ -148,7 +151,9 @@ def _run_in_check_mode(order: StreamOrder) -> None:
         begun = time.monotonic()
         reporter.start_stage(stage)
         lines = ProgramReader(order.program, facts.index).lines()
-        run_check_mode(driver, order.port_url, lines, lambda line: reporter.report_share(stage, line / max(1, facts.lines)))
+        run_check_mode(
+            driver, order.port_url, lines, lambda line: reporter.report_share(stage, line / max(1, facts.lines))
+        )
         reporter.end_stage(stage, time.monotonic() - begun)
     print(f"finished: the controller takes all {facts.blocks:,} blocks of {order.program.name}; nothing was moved")
 
@@ -167,7 +172,7 @@ def _open_mill(order: StreamOrder, folder: Path) -> Iterator[tuple[MillThread, C
     """Open the mill, with its thread running; let go of at the end."""
     connector = Connector(order.profile, order.port_url)
     reentry = Reentry(safe_z_mm=order.profile.safe_z_mm)
-    with usable(folder):
+    with report_disk_errors(folder):
         mill = Mill(name=order.profile.name, connect=connector, folder=folder, reentry=reentry)
     thread = MillThread(mill)
     try:

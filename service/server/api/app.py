@@ -15,7 +15,7 @@ from starlette.middleware import Middleware
 
 from service.server.api.access.guard import STOPS, Guard
 from service.server.api.errors import install_problems
-from service.server.api.intake.body import BodyTimeout, BodyLimit
+from service.server.api.intake.body import BodyLimit, BodyTimeout
 from service.server.api.metrics import MetricsMiddleware
 from service.server.api.openapi import with_problems
 from service.server.api.routes import (

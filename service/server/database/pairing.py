@@ -20,8 +20,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, delete, select, update
 
 from service.server.database.connection import begin_reading, begin_writing, insert_new
-from service.server.database.tables import pairing_tries
-from service.server.database.tables import pairings
+from service.server.database.tables import pairing_tries, pairings
 from service.server.database.tokens import Token, TokenBook, TokenScope
 from service.server.pairing_code import ALPHABET, read_code
 
@@ -128,7 +127,11 @@ class TooManyTriesError(Exception):
 
 def take_try(connection: Connection, address: str, now: float, *, counts_for_all: bool) -> None:
     """Take a try before it is looked at, so that those that come at once are counted, too. TooManyTriesError."""
-    connection.execute(delete(pairing_tries).where(pairing_tries.c.address != EVERYBODY, pairing_tries.c.at < now - EACH.most * EACH.refill_s))
+    connection.execute(
+        delete(pairing_tries).where(
+            pairing_tries.c.address != EVERYBODY, pairing_tries.c.at < now - EACH.most * EACH.refill_s
+        )
+    )
     budgets = [(address, EACH), (EVERYBODY, ALL)] if counts_for_all else [(address, EACH)]
     used = [_count_used(connection, name, budget, now) for name, budget in budgets]
     for (name, budget), spent in zip(budgets, used, strict=True):
@@ -141,7 +144,9 @@ def take_try(connection: Connection, address: str, now: float, *, counts_for_all
 def give_back(connection: Connection, address: str, *, counts_for_all: bool) -> None:
     """Give back a try: it was right."""
     names = [address, EVERYBODY] if counts_for_all else [address]
-    connection.execute(update(pairing_tries).where(pairing_tries.c.address.in_(names)).values(used=pairing_tries.c.used - 1))
+    connection.execute(
+        update(pairing_tries).where(pairing_tries.c.address.in_(names)).values(used=pairing_tries.c.used - 1)
+    )
 
 
 def tries_left(connection: Connection, address: str, now: float) -> int:

@@ -1,8 +1,8 @@
 """The job engine on DBOS Transact: the only file that imports it.
 
-A ticket is a workflow whose name is its id. Its attempt is called directly and not as a step of DBOS: the attempt can be
-called any number of times, and DBOS records an outcome only for the executor that owns the ticket, while it would take
-the result of a step from anybody. Measured reasons for every setting: the trials of the project's first design.
+A ticket is a workflow whose name is its id. Its attempt is called directly and not as a step of DBOS: it can be called
+any number of times, and DBOS records an outcome only for the executor that owns the ticket, while it would take the
+result of a step from anybody. Measured reasons for every setting: the trials of the project's first design.
 """
 
 from __future__ import annotations

@@ -21,11 +21,11 @@ from service.server.database.schema import open_database
 from service.server.queue.dbos import DbosEngine
 from service.server.worker.attempt import Attempt
 from service.server.worker.context import WorkerContext
-from service.server.worker.lease import LeaseRenewer, Lease
+from service.server.worker.lease import Lease, LeaseRenewer
 from service.server.worker.monitor import Watch
 from service.server.worker.preconditions import NameLock, executor_name, lock_data, refuse_network_disk
 from service.server.worker.process.pool import StageProcesses
-from service.server.worker.reconcile import Reconciler, PeriodicThread
+from service.server.worker.reconcile import PeriodicThread, Reconciler
 from service.server.worker.retention import Retention
 from service.settings import ServerSettings
 from service.store.opening import open_store

@@ -17,7 +17,7 @@ from machines.grbl.settings import ControllerSettings
 from machines.preflight.limits import limits_of, placement_problems
 from machines.preflight.preflight import Preflight
 from machines.profiles import MachineProfile, load_profile
-from service.milling import run_preflight as module
+from service.milling import preflight as module
 from service.milling.preflight import PreflightError, run_preflight
 from service.milling.preflight_child import examine
 

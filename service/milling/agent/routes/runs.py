@@ -105,8 +105,8 @@ class RunRoutes:
         return self._answer(request)
 
     def halt(self, stop: Stop) -> Callable[..., object]:
-        """Make the endpoint of a stop of the live run. For another run it is refused, but it is counted all the same: no order that
-        was given before it, such as this run's start, is carried out any more.
+        """Make the endpoint of a stop of the live run. For another run it is refused, but it is counted all the same:
+        no order that was given before it, such as this run's start, is carried out any more.
         """
 
         async def endpoint(request: Request) -> Response:

@@ -87,7 +87,7 @@ async def _read(request: Request, body: RequestBody, reader: _Reader) -> JobForm
             await asyncio.to_thread(parser.write, piece)
         except FormParserError:
             raise Problem(400, "the body is not multipart/form-data, or not well made", field="body") from None
-    return await asyncio.to_thread(reader.done)
+    return await asyncio.to_thread(reader.finish)
 
 
 def sweep_uploads(folder: Path) -> None:

@@ -68,7 +68,9 @@ def _parse(text: bytes) -> dict[str, Any]:
     if text.count(b",") + text.count(b":") > _MOST_VALUES:
         raise _unusable(f"holds more than {_MOST_VALUES} values")
     try:
-        data = json.loads(text.decode("utf-8-sig"), object_pairs_hook=_refuse_duplicates, parse_constant=_refuse_constant)
+        data = json.loads(
+            text.decode("utf-8-sig"), object_pairs_hook=_refuse_duplicates, parse_constant=_refuse_constant
+        )
     except UnicodeDecodeError:
         raise _unusable("is not UTF-8") from None
     except RecursionError:

@@ -30,7 +30,7 @@ class ForkServerError(Exception):
 
 @dataclass(slots=True, eq=False)
 class Child:
-    """One stage's process as the fork server tells of it. `gone`: nobody of its group is left, or the fork server is dead."""
+    """One stage's process as the fork server reports it. `gone`: nobody of its group is left, or the server is dead."""
 
     number: int
     server: _ForkServer

@@ -20,7 +20,7 @@ import pytest
 
 from machines.preflight.limits import MillLimits
 from machines.preflight.preflight import Preflight
-from service.milling import run_preflight
+from service.milling import preflight
 from service.milling.agent.card import AgentCard, read_card
 from service.milling.preflight_child import examine
 from service.server.database.tokens import TokenScope

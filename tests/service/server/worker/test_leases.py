@@ -14,7 +14,7 @@ from service.server.database.records import NewJob
 from service.server.database.states import JobState
 from service.server.database.tables import executors
 from service.server.queue.engine import Fenced, Ticket
-from service.server.worker.lease import LeaseRenewer, Lease, NameTakenError, live_executors
+from service.server.worker.lease import Lease, LeaseRenewer, NameTakenError, live_executors
 from tests.waiting import PATIENCE_S
 
 NEW = NewJob(name="a", spec={}, image_sha256="0" * 64, image_bytes=1, created_by="me", request_sha256="r")

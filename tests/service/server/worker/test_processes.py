@@ -19,7 +19,7 @@ from service.processes.linux import own_children
 from service.server.worker.process.child import MessagePipe
 from service.server.worker.process.pool import Crashed, Done, Failed, Refused, StageEnd, StageProcesses
 from service.settings import ServerSettings
-from tests.service.server.worker.stage_bench import Bench, lives, fork_server_pid, pids_in
+from tests.service.server.worker.stage_bench import Bench, fork_server_pid, lives, pids_in
 from tests.waiting import until
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="stages run under Linux only")
