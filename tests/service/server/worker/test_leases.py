@@ -44,26 +44,26 @@ def age(database: sa.Engine, name: str, seconds: float) -> None:
 def test_a_lease_is_safe_for_six_tenths_of_it_after_a_good_beat(database: sa.Engine) -> None:
     time = Clock()
     mine = lease(database, clock=time)
-    assert not mine.safe()
+    assert not mine.is_safe()
     mine.take()
     time.now += 5.9
-    assert mine.safe()
-    mine.beat()
+    assert mine.is_safe()
+    mine.renew()
     time.now += 5.9
-    assert mine.safe()
+    assert mine.is_safe()
     time.now += 0.2
-    assert not mine.safe()
+    assert not mine.is_safe()
 
 
 def test_who_cannot_be_taken_over_need_not_stop_while_the_database_is_away(database: sa.Engine) -> None:
     time = Clock()
     mine = Lease(database, "a", 10.0, pid=1, version="1", alone=True, monotonic=time)
-    assert not mine.safe()
+    assert not mine.is_safe()
     mine.take()
     time.now += 1000.0
-    assert mine.safe()
+    assert mine.is_safe()
     mine.give_back()
-    assert not mine.safe()
+    assert not mine.is_safe()
 
 
 def test_the_time_that_a_beat_took_counts_against_it(database: sa.Engine) -> None:
